@@ -1,0 +1,105 @@
+# Everything runs inside .venv, which the first target that needs it makes. All it takes is Python 3.11 or later, make and git.
+
+SHELL := /bin/sh
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+CONSTRAINTS := .ci/constraints.txt
+
+# The interpreters to make .venv from, the first that will do; `make PYTHON=...` names another.
+PYTHONS := $(or $(PYTHON),python3.11 python3 python3.12 python3.13)
+
+# One thread: our matrices are small, so that more threads only wait for each other, and timings scatter.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+# pyright would look on the network for a newer self.
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# A ROS shell sets PYTHONPATH, and its Pinocchio, built for another Python, would come before ours.
+unexport PYTHONPATH
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+# With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
+.NOTPARALLEL:
+.PHONY: help demo test lint bench lock clean
+
+help: ## Show this help
+	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
+	@echo
+	@echo "make TARGET, with TARGET one of"
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo
+	@echo "The first run installs all it needs into $(VENV): a minute or so, and about 2 GB."
+	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
+
+demo: $(INSTALLED) ## See it work: map a recorded human hand onto robot hands, and draw the result
+	@$(BIN)/handmap demo $(ARGS)
+
+test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(INSTALLED) ## Check style (ruff), types (pyright) and who imports whom (import-linter)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/pyright --pythonpath $(BIN)/python
+	@$(BIN)/lint-imports --no-cache
+
+bench: $(INSTALLED) ## Run every benchmark, one after the other
+	@for script in benchmarks/bench_*.py; do \
+	    echo "== $$script"; \
+	    $(BIN)/python "$$script" $(ARGS) || exit 1; \
+	done
+
+lock: ## Write the newest versions that pyproject.toml allows into .ci/constraints.txt
+	@$(FIND_PYTHON); \
+	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
+	"$$python" -m venv "$$folder" && \
+	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
+	$$pip install -qq --upgrade pip hatchling editables && \
+	$$pip install -qq --no-build-isolation --editable '.[all]' --group dev && \
+	{ \
+	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
+	    $$pip freeze --all --exclude-editable --exclude setuptools; \
+	} > $(CONSTRAINTS).new && \
+	mv $(CONSTRAINTS).new $(CONSTRAINTS)
+	@echo "Wrote $(CONSTRAINTS); now run make test."
+
+clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
+	rm -rf $(VENV) build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+	find handmap_qp tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Leaves in $python the first interpreter that will do, or says what was found instead.
+define FIND_PYTHON
+python=; \
+for candidate in $(PYTHONS); do \
+    if "$$candidate" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2> /dev/null; then \
+        python=$$candidate; \
+        break; \
+    fi; \
+done; \
+if [ -z "$$python" ]; then \
+    echo "handmap_qp needs Python 3.11 or later, with its venv module (on Debian and Ubuntu: the package python3-venv)." >&2; \
+    echo "None of these will do; name another by make PYTHON=..." >&2; \
+    for candidate in $(PYTHONS); do \
+        echo "  $$candidate: $$("$$candidate" --version 2>&1 | head -n 1)" >&2; \
+    done; \
+    exit 1; \
+fi
+endef
+
+# The stamp holds the folder it was made in. Scripts of an environment name that folder, so a copied or half-made one starts anew.
+$(INSTALLED): pyproject.toml $(CONSTRAINTS)
+	@if [ "$$(cat $@ 2> /dev/null)" != "$(CURDIR)" ]; then \
+	    $(FIND_PYTHON); \
+	    echo "Making $(VENV) with $$("$$python" --version)"; \
+	    "$$python" -m venv --clear $(VENV); \
+	fi
+	@echo "Installing into $(VENV) what pyproject.toml asks for"
+	@$(PIP) install -qq --constraint $(CONSTRAINTS) pip hatchling editables
+	@$(PIP) install -qq --constraint $(CONSTRAINTS) --no-build-isolation --editable '.[all]' --group dev
+	@echo "$(CURDIR)" > $@
+
+ifneq ($(shell cat $(INSTALLED) 2> /dev/null),$(CURDIR))
+.PHONY: $(INSTALLED)
+endif

@@ -1,0 +1,226 @@
+"""The command `handmap`: demo, map, hands.
+
+Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130. Results go to stdout, progress to stderr.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import tyro
+
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.options import MappingOptions
+
+
+class Command(Protocol):
+    """A subcommand: its fields are its arguments."""
+
+    def run(self) -> None:
+        """Do the work; raise `HandmapError` on a user error."""
+        ...
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Carry a human hand's motion to a three-fingered robot hand, on embedded data.
+
+    The wrist goes along the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural synergy closes and opens the hand.
+    Writes the robot's trajectory, a picture of both hands and plots of errors and joints.
+
+    Attributes:
+        out: Folder to write to; made if it does not exist.
+    """
+
+    out: Path = Path("demo")
+
+    def run(self) -> None:
+        """Run the demo and say what it made."""
+        from handmap_qp.experiments.demo import run_demo
+
+        with _progress("mapping") as advance:
+            result = run_demo(self.out, progress=advance)
+        _print_table("The paper's arc with the first synergy, human hand to three_finger", result.summary())
+        for file in result.files:
+            print(f"wrote {file}")
+
+
+@dataclass(frozen=True)
+class Map:
+    """Map a recording of a human hand to a robot hand.
+
+    The hand is measured, its landmarks become joint angles, and every sample goes through the mapper. The result is an .npz file
+    with time, joint_names, q, wrist, targets, points, point_error, valid and versions.
+
+    Examples: `handmap map recording.npz --robot three_finger`, or
+    `handmap map recording.npz --robot my_hand.yaml --out my_hand.npz --rigid-from wrist --json`.
+
+    Attributes:
+        recording: Recording of a human hand: an .npz file with time, landmarks (T, 21, 3) and handedness.
+        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml.
+        out: File to write; RECORDING_ROBOT.npz in the working folder if omitted.
+        json: Print the summary as one JSON object instead of a table.
+        human_points: Reference points on the human hand: the name of a set.
+        robot_points: Reference points on the robot hand: the name of a set; its own default if omitted.
+        mapping: How the human's motion becomes the robot's.
+        ik: Weights and settings of the QP.
+    """
+
+    recording: tyro.conf.Positional[Path]
+    robot: str
+    out: Path | None = None
+    json: bool = False
+    human_points: str | None = None
+    robot_points: str | None = None
+    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(default_factory=MappingOptions)
+    ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
+
+    def run(self) -> None:
+        """Read, fit, map, write and sum up."""
+        from handmap_qp.library import load_hand
+        from handmap_qp.mapping import HandMapper
+        from handmap_qp.metrics import summarise
+        from handmap_qp.recording import read_recording
+        from handmap_qp.trackers.landmarks import fit_recording
+        from handmap_qp.trajectory import map_motion
+
+        recording = read_recording(self.recording)
+        robot = load_hand(self.robot, points=self.robot_points)
+        out = _check_out(self.out or Path(f"{recording.name}_{robot.name}.npz"))
+        with _progress("fitting the human hand", len(recording)) as advance:
+            motion = fit_recording(recording, advance)
+        human = motion.human.with_points(self.human_points)
+        mapper = HandMapper(human, robot, self.mapping, ik=self.ik)
+        with _progress(f"mapping to {robot.name}", len(recording)) as advance:
+            trajectory = map_motion(mapper, motion, advance)
+        trajectory.save(out)
+        summary = {"recording": recording.name, **summarise(motion, trajectory), "out": str(out)}
+        if self.json:
+            print(json.dumps(summary))
+            return
+        _print_table(f"{recording.name} to {robot.name}", summary)
+        print(f"wrote {out}")
+
+
+@dataclass(frozen=True)
+class Hands:
+    """List the hands that come with the package, or describe one.
+
+    Attributes:
+        hand: Name of a hand or path of a hand.yaml to describe; lists all hands if omitted.
+        json: Print one JSON object instead of a table.
+    """
+
+    hand: tyro.conf.Positional[str | None] = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the table."""
+        from handmap_qp.library import describe_hand, list_hands
+
+        rows = list_hands() if self.hand is None else describe_hand(self.hand)
+        if self.json:
+            print(json.dumps(rows))
+        elif isinstance(rows, list):
+            _print_rows("Hands", rows)
+        else:
+            _print_table(rows["name"], {key: value for key, value in rows.items() if not isinstance(value, list)})
+            _print_rows("Joints", rows["joints"])
+            _print_rows("Reference points", rows["points"])
+
+
+_Any = (
+    Annotated[Demo, tyro.conf.subcommand("demo", prefix_name=False)]
+    | Annotated[Map, tyro.conf.subcommand("map", prefix_name=False)]
+    | Annotated[Hands, tyro.conf.subcommand("hands", prefix_name=False)]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: Words after `handmap`; those of the process if omitted.
+
+    Returns:
+        Exit code: 0, or 2 after a user error.
+    """
+    try:
+        _parse(sys.argv[1:] if arguments is None else arguments).run()
+    except HandmapError as error:
+        print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("handmap: interrupted, nothing was written", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parse(arguments: Sequence[str]) -> Command:
+    """The command that the words ask for; a mistake in them becomes a one-line error."""
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(_Any, prog="handmap", description=__doc__.partition("\n")[0], args=list(arguments))  # type: ignore[arg-type]
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise InvalidInputError(_first_sentences(complaint.getvalue())) from end
+
+
+def _first_sentences(box: str) -> str:
+    """The message inside the box that tyro draws round it, on one line."""
+    lines = [line.strip(" │╭╮╰╯─") for line in box.splitlines() if line.startswith("│")]
+    ruled = [i for i, line in enumerate(lines) if not line]
+    message = " ".join(lines[: ruled[0]] if ruled else lines)
+    return f"{message} (see handmap --help)"
+
+
+def _check_out(path: Path) -> Path:
+    """Refuse a file that cannot be written, before any work is done."""
+    if path.suffix != ".npz":
+        raise InvalidInputError(f"--out {path}: expected a file that ends in .npz")
+    if not path.parent.is_dir():
+        raise InvalidInputError(f"--out {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise InvalidInputError(f"--out {path}: is a folder")
+    return path
+
+
+@contextlib.contextmanager
+def _progress(what: str, total: int | None = None) -> Iterator[Any]:
+    """A progress bar on stderr while the block runs; gives the function to call with the number of samples done."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)
+
+
+def _print_table(title: str, values: dict[str, Any]) -> None:
+    _print_rows(title, [{"": key, "value": value} for key, value in values.items()])
+
+
+def _print_rows(title: str, rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for name in rows[0]:
+        table.add_column(name, justify="right" if isinstance(rows[0][name], int | float) else "left")
+    for row in rows:
+        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,304 @@
+"""`Hand`: any hand, human or robot, as a Pinocchio model with named reference points.
+
+The model holds the wrist too: a floating hand hangs from a free-flyer, a fixed one from the world. Reference points are frames
+of the model, so one Pinocchio call places them all. `joint_names` owns the order of every `q` that crosses the API; Pinocchio
+sorts sibling joints by name, and only this file knows both orders.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from handmap_qp.configuration import Configuration
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hand_spec import HandSpec, Mount, PointSpec
+from handmap_qp.transform import affine
+from handmap_qp.urdf_text import mirrored_urdf
+
+_ROOT = "wrist_mount"
+
+
+class Hand:
+    """A hand: a URDF in Pinocchio, the order of its joints, its palm and wrist frames and its reference points.
+
+    Args:
+        spec: What the hand is.
+        points: Reference points to use: the name of one of the spec's sets, names of its points, or points of your own
+            (link and offset). The spec's own choice if omitted.
+        mount: `floating` or `fixed`, overriding the spec's.
+        urdf_text: URDF to use in place of the spec's file (a scaled one, say).
+
+    Attributes:
+        spec: The description.
+        name: Short name.
+        side: `right` or `left`.
+        mount: `floating` or `fixed`.
+        urdf_text: The URDF as it was built, after scaling and mirroring.
+        model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints in Pinocchio's order, and the
+            reference points as its last frames.
+        joint_names: Movable joints, in the order of every `q`; n of them.
+        lower_limits: Lower position limits [rad], shape (n,).
+        upper_limits: Upper position limits [rad], shape (n,).
+        velocity_limits: Speed limits [rad/s], shape (n,).
+        rest: Rest posture [rad], shape (n,).
+        reference_points: The points in use; m of them.
+        point_weights: Their weights, shape (m,).
+        wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
+
+    Raises:
+        HandError: If spec and URDF do not fit together, naming file, key and value.
+        MissingExtraError: If the URDF lives in a package that is not installed.
+    """
+
+    def __init__(
+        self,
+        spec: HandSpec,
+        *,
+        points: str | tuple[str | PointSpec, ...] | None = None,
+        mount: Mount | None = None,
+        urdf_text: str | None = None,
+    ) -> None:
+        self.spec = spec
+        self.name = spec.name
+        self.side = spec.side
+        self.mount: Mount = mount or spec.wrist.mount
+        text = read_urdf(spec) if urdf_text is None else urdf_text
+        self.urdf_text = mirrored_urdf(text) if spec.mirror else text
+        self.model = _build_model(spec, self.urdf_text, self.mount)
+        self.joint_names = spec.joints
+        joint_ids = [self._joint_id(name) for name in self.joint_names]
+        self.q_indices = np.array([self.model.joints[i].idx_q for i in joint_ids])
+        self.v_indices = np.array([self.model.joints[i].idx_v for i in joint_ids])
+        self.lower_limits = _frozen(self.model.lowerPositionLimit[self.q_indices])
+        self.upper_limits = _frozen(self.model.upperPositionLimit[self.q_indices])
+        self.velocity_limits = _frozen(self.model.velocityLimit[self.v_indices])
+        self.rest = _frozen([spec.rest[name] for name in self.joint_names])
+        self._check_limits()
+        self.palm_frame_id = self._add_frame("palm", spec.palm.link, _palm_in_link(spec), "palm.link")
+        self.wrist_frame_id = self._add_frame("wrist", spec.wrist.link, np.eye(4), "wrist.link")
+        self.reference_points = self._choose_points(points)
+        self.point_weights = _frozen([point.weight for point in self.reference_points])
+        for i, point in enumerate(self.reference_points):
+            self._add_frame(point.name, point.link, affine(np.eye(3), np.array(point.xyz)), f"points[{i}].link")
+        self.first_point_frame = len(self.model.frames) - len(self.reference_points)
+        wrist, palm = (self.model.frames[frame] for frame in (self.wrist_frame_id, self.palm_frame_id))
+        self._check_wrist(wrist, palm)
+        self._wrist_to_root = wrist.placement.inverse()
+        self.wrist_to_palm = (self._wrist_to_root * palm.placement).homogeneous
+        self._scratch = self.configuration()
+
+    @property
+    def is_floating(self) -> bool:
+        """Whether the wrist is free to move."""
+        return self.mount == "floating"
+
+    def __repr__(self) -> str:
+        """Name, side, joints and points in one line."""
+        return (
+            f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, joints={len(self.joint_names)}, "
+            f"points={len(self.reference_points)})"
+        )
+
+    def with_points(self, points: str | tuple[str | PointSpec, ...] | None) -> Hand:
+        """The same hand, scaled as it is, with other reference points; arguments as of `Hand`."""
+        return Hand(msgspec.structs.replace(self.spec, mirror=False), points=points, mount=self.mount, urdf_text=self.urdf_text)
+
+    def configuration(self) -> Configuration:
+        """A new workspace for this hand, for one user at a time."""
+        return Configuration(self.model, wrist_frame=self.wrist_frame_id, first_point=self.first_point_frame)
+
+    def configuration_vector(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+        """Pinocchio's configuration vector for joint angles and a wrist pose.
+
+        Args:
+            q: Joint angles in the order of `joint_names` [rad], shape (n,).
+            wrist_pose: Pose of the wrist frame in the world, shape (4, 4); the identity if omitted. Refused by a fixed hand.
+
+        Returns:
+            Configuration, shape (model.nq,).
+
+        Raises:
+            InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
+        """
+        angles = np.asarray(q, dtype=float)
+        if angles.shape != (len(self.joint_names),):
+            raise InvalidInputError(f"q: expected shape ({len(self.joint_names)},) for {self.name}, got {angles.shape}")
+        if wrist_pose is not None and not self.is_floating:
+            raise InvalidInputError(f"{self.name} has a fixed wrist: its pose cannot be given (mount='floating' frees it)")
+        vector = np.zeros(self.model.nq)
+        self.write_configuration(vector, angles, np.eye(4) if wrist_pose is None else wrist_pose)
+        return vector
+
+    def write_configuration(self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray) -> None:
+        """The same into an array of the caller's, unchecked, for use sample by sample; a fixed hand ignores the wrist pose."""
+        vector[self.q_indices] = q
+        if self.is_floating:
+            vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
+
+    def points(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+        """Positions of the reference points (eq. 4).
+
+        Args:
+            q: Joint angles [rad], shape (n,).
+            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+
+        Returns:
+            Points in the world [m], shape (m, 3).
+        """
+        self._scratch.place(self.configuration_vector(q, wrist_pose))
+        return self._scratch.points.copy()
+
+    def point_jacobian(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+        """Derivative of the reference points with respect to the joint angles.
+
+        Args:
+            q: Joint angles [rad], shape (n,).
+            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+
+        Returns:
+            Jacobian [m/rad], rows x, y, z of each point in turn, columns in the order of `joint_names`, shape (3 m, n).
+        """
+        self._scratch.update(self.configuration_vector(q, wrist_pose))
+        return self._scratch.point_jacobian()[:, self.v_indices]
+
+    def frame_pose(self, frame: str, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+        """Pose of a link, of `"palm"` or of `"wrist"` in the world.
+
+        Args:
+            frame: Link name, `"palm"`, `"wrist"` or the name of a reference point.
+            q: Joint angles [rad], shape (n,).
+            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+
+        Returns:
+            Pose, shape (4, 4).
+
+        Raises:
+            InvalidInputError: If there is no such frame.
+        """
+        own = f"{_ROOT}/{frame}"
+        name = own if self.model.existFrame(own) else frame
+        if not self.model.existFrame(name):
+            raise InvalidInputError(f"{self.name} has no frame {frame!r}", value=frame)
+        self._scratch.place(self.configuration_vector(q, wrist_pose))
+        return self._scratch.data.oMf[self.model.getFrameId(name)].homogeneous
+
+    def _joint_id(self, name: str) -> int:
+        if not self.model.existJointName(name):
+            raise self.spec.error(f"the URDF has no movable joint {name!r}", key="joints", value=name)
+        return self.model.getJointId(name)
+
+    def _check_limits(self) -> None:
+        columns = zip(self.joint_names, self.lower_limits, self.upper_limits, self.velocity_limits, self.rest, strict=True)
+        for name, lower, upper, speed, rest in columns:
+            if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
+                raise self.spec.error(f"{name!r} needs limits with lower < upper, got [{lower:.6g}, {upper:.6g}]", key="urdf")
+            if not (np.isfinite(speed) and speed > 0.0):
+                raise self.spec.error(f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key="urdf")
+            if not lower <= rest <= upper:
+                message = f"{rest:.6g} rad is outside the joint's limits [{lower:.6g}, {upper:.6g}]"
+                raise self.spec.error(message, key=f"rest.{name}", value=rest)
+
+    def _choose_points(self, points: str | tuple[str | PointSpec, ...] | None) -> tuple[PointSpec, ...]:
+        named = {point.name: point for point in self.spec.points}
+        if points is None or isinstance(points, str):
+            set_name = points or self.spec.reference
+            if set_name not in self.spec.sets:
+                known = ", ".join(self.spec.sets)
+                raise self.spec.error(f"no set {set_name!r}; there are {known}", key="sets", value=set_name)
+            points = self.spec.sets[set_name]
+        for point in points:
+            if isinstance(point, str) and point not in named:
+                raise self.spec.error(f"no point {point!r}; there are {', '.join(named)}", key="points", value=point)
+        chosen = tuple(named[point] if isinstance(point, str) else point for point in points)
+        if not chosen:
+            raise self.spec.error("expected at least one reference point", key="points")
+        return chosen
+
+    def _add_frame(self, name: str, link: str, placement: np.ndarray, key: str) -> int:
+        if not self.model.existFrame(link):
+            raise self.spec.error(f"the URDF has no link {link!r}", key=key, value=link)
+        parent_id = self.model.getFrameId(link)
+        parent = self.model.frames[parent_id]
+        frame = pin.Frame(
+            f"{_ROOT}/{name}", parent.parentJoint, parent_id, parent.placement * pin.SE3(placement), pin.FrameType.OP_FRAME
+        )
+        return self.model.addFrame(frame)
+
+    def _check_wrist(self, wrist: pin.Frame, palm: pin.Frame) -> None:
+        for key, link, frame in (("wrist.link", self.spec.wrist.link, wrist), ("palm.link", self.spec.palm.link, palm)):
+            if frame.parentJoint != int(self.is_floating):
+                raise self.spec.error(f"{link!r} moves with the fingers; it must be fixed to the root link", key=key, value=link)
+
+
+def read_urdf(spec: HandSpec) -> str:
+    """The text of a spec's URDF.
+
+    Raises:
+        HandError: If there is no such file.
+        MissingExtraError: If it lives in a package that is not installed.
+    """
+    path = urdf_path(spec)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise spec.error(f"the URDF cannot be read: {error}", key="urdf", value=spec.urdf) from error
+
+
+def urdf_path(spec: HandSpec) -> Path:
+    """Where a spec's URDF lies.
+
+    Raises:
+        MissingExtraError: If it lives in a package that is not installed.
+    """
+    if spec.urdf.startswith("package://"):
+        package, _, inside = spec.urdf.removeprefix("package://").partition("/")
+        return package_share(package) / package / inside
+    return (spec.directory or Path()) / spec.urdf
+
+
+def package_share(package: str) -> Path:
+    """The `share` folder of an installed package of robot descriptions (a cmeel wheel).
+
+    Raises:
+        MissingExtraError: If the package is not installed.
+    """
+    try:
+        distribution = importlib.metadata.distribution(package)
+    except importlib.metadata.PackageNotFoundError as error:
+        raise MissingExtraError(package, "robots") from error
+    return Path(str(distribution.locate_file("cmeel.prefix/share")))
+
+
+def _build_model(spec: HandSpec, urdf_text: str, mount: Mount) -> pin.Model:
+    try:
+        if mount == "floating":
+            model = pin.buildModelFromXML(urdf_text, pin.JointModelFreeFlyer(), _ROOT)
+        else:
+            model = pin.buildModelFromXML(urdf_text)
+    except (RuntimeError, ValueError) as error:
+        raise spec.error(f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", key="urdf") from error
+    for name, joint in zip(model.names, model.joints, strict=True):
+        if name in ("universe", _ROOT):
+            continue
+        if name not in spec.joints:
+            raise spec.error(f"the URDF's joint {name!r} is missing", key="joints", value=name)
+        if joint.nq != 1:
+            raise spec.error(f"{name!r} is a {joint.shortname()}; only joints with one coordinate can be used", key="joints")
+    return model
+
+
+def _palm_in_link(spec: HandSpec) -> np.ndarray:
+    distal, dorsal = np.array(spec.palm.distal), np.array(spec.palm.dorsal)
+    return affine(np.column_stack([np.cross(distal, dorsal), distal, dorsal]), np.array(spec.palm.xyz))
+
+
+def _frozen(values: npt.ArrayLike) -> np.ndarray:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,223 @@
+"""The description of a hand as a typed value: `HandSpec`, and the `hand.yaml` it is read from.
+
+A spec says what the URDF cannot: which joints in which order, where palm and wrist are, which points matter, what rest is.
+It can be read from a file (`read_hand_spec`) or built in code; whether it fits its URDF is checked when a `Hand` is made.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import yaml
+
+from handmap_qp.errors import HandError
+
+Side = Literal["right", "left"]
+Mount = Literal["floating", "fixed"]
+Vector = tuple[float, float, float]
+
+
+class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named reference point: a place on a link.
+
+    Attributes:
+        name: Unique in the hand.
+        link: URDF link that carries the point.
+        xyz: Offset in link coordinates [m].
+        finger: Anatomical name of the finger it belongs to; None for points of the palm.
+        weight: Weight in the estimation of T (on the human) and in the point task (on the robot).
+        partner: On a robot, the human point whose misfit it takes over in part (see `residual_gain`); the point of the same
+            name if omitted.
+    """
+
+    name: str
+    link: str
+    xyz: Vector = (0.0, 0.0, 0.0)
+    finger: str | None = None
+    weight: float = 1.0
+    partner: str | None = None
+
+
+class PalmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The palm frame, its axes named by anatomy: +y distal, +z dorsal, and x = y cross z.
+
+    Attributes:
+        link: URDF link that the frame is fixed to.
+        distal: Direction of the stretched fingers, in link coordinates.
+        dorsal: Direction out of the back of the hand, in link coordinates.
+        xyz: Origin in link coordinates [m].
+    """
+
+    link: str
+    distal: Vector
+    dorsal: Vector
+    xyz: Vector = (0.0, 0.0, 0.0)
+
+
+class WristSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The wrist frame, which the rigid part of the motion carries, and how it is held.
+
+    Attributes:
+        link: URDF link whose frame is the wrist's.
+        mount: `floating` (six free coordinates) or `fixed` to the world.
+        max_linear_speed: Limit of a floating wrist's speed along each of its axes [m/s].
+        max_angular_speed: Limit of its speed about each of its axes [rad/s].
+    """
+
+    link: str
+    mount: Mount = "floating"
+    max_linear_speed: float = 3.0
+    max_angular_speed: float = 12.0
+
+
+class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A hand: its URDF and what the URDF cannot say.
+
+    Attributes:
+        name: Short name of the hand.
+        urdf: Path of the URDF relative to `directory`, absolute, or `package://PACKAGE/path` inside an installed package's
+            `share` folder.
+        side: `right` or `left`.
+        palm: The palm frame.
+        wrist: The wrist frame and its mount.
+        joints: Names of the movable joints; their order is the order of every `q` that crosses the API.
+        rest: Rest angle of every joint [rad], inside its limits.
+        points: All named reference points.
+        sets: Named lists of points.
+        reference: The set used unless the caller names another.
+        mirror: Reflect the URDF in its root link's x = 0 plane; all coordinates here are those of the reflected hand.
+        directory: Where relative paths start; the folder of `hand.yaml` when it was read from one.
+    """
+
+    name: str
+    urdf: str
+    side: Side
+    palm: PalmSpec
+    wrist: WristSpec
+    joints: tuple[str, ...]
+    rest: dict[str, float]
+    points: tuple[PointSpec, ...]
+    sets: dict[str, tuple[str, ...]]
+    reference: str
+    mirror: bool = False
+    directory: Path | None = None
+
+    @property
+    def file(self) -> Path | None:
+        """The `hand.yaml` that the spec was read from, for error messages."""
+        return None if self.directory is None else self.directory / "hand.yaml"
+
+    def __post_init__(self) -> None:
+        """Check everything that can be told without the URDF.
+
+        Raises:
+            HandError: With the key and the value at fault.
+        """
+        _check_finite(self)
+        if not self.joints:
+            raise self.error("expected at least one joint", key="joints", value=self.joints)
+        _check_unique(self, self.joints, "joints")
+        _check_unique(self, tuple(point.name for point in self.points), "points")
+        for joint in set(self.joints) ^ set(self.rest):
+            what = "is no joint of `joints`" if joint in self.rest else "has no rest angle"
+            raise self.error(f"{joint!r} {what}", key="rest", value=joint)
+        names = {point.name for point in self.points}
+        for set_name, members in self.sets.items():
+            for member in members:
+                if member not in names:
+                    raise self.error(f"{member!r} is no point of `points`", key=f"sets.{set_name}", value=member)
+            _check_unique(self, members, f"sets.{set_name}")
+        if self.reference not in self.sets:
+            expected = ", ".join(self.sets) or "(none)"
+            raise self.error(f"expected one of the sets {expected}, got {self.reference!r}", key="reference")
+        _check_axes(self)
+
+    def error(self, message: str, *, key: str, value: Any = None) -> HandError:
+        """An error about one key of this spec, carrying its file."""
+        return HandError(message, file=self.file, key=key, value=value)
+
+
+def read_hand_spec(path: Path) -> HandSpec:
+    """Read and check a `hand.yaml`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The spec, its `directory` set to the file's.
+
+    Raises:
+        HandError: If the file cannot be read, is no YAML, or has an unknown, missing or mistyped key.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise HandError(f"cannot be read: {error}", file=path) from error
+    except yaml.YAMLError as error:
+        raise HandError(f"is no YAML: {' '.join(str(error).split())}", file=path) from error
+    if not isinstance(document, dict):
+        raise HandError(f"expected a mapping of keys, got {type(document).__name__}", file=path)
+    if "directory" in document:
+        raise HandError("unknown key", file=path, key="directory", value=document["directory"])
+    document["directory"] = str(path.parent)
+    try:
+        return msgspec.convert(document, HandSpec, dec_hook=lambda kind, value: kind(value))
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, HandError):
+            raise HandError(
+                str(error.__cause__).split(": ", 2)[-1], file=path, key=error.__cause__.key, value=error.__cause__.value
+            ) from error
+        message, _, place = str(error).partition(" - at `$")
+        key = place.rstrip("`").lstrip(".") or None
+        value = _value_at(document, key)
+        got = "" if value is None else f" (value {value!r})"
+        raise HandError(f"{message}{got}", file=path, key=key, value=value) from error
+
+
+def _value_at(document: Any, key: str | None) -> Any:
+    """The value at a path such as `points[2].weight`; None where there is none."""
+    for part in re.findall(r"[^.\[\]]+", key or ""):
+        try:
+            document = document[int(part) if isinstance(document, list) else part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return document if key else None
+
+
+def _check_unique(spec: HandSpec, names: tuple[str, ...], key: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise spec.error(f"{name!r} is given twice", key=key, value=name)
+
+
+def _check_finite(spec: HandSpec) -> None:
+    numbers: dict[str, tuple[float, ...]] = {
+        "palm.xyz": spec.palm.xyz,
+        "rest": tuple(spec.rest.values()),
+        **{f"points[{i}].xyz": point.xyz for i, point in enumerate(spec.points)},
+    }
+    for key, values in numbers.items():
+        if not all(map(math.isfinite, values)):
+            raise spec.error(f"expected finite numbers, got {values}", key=key, value=values)
+    positive = {
+        "wrist.max_linear_speed": spec.wrist.max_linear_speed,
+        "wrist.max_angular_speed": spec.wrist.max_angular_speed,
+        **{f"points[{i}].weight": point.weight for i, point in enumerate(spec.points)},
+    }
+    for key, value in positive.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise spec.error(f"expected a number > 0, got {value}", key=key, value=value)
+
+
+def _check_axes(spec: HandSpec) -> None:
+    distal, dorsal = spec.palm.distal, spec.palm.dorsal
+    for key, axis in (("palm.distal", distal), ("palm.dorsal", dorsal)):
+        if not abs(math.hypot(*axis) - 1.0) < 1e-6:
+            raise spec.error(f"expected a unit vector, got {axis}", key=key, value=axis)
+    cosine = sum(a * b for a, b in zip(distal, dorsal, strict=True))
+    if not abs(cosine) < 1e-6:
+        raise spec.error(f"expected a direction at right angles to distal, got {dorsal}", key="palm.dorsal", value=dorsal)

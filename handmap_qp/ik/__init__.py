@@ -1,0 +1,1 @@
+"""Inverse kinematics: from targets of points and wrist to joint motion within limits."""

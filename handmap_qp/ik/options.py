@@ -1,0 +1,59 @@
+"""Weights and settings of the inverse kinematics, as one checked value."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from handmap_qp.errors import InvalidOptionsError
+
+LENGTH_UNIT = 0.01
+"""Length that counts as one in the cost [m]."""
+ANGLE_UNIT = 0.1
+"""Wrist rotation that counts as one in the cost [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class IkOptions:
+    """Weights and settings of the QP. Weights are per unit of error: 10 mm, 0.1 rad of the wrist, 1 rad of a joint.
+
+    Attributes:
+        point_weight: Of the reference points' positions; each is multiplied by the root of its point's own weight.
+        wrist_position_weight: Of the wrist frame's position.
+        wrist_orientation_weight: Of the wrist frame's orientation.
+        rest_weight: Pull of every joint to its rest angle: the null-space term of eq. (8).
+        damping: Cost of any motion; keeps the step short near singular postures.
+        solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
+        max_iterations: Linearisations per sample.
+        step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm].
+        point_tolerance: Points nearer to their targets than this have arrived [m].
+        has_velocity_limits: Whether speed limits hold; position limits always do.
+    """
+
+    point_weight: float = 1.0
+    wrist_position_weight: float = 3.0
+    wrist_orientation_weight: float = 3.0
+    rest_weight: float = 0.05
+    damping: float = 0.1
+    solver: str = "daqp"
+    max_iterations: int = 2
+    step_tolerance: float = 1e-4
+    point_tolerance: float = 1e-3
+    has_velocity_limits: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse values that leave the problem without a unique solution.
+
+        Raises:
+            InvalidOptionsError: With the name and the value at fault.
+        """
+        for name in ("point_weight", "wrist_position_weight", "wrist_orientation_weight", "rest_weight", "step_tolerance"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InvalidOptionsError(f"{name}: expected a number >= 0, got {value}")
+        for name in ("damping", "point_tolerance"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InvalidOptionsError(f"{name}: expected a number > 0, got {value}")
+        if self.max_iterations < 1:
+            raise InvalidOptionsError(f"max_iterations: expected at least 1, got {self.max_iterations}")

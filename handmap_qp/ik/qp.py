@@ -1,0 +1,167 @@
+"""Inverse kinematics as one box-constrained QP per iteration: the product's replacement for eq. (8).
+
+    min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + w_q^2 |q + dq - q_rest|^2 + w_d^2 |dq|^2
+    s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
+
+Wrist and fingers are solved together. The box can never contradict itself: where `q` starts outside its limits, the joint comes
+back as fast as its speed limit allows. Lengths are measured in units of 10 mm and angles of the wrist in units of 0.1 rad, which
+keeps the Hessian within a few orders of one, where solvers are at their best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hand import Hand
+from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.options import ANGLE_UNIT, LENGTH_UNIT, IkOptions
+from handmap_qp.ik.solvers import make_solver
+
+Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IkResult:
+    """Where the iterations ended.
+
+    Attributes:
+        status: `converged`: all points have arrived; `limited`: joints or wrist at a limit keep them away; `unreachable`: no
+            limit does, and more iterations would not help; `unsettled`: the iterations of this sample were used up; `failed`:
+            the solver found no answer and the hand stays where it was; `released`: nothing was asked of it.
+        points: Reference points [m], shape (m, 3).
+        errors: Target minus point [m], shape (m, 3).
+        active: -1 at a lower bound of this sample's box, +1 at an upper one, 0 inside, shape (nv,).
+        iterations: QPs solved.
+    """
+
+    status: Status
+    points: np.ndarray
+    errors: np.ndarray
+    active: np.ndarray
+    iterations: int
+
+
+class PointIk:
+    """Moves a hand so that its reference points and its wrist come to their targets, within its limits.
+
+    Args:
+        hand: The hand.
+        options: Weights and settings.
+
+    Attributes:
+        hand: The hand.
+        options: Weights and settings.
+        configuration: The present posture; `place` puts the hand somewhere else.
+    """
+
+    def __init__(self, hand: Hand, options: IkOptions) -> None:
+        self.hand = hand
+        self.options = options
+        self.configuration = hand.configuration()
+        model, nv = hand.model, hand.model.nv
+        count = len(hand.reference_points)
+        self._solver = make_solver(options.solver, nv)
+        self._first_joint_q = 7 if hand.is_floating else 0
+        self._first_joint_v = 6 if hand.is_floating else 0
+        self._limits = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits)
+        rest = np.zeros(model.nq)
+        rest[hand.q_indices] = hand.rest
+        self._rest = rest[self._first_joint_q :]
+        weights = _row_weights(hand, options)
+        self._row_weights = weights
+        self._mask = self.configuration.support * weights[:, None]
+        self._error = np.zeros(3 * count + 6)
+        self._point_error = self._error[: 3 * count].reshape(count, 3)
+        self._rest_weight = options.rest_weight**2
+        self._diagonal = np.full(nv, options.damping**2)
+        self._diagonal[self._first_joint_v :] += self._rest_weight
+        self._weighted = np.empty((3 * count + 6, nv))
+        self._H = np.empty((nv, nv))
+        self._H_diagonal = self._H.reshape(-1)[:: nv + 1]
+        self._c = np.empty(nv)
+        self._c_joints = self._c[self._first_joint_v :]
+        self._zero_step = np.zeros(nv)
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the hand at a configuration.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+        """
+        self.configuration.update(q)
+
+    def solve(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> IkResult:
+        """Move the hand towards its targets for one sample.
+
+        Args:
+            point_targets: Where the reference points shall be, in the world [m], shape (m, 3).
+            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free, as it does on a fixed hand.
+            dt: Time since the last sample [s]; bounds the displacement through the speed limits.
+
+        Returns:
+            Where it got to. On `failed`, the configuration is the one before the call.
+        """
+        configuration, options = self.configuration, self.options
+        start = configuration.q.copy()
+        lower, upper = self._limits.bounds(start, dt)
+        target = None if wrist_target is None else pin.SE3(wrist_target)
+        total = self._zero_step.copy()
+        status: Status = "unsettled"
+        iterations = 0
+        while status == "unsettled" and iterations < options.max_iterations:
+            iterations += 1
+            self._linearise(point_targets, target)
+            step = self._solver.solve(self._H, self._c, lower - total, upper - total)
+            if step is None:
+                status, total = "failed", self._zero_step
+            else:
+                if step @ step <= options.step_tolerance**2:
+                    status = "unreachable"
+                # Solvers hold the box up to their tolerance; the robot gets it exactly.
+                total = np.maximum(np.minimum(total + step, upper), lower)
+            # One displacement from the start, not a chain of steps: a floating wrist's twist then keeps its limits exactly.
+            configuration.update(pin.integrate(self.hand.model, start, total))
+        errors = point_targets - configuration.points
+        active = (total >= upper).astype(np.int8) - (total <= lower)
+        if status != "failed":
+            if np.einsum("ij,ij->i", errors, errors).max() <= options.point_tolerance**2:
+                status = "converged"
+            elif active.any():
+                status = "limited"
+        return IkResult(status, configuration.points.copy(), errors, active, iterations)
+
+    def hold(self) -> IkResult:
+        """Stay where the hand is, as if it were released from its targets."""
+        points = self.configuration.points.copy()
+        return IkResult("released", points, np.zeros_like(points), np.zeros(self.hand.model.nv, dtype=np.int8), 0)
+
+    def _linearise(self, point_targets: np.ndarray, wrist_target: pin.SE3 | None) -> None:
+        """Write H and c of the QP at the present configuration."""
+        configuration = self.configuration
+        np.subtract(point_targets, configuration.points, out=self._point_error)
+        if wrist_target is None:
+            self._error[-6:] = 0.0
+            jacobian = configuration.stacked_jacobian(_NO_WRIST)
+        else:
+            offset = configuration.wrist.actInv(wrist_target)
+            self._error[-6:] = pin.log6(offset).vector
+            jacobian = configuration.stacked_jacobian(pin.Jlog6(offset.inverse()))
+        np.multiply(jacobian, self._mask, out=self._weighted)
+        np.dot(self._weighted.T, self._weighted, out=self._H)
+        self._H_diagonal += self._diagonal
+        np.dot(self._error * -self._row_weights, self._weighted, out=self._c)
+        self._c_joints += self._rest_weight * (configuration.q[self._first_joint_q :] - self._rest)
+
+
+_NO_WRIST = np.zeros((6, 6))
+
+
+def _row_weights(hand: Hand, options: IkOptions) -> np.ndarray:
+    """Weight of every row of the stacked task, shape (3 m + 6,)."""
+    points = options.point_weight / LENGTH_UNIT * np.sqrt(hand.point_weights)
+    wrist = [options.wrist_position_weight / LENGTH_UNIT] * 3 + [options.wrist_orientation_weight / ANGLE_UNIT] * 3
+    return np.concatenate([np.repeat(points, 3), wrist])

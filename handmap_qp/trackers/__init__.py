@@ -1,0 +1,1 @@
+"""From what trackers measure to samples of the human hand."""

@@ -1,0 +1,175 @@
+"""From 21 hand landmarks to joint angles and a wrist pose of the human hand.
+
+The hand is first measured: bone lengths and the shape of the palm are medians over the recording. The model scaled to them is then
+fitted to every sample by inverse kinematics (the same QP that moves robots), with joint limits, starting from the sample before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hand import Hand
+from handmap_qp.hand_spec import PointSpec, Side
+from handmap_qp.human import HumanLengths
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.library import load_hand
+from handmap_qp.recording import LANDMARK_COUNT, Recording
+from handmap_qp.transform import affine, nearest_rotation
+
+PALM = np.array([0, 5, 9, 13, 17])
+"""Landmarks that move as one rigid body: the wrist and the MCP joints of the four fingers."""
+FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
+"""First joint of every finger: thumb CMC and the four MCPs."""
+TIPS = np.array([4, 8, 12, 16, 20])
+"""The fingertips."""
+
+# Fingertips are what the mapping uses most, so they are fitted a little closer than the joints on the way to them.
+_TIP_WEIGHT = 4.0
+_FIT = IkOptions(
+    rest_weight=0.02, damping=0.05, max_iterations=40, step_tolerance=1e-4, wrist_position_weight=0.0, wrist_orientation_weight=0.0
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HumanMotion:
+    """A recording as joint angles.
+
+    Attributes:
+        human: The human hand, scaled to the person, its reference points the 21 landmarks.
+        time: Instants [s], shape (T,).
+        dt: Time from each sample's predecessor [s], shape (T,).
+        q: Joint angles in the order of `human.joint_names` [rad], shape (T, 20).
+        wrist: Wrist poses in the tracker's world, shape (T, 4, 4).
+        valid: Samples that were fitted, shape (T,); the others hold the last fitted posture (the first one, before it).
+        fit_error: Distance between the model's landmarks and the measured ones [m], shape (T, 21); NaN where not valid.
+    """
+
+    human: Hand
+    time: np.ndarray
+    dt: np.ndarray
+    q: np.ndarray
+    wrist: np.ndarray
+    valid: np.ndarray
+    fit_error: np.ndarray
+
+
+class LandmarkFitter:
+    """Fits a human hand to landmarks, sample by sample.
+
+    Args:
+        side: Which hand.
+        lengths: The person's segment lengths; the model's own if omitted.
+
+    Attributes:
+        human: The human hand, its reference points the 21 landmarks.
+    """
+
+    def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
+        self.human = load_hand(human_name(side), points=_landmark_points(side), lengths=lengths)
+        self._ik = PointIk(self.human, _FIT)
+        self._palm = self.human.points(np.clip(0.0, self.human.lower_limits, self.human.upper_limits))[PALM]
+        self._is_warm = False
+
+    def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Fit one sample, starting from the one before.
+
+        Args:
+            landmarks: Measured landmarks [m], shape (21, 3), finite.
+
+        Returns:
+            Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark [m], shape (21,).
+
+        Raises:
+            InvalidInputError: On a wrong shape or numbers that are not finite.
+        """
+        if landmarks.shape != (LANDMARK_COUNT, 3) or not np.isfinite(landmarks).all():
+            raise InvalidInputError(f"landmarks: expected finite numbers of shape ({LANDMARK_COUNT}, 3), got {landmarks.shape}")
+        if not self._is_warm:
+            wrist = _rigid_fit(self._palm, landmarks[PALM])
+            self._ik.place(self.human.configuration_vector(self.human.rest, wrist))
+            self._is_warm = True
+        result = self._ik.solve(landmarks, None, 1.0)
+        hand = self._ik.configuration
+        return hand.q[self.human.q_indices], hand.wrist.homogeneous, np.linalg.norm(result.errors, axis=1)
+
+
+def human_name(side: Side) -> str:
+    """Name of the human hand of a side."""
+    return "human" if side == "right" else "human_left"
+
+
+def measure_hand(recording: Recording) -> HumanLengths:
+    """Measure a person's hand: medians of bone lengths and of the palm's shape over the valid samples.
+
+    Args:
+        recording: The recording.
+
+    Returns:
+        Lengths in the coordinates of a right hand, whichever hand was recorded.
+    """
+    landmarks = recording.landmarks[recording.valid]
+    if recording.side == "left":
+        landmarks = landmarks * (-1.0, 1.0, 1.0)
+    right = load_hand("human", points="landmarks")
+    palm = right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM]
+    in_palm = landmarks
+    # Generalised Procrustes: lay every sample on the mean shape, take the mean shape anew; three rounds settle it.
+    for _ in range(3):
+        in_palm = _lay_on(landmarks, palm)
+        palm = np.median(in_palm[:, PALM], axis=0)
+        palm = palm - palm[0]
+    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
+    return HumanLengths(bases=np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0), segments=np.median(bones, axis=0))
+
+
+def fit_recording(recording: Recording, progress: Callable[[int], None] | None = None) -> HumanMotion:
+    """Turn a recording into joint angles and wrist poses of a hand scaled to the person.
+
+    Args:
+        recording: The recording.
+        progress: Called with the number of samples done after each one.
+
+    Returns:
+        The motion; samples that are not valid hold the posture before them.
+    """
+    fitter = LandmarkFitter(recording.side, measure_hand(recording))
+    count = len(recording)
+    q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
+    error = np.full((count, LANDMARK_COUNT), np.nan)
+    first = int(np.argmax(recording.valid))
+    q[first], wrist[first], _ = fitter.fit(recording.landmarks[first])
+    q[:first], wrist[:first] = q[first], wrist[first]
+    for i in range(first, count):
+        if recording.valid[i]:
+            q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
+        else:
+            q[i], wrist[i] = q[i - 1], wrist[i - 1]
+        if progress is not None:
+            progress(i + 1)
+    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, recording.valid, error)
+
+
+def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
+    """The 21 landmarks as reference points, the tips with more weight."""
+    points = load_hand(human_name(side), points="landmarks").reference_points
+    tips = {points[i].name for i in TIPS}
+    return tuple(msgspec.structs.replace(point, weight=_TIP_WEIGHT) if point.name in tips else point for point in points)
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """Pose that best lays points (n, 3) onto others (n, 3), shape (4, 4)."""
+    centre, centre_onto = points.mean(axis=0), onto.mean(axis=0)
+    rotation = nearest_rotation((onto - centre_onto).T @ (points - centre))
+    return affine(rotation, centre_onto - rotation @ centre)
+
+
+def _lay_on(landmarks: np.ndarray, palm: np.ndarray) -> np.ndarray:
+    """All samples, shape (T, 21, 3), each moved rigidly so that its palm lies on `palm` (5, 3)."""
+    poses = np.array([_rigid_fit(sample[PALM], palm) for sample in landmarks])
+    return landmarks @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]

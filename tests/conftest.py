@@ -1,0 +1,35 @@
+"""What all tests share: the hypothesis profile, data files and the recordings of real hands."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# The same examples on every run, so that a failure is a failure for everyone; `--hypothesis-profile=explore` looks further.
+settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True, database=None)
+settings.register_profile("explore", deadline=None, max_examples=2000, database=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("ci")
+
+TESTS = Path(__file__).resolve().parent
+
+
+@pytest.fixture(scope="session")
+def load_data() -> Callable[[str], dict[str, Any]]:
+    """Read a JSON file of `tests/data` by its name without suffix."""
+    return lambda name: json.loads((TESTS / "data" / f"{name}.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of recordings of real hands, which are too large to be kept beside the tests."""
+    named = os.environ.get("HANDMAP_RECORDINGS")
+    folder = Path(named) if named else TESTS.parents[1] / "shared" / "recordings"
+    if not any(folder.glob("*.npz")):
+        pytest.skip(f"no recordings (*.npz) in {folder}: set HANDMAP_RECORDINGS to the folder that holds them")
+    return folder
