@@ -33,7 +33,7 @@ help: ## Show this help
 	@echo "The first run installs all it needs into $(VENV): a minute or so, and about 2 GB."
 	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
 
-demo: $(INSTALLED) ## See it work: map a recorded human hand onto robot hands, and draw the result
+demo: $(INSTALLED) ## See it work: a human hand's motion on a robot hand, with pictures, in demo/
 	@$(BIN)/handmap demo $(ARGS)
 
 test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them

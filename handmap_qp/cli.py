@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -87,7 +88,7 @@ class Map:
         """Read, fit, map, write and sum up."""
         from handmap_qp.library import load_hand
         from handmap_qp.mapping import HandMapper
-        from handmap_qp.metrics import summarise
+        from handmap_qp.metrics import summarise, table_rows
         from handmap_qp.recording import read_recording
         from handmap_qp.trackers.landmarks import fit_recording
         from handmap_qp.trajectory import map_motion
@@ -104,9 +105,9 @@ class Map:
         trajectory.save(out)
         summary = {"recording": recording.name, **summarise(motion, trajectory), "out": str(out)}
         if self.json:
-            print(json.dumps(summary))
+            print(json.dumps(summary, allow_nan=False))
             return
-        _print_table(f"{recording.name} to {robot.name}", summary)
+        _print_table(f"{recording.name} to {robot.name}", table_rows(summary))
         print(f"wrote {out}")
 
 
@@ -137,6 +138,9 @@ class Hands:
             _print_rows("Reference points", rows["points"])
 
 
+_PAIR = ("what", "value")
+"""Columns of a table that needs no header."""
+
 _Any = (
     Annotated[Demo, tyro.conf.subcommand("demo", prefix_name=False)]
     | Annotated[Map, tyro.conf.subcommand("map", prefix_name=False)]
@@ -158,6 +162,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except HandmapError as error:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        # The reader of stdout has gone (`| head`): say nothing, and keep Python from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("handmap: interrupted, nothing was written", file=sys.stderr)
         return 130
@@ -201,22 +208,23 @@ def _progress(what: str, total: int | None = None) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done: progress.update(task, completed=done)
 
 
 def _print_table(title: str, values: dict[str, Any]) -> None:
-    _print_rows(title, [{"": key, "value": value} for key, value in values.items()])
+    _print_rows(title, [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()])
 
 
 def _print_rows(title: str, rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
-    for name in rows[0]:
-        table.add_column(name, justify="right" if isinstance(rows[0][name], int | float) else "left")
+    table = Table(title=title, title_justify="left", show_header=list(rows[0]) != list(_PAIR))
+    for name, value in rows[0].items():
+        table.add_column(name, justify="right" if isinstance(value, int | float) else "left")
     for row in rows:
         table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
     Console().print(table)

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dgesdd
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.estimation import determinant
+from handmap_qp.estimation import determinant, dgesdd
 from handmap_qp.transform import affine, as_floats, quat_wxyz_from_rotation
 
 
@@ -58,7 +57,8 @@ class PolarFactors:
 def polar(linear: np.ndarray) -> PolarFactors:
     """Left polar decomposition by SVD (eq. 3), always with a proper rotation.
 
-    Where `A` mirrors, the eigenvalue of U of smallest magnitude takes the sign, so that `U R = A` still holds.
+    Where `A` mirrors, the eigenvalue of U of smallest magnitude takes the sign, so that `U R = A` still holds. Where the two
+    smallest are equal there, either may take it, and R is not unique.
 
     Args:
         linear: A, shape (3, 3).

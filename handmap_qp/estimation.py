@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dgesdd
+from scipy.linalg import get_lapack_funcs
 
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
 from handmap_qp.transform import affine, as_floats
+
+# The SVD of LAPACK itself: more than twice as quick as numpy's on a 3x3 matrix.
+(dgesdd,) = get_lapack_funcs(("gesdd",), dtype=np.float64)
 
 # Below this ratio of smallest to largest singular value the points are a plane (or a line) for all that doubles can tell.
 _RANK_TOLERANCE = 1e-9

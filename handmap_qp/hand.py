@@ -8,6 +8,7 @@ sorts sibling joints by name, and only this file knows both orders.
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -187,6 +188,27 @@ class Hand:
             raise InvalidInputError(f"{self.name} has no frame {frame!r}", value=frame)
         self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch.data.oMf[self.model.getFrameId(name)].homogeneous
+
+    def link_poses(self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+        """Poses of links in the world, where `frame_pose` would find a palm, wrist or reference point of the same name first.
+
+        Args:
+            links: Names of links of the URDF, k of them.
+            q: Joint angles [rad], shape (n,).
+            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+
+        Returns:
+            Poses, shape (k, 4, 4).
+
+        Raises:
+            InvalidInputError: If there is no such link.
+        """
+        for link in links:
+            if not self.model.existFrame(link, pin.FrameType.BODY):
+                raise InvalidInputError(f"{self.name} has no link {link!r}", value=link)
+        self._scratch.place(self.configuration_vector(q, wrist_pose))
+        frames = [self.model.getFrameId(link, pin.FrameType.BODY) for link in links]
+        return np.array([self._scratch.data.oMf[frame].homogeneous for frame in frames]).reshape(-1, 4, 4)
 
     def _joint_id(self, name: str) -> int:
         if not self.model.existJointName(name):

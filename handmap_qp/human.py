@@ -127,7 +127,7 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
 
     Joint origins, fingertips and shapes move; axes, limits and names stay. Bones are stretched along themselves, and
     all thicknesses follow the length of the whole hand. In the palm, a shape named after a finger (`index_metacarpal`) follows
-    that finger's first joint; the others follow the palm's breadth and length.
+    that finger's first joint; the others follow the breadth and length of the palm and the middle of the knuckles.
 
     Args:
         text: URDF of the right human hand (`urdf/human/hand.urdf`, or one scaled before).
@@ -278,17 +278,15 @@ def _shapes(robot: ET.Element, link_name: str) -> list[ET.Element]:
 def _palm_map(old: HumanLengths, new: HumanLengths, shape_name: str) -> Callable[[np.ndarray], np.ndarray]:
     """Where a point of a palm's shape goes."""
     knuckles_old, knuckles_new = old.bases[4, 0] - old.bases[1, 0], new.bases[4, 0] - new.bases[1, 0]
-    scale = np.array(
-        [knuckles_new / knuckles_old, new.bases[2, 1] / old.bases[2, 1], new.hand_length / old.hand_length]
-    )
+    scale = np.array([knuckles_new / knuckles_old, new.bases[2, 1] / old.bases[2, 1], new.hand_length / old.hand_length])
     finger = shape_name.partition("_")[0]
-    if finger not in FINGERS:
-        return partial(np.multiply, scale)
-    base_old, base_new = old.bases[FINGERS.index(finger)], new.bases[FINGERS.index(finger)]
+    # Shapes of no finger follow the middle of the knuckles, which is not on the palm's y axis of every hand.
+    rows = [FINGERS.index(finger)] if finger in FINGERS else [1, 4]
+    base_old, base_new = old.bases[rows].mean(axis=0), new.bases[rows].mean(axis=0)
 
     def follow(point: np.ndarray) -> np.ndarray:
-        # What plain scaling misses at the finger's base is made up for in proportion to the way from the wrist to there.
-        way = point @ base_old / (base_old @ base_old)
+        # What plain scaling misses at the base is made up for in proportion to the way from the wrist to there.
+        way = max(0.0, point @ base_old / (base_old @ base_old))
         return scale * point + way * (base_new - scale * base_old)
 
     return follow

@@ -44,3 +44,33 @@ def summarise(motion: HumanMotion, trajectory: Trajectory) -> dict[str, Any]:
             zip([point.name for point in motion.human.reference_points], fit.mean(axis=0).round(3).tolist(), strict=True)
         ),
     }
+
+
+def table_rows(summary: dict[str, Any]) -> dict[str, str]:
+    """The same for people: a label and a value with its unit, row by row.
+
+    Args:
+        summary: What `summarise` gave.
+
+    Returns:
+        Values by label.
+    """
+    number = summary
+    ratio = number["step_cpu_us_median"] / number["jacobian_cpu_us_median"]
+    landmarks = number["fit_error_mm_per_landmark"]
+    fingers = ("thumb", "index", "middle", "ring", "little")
+    per_finger = [", ".join(f"{value:.1f}" for name, value in landmarks.items() if name.startswith(finger)) for finger in fingers]
+    return {
+        "samples": f"{number['samples']}, of which {number['held']} without a hand: the robot held still",
+        "step, CPU time": f"{number['step_cpu_us_median']:.0f} us median, {number['step_cpu_us_p99']:.0f} us p99",
+        "": f"{ratio:.0f} times one Jacobian of the robot ({number['jacobian_cpu_us_median']:.2f} us)",
+        "point error": (
+            f"{number['point_error_mm_mean']:.2f} mm mean, {number['point_error_mm_p95']:.2f} mm p95, "
+            f"{number['point_error_mm_max']:.2f} mm max"
+        ),
+        "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
+        "samples at a limit": f"{number['samples_at_limit']}",
+        "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
+        "human fit error": f"{number['fit_error_mm_mean']:.2f} mm mean, {number['fit_error_tips_mm_mean']:.2f} mm at the fingertips",
+        **{f"  {finger}, base to tip": f"{values} mm" for finger, values in zip(fingers, per_finger, strict=True)},
+    }

@@ -22,13 +22,15 @@ _INDEX_BITS = 32
 # Pixels looked at in one go; bounds the memory of a picture to about 200 MB.
 _CHUNK = 1_500_000
 
-# Lights, as directions towards them in camera axes (x right, y down, z forward): the key over the left shoulder, the fill low right.
+# Directions towards the lights in camera axes (x right, y down, z forward): the key over the left shoulder, the fill at the right.
 _KEY_DIRECTION = np.array([-0.45, -0.75, -0.5])
 _FILL_DIRECTION = np.array([0.8, -0.05, -0.45])
 _KEY, _FILL, _SKY, _GROUND, _HIGHLIGHT = 0.72, 0.16, 0.30, 0.12, 0.10
+# Nothing real is darker than this, and shape would be lost in it.
+_DARKEST = 0.03
 _CREASE_RADIUS = 0.007
 _CREASE_DEPTH = 0.55
-_HIDDEN_MARK_OPACITY = 0.5
+_HIDDEN_MARK_OPACITY = 0.6
 _SHADOW_OPACITY = 0.30
 
 
@@ -36,7 +38,7 @@ class Triangles(NamedTuple):
     """Coloured triangles in the world.
 
     Attributes:
-        vertices: Corners [m], shape (n, 3, 3): triangle, corner, coordinate.
+        vertices: Corners [m], counter-clockwise as seen from outside, shape (n, 3, 3): triangle, corner, coordinate.
         colours: Red, green and blue in 0..1, shape (n, 3).
         normals: Unit normals at the corners, for smooth shading, shape (n, 3, 3).
     """
@@ -123,11 +125,15 @@ class Camera:
 
 
 class _Surface(NamedTuple):
-    """What the z-buffer keeps: for k covered pixels the triangle in front."""
+    """What the z-buffer keeps: the k covered pixels and the triangle in front at each.
 
-    pixels: np.ndarray  # flat indices into the picture, (k,)
-    triangle: np.ndarray  # (k,)
-    depth: np.ndarray  # of the whole picture, infinite where nothing is, (height, width)
+    `planes` (n, 3, 3) are the barycentric coordinates of every triangle as linear functions of the pixel: x, y, constant.
+    """
+
+    pixels: np.ndarray
+    triangle: np.ndarray
+    depth: np.ndarray
+    planes: np.ndarray
 
 
 def merged(parts: list[Triangles]) -> Triangles:
@@ -176,68 +182,77 @@ def render(
     return picture
 
 
-def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
-    """The triangle in front at every pixel's centre."""
+def _rasterise(vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = False) -> _Surface:
+    """The triangle in front at every pixel's centre; those seen from behind are left out."""
     width, height = camera.size
-    depth = np.full(width * height, np.inf)
     corners = camera.project(vertices)
-    planes, box = _setup(corners, camera.size)
-    spans = box[:, 2:] - box[:, :2]
-    counts = np.where((spans > 0).all(axis=1) & np.isfinite(planes).all(axis=(1, 2)), spans.prod(axis=1), 0)
-    chosen = np.flatnonzero(counts)
-    if len(chosen) == 0:
-        none = np.zeros(0, dtype=np.int64)
-        return _Surface(none, none, depth.reshape(height, width))
-    nearest, farthest = 1.0 / corners[chosen, :, 2].min(), 1.0 / corners[chosen, :, 2].max()
+    planes, area = _planes(corners)
+    nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(corners[..., 2], _NEAR), planes)
+    is_seen = (corners[..., 2] > _NEAR).all(axis=1) & np.isfinite(planes).all(axis=(1, 2))
+    is_seen &= is_two_sided | (area > 0.0)
+    # The z-buffer holds nearness and triangle in one integer, so that one maximum settles both.
+    nearest, farthest = 1.0 / max(corners[..., 2].min(initial=1.0), _NEAR), 1.0 / max(corners[..., 2].max(initial=1.0), _NEAR)
     scale = _NEARNESS_STEPS / max(nearest - farthest, 1e-9)
     keys = np.full(width * height, -1, dtype=np.int64)
-    ends = np.cumsum(counts[chosen])
-    for part in np.split(chosen, np.searchsorted(ends, np.arange(_CHUNK, int(ends[-1]), _CHUNK))):
-        if len(part) == 0:
-            continue
-        triangle = np.repeat(part, counts[part])
-        first = np.repeat(np.cumsum(counts[part]) - counts[part], counts[part])
-        row, column = np.divmod(np.arange(len(triangle)) - first, spans[triangle, 0])
-        x, y = column + box[triangle, 0], row + box[triangle, 1]
-        weights = _weights(planes, triangle, x, y)
-        is_inside = (weights >= -1e-9).all(axis=0)
-        triangle, x, y, weights = triangle[is_inside], x[is_inside], y[is_inside], weights[:, is_inside]
-        nearness = _nearness(corners, triangle, weights)
-        rank = np.clip(scale * (nearness - farthest), 0, _NEARNESS_STEPS).astype(np.int64)
-        np.maximum.at(keys, y * width + x, (rank << _INDEX_BITS) | triangle)
+    triangle, row, first, count = _spans(corners, planes, is_seen, camera.size)
+    ends = np.cumsum(count)
+    pieces = np.searchsorted(ends, np.arange(_CHUNK, int(ends[-1]), _CHUNK)) if len(ends) else []
+    for part in np.split(np.arange(len(count)), pieces):
+        lengths = count[part]
+        column = np.arange(lengths.sum()) + np.repeat(first[part] - np.cumsum(lengths) + lengths, lengths)
+        plane = scale * nearness[triangle[part]]
+        start = plane[:, 0] * 0.5 + plane[:, 1] * (row[part] + 0.5) + plane[:, 2] - scale * farthest
+        rank = np.repeat(start, lengths) + np.repeat(plane[:, 0], lengths) * column
+        key = (np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64) << _INDEX_BITS) | np.repeat(triangle[part], lengths)
+        np.maximum.at(keys, np.repeat(row[part] * width, lengths) + column, key)
     pixels = np.flatnonzero(keys >= 0)
     triangle = keys[pixels] & (2**_INDEX_BITS - 1)
-    weights = _weights(planes, triangle, pixels % width, pixels // width)
-    depth[pixels] = 1.0 / _nearness(corners, triangle, weights)
-    return _Surface(pixels, triangle, depth.reshape(height, width))
+    depth = np.full(width * height, np.inf)
+    depth[pixels] = 1.0 / np.maximum(_at(nearness[triangle], pixels % width, pixels // width), 1e-9)
+    return _Surface(pixels, triangle, depth.reshape(height, width), planes)
 
 
-def _setup(corners: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric coordinates as linear functions of the pixel (n, 3, 3), and bounding boxes x0, y0, x1, y1 (n, 4)."""
+def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric coordinates as linear functions of the pixel (n, 3, 3), and twice the areas (n,), > 0 when seen from in front."""
     x, y = corners[..., 0], corners[..., 1]
-    is_seen = (corners[..., 2] > _NEAR).all(axis=1)
-    limits = np.array(size)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        low = np.ceil(corners[..., :2].min(axis=1) - 0.5)
-        high = np.floor(corners[..., :2].max(axis=1) - 0.5) + 1.0
-        low, high = (np.clip(np.nan_to_num(np.where(is_seen[:, None], side, 0.0)), 0, limits) for side in (low, high))
-        after, before = [1, 2, 0], [2, 0, 1]
-        slope_x, slope_y = y[:, after] - y[:, before], x[:, before] - x[:, after]
-        offset = x[:, after] * y[:, before] - x[:, before] * y[:, after]
-        area = offset.sum(axis=1)
-        planes = np.stack([slope_x, slope_y, offset], axis=2) / area[:, None, None]
-    return planes, np.concatenate([low, high], axis=1).astype(np.int64)
+    after, before = [1, 2, 0], [2, 0, 1]
+    constant = x[:, after] * y[:, before] - x[:, before] * y[:, after]
+    area = constant.sum(axis=1)
+    planes = np.stack([y[:, after] - y[:, before], x[:, before] - x[:, after], constant], axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # y points down in the picture: a triangle wound counter-clockwise in space has a negative area there.
+        return planes / area[:, None, None], -area
 
 
-def _weights(planes: np.ndarray, triangle: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates of pixel centres, shape (3, k)."""
-    plane = planes[triangle]
-    return (plane[:, :, 0] * (x + 0.5)[:, None] + plane[:, :, 1] * (y + 0.5)[:, None] + plane[:, :, 2]).T
+def _spans(
+    corners: np.ndarray, planes: np.ndarray, is_seen: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The pixels whose centres lie inside triangles, row by row: triangle, row, first column and number of columns of each span."""
+    width, height = size
+    seen = np.flatnonzero(is_seen)
+    y = corners[seen, :, 1]
+    top = np.clip(np.ceil(y.min(axis=1) - 0.5), 0, height).astype(np.int64)
+    rows = np.maximum(np.clip(np.floor(y.max(axis=1) - 0.5) + 1, 0, height).astype(np.int64) - top, 0)
+    triangle = np.repeat(seen, rows)
+    row = np.arange(len(triangle)) + np.repeat(top - np.cumsum(rows) + rows, rows)
+    low, high = np.full(len(row), 0.5), np.full(len(row), width - 0.5)
+    for corner in range(3):
+        slope, across, constant = planes[triangle, corner].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            edge = -(across * (row + 0.5) + constant) / slope
+        low = np.where(slope > 0.0, np.maximum(low, edge), low)
+        high = np.where(slope < 0.0, np.minimum(high, edge), high)
+        high = np.where((slope == 0.0) & (across * (row + 0.5) + constant < 0.0), -1.0, high)
+    # A pixel on the edge between two triangles may go to either, but must not be lost between them.
+    first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
+    count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
+    keep = count > 0
+    return triangle[keep], row[keep], first[keep], count[keep]
 
 
-def _nearness(corners: np.ndarray, triangle: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """1 / depth, which perspective leaves linear in the picture, shape (k,)."""
-    return np.einsum("ik,ki->k", weights, 1.0 / corners[triangle, :, 2])
+def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Linear functions of the picture, (k, 3), at pixel centres, shape (k,)."""
+    return planes[:, 0] * (x + 0.5) + planes[:, 1] * (y + 0.5) + planes[:, 2]
 
 
 def _shaded(triangles: Triangles, surface: _Surface, camera: Camera, *, has_creases: bool) -> np.ndarray:
@@ -247,14 +262,11 @@ def _shaded(triangles: Triangles, surface: _Surface, camera: Camera, *, has_crea
     pixels, triangle = surface.pixels, surface.triangle
     rotation = camera.world_to_camera[:3, :3]
     x, y = pixels % width, pixels // width
-    planes, _ = _setup(camera.project(triangles.vertices), camera.size)
-    weights = _weights(planes, triangle, x, y)
-    normals = np.einsum("ik,kij->kj", weights, triangles.normals[triangle]) @ rotation.T
+    corner_normals = triangles.normals @ rotation.T
+    normals = sum(_at(surface.planes[triangle, corner], x, y)[:, None] * corner_normals[triangle, corner] for corner in range(3))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     rays = np.column_stack([(x + 0.5 - camera.centre[0]), (y + 0.5 - camera.centre[1]), np.full(len(x), camera.focal_length)])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    # A surface seen is a surface that faces the camera, whichever way its triangles were wound.
-    normals *= np.where(np.einsum("kj,kj->k", normals, rays) > 0.0, -1.0, 1.0)[:, None]
     key, fill = (direction / np.linalg.norm(direction) for direction in (_KEY_DIRECTION, _FILL_DIRECTION))
     up = normals @ rotation[:, 2]
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + up)
@@ -266,7 +278,7 @@ def _shaded(triangles: Triangles, surface: _Surface, camera: Camera, *, has_crea
     if has_creases:
         shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
         light, highlight = light * shade, highlight * shade
-    picture[pixels, :3] = triangles.colours[triangle] ** 2.2 * light[:, None] + highlight[:, None]
+    picture[pixels, :3] = (_DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2) * light[:, None] + highlight[:, None]
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
 
@@ -304,7 +316,7 @@ def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
     """Opacity of the soft shadow on a floor, under a light from above and slightly from the left, shape (height, width)."""
     fallen = vertices.copy()
     fallen[..., 2] = ground
-    surface = _rasterise(fallen, camera)
+    surface = _rasterise(fallen, camera, is_two_sided=True)
     shadow = np.isfinite(surface.depth).astype(float)
     width = 0.012 * camera.focal_length / float(camera.project(np.array([*vertices.reshape(-1, 3).mean(axis=0)[:2], ground]))[2])
     return _SHADOW_OPACITY * gaussian_filter(shadow, width)

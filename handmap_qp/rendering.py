@@ -32,6 +32,7 @@ ROBOT_COLOUR = (0.84, 0.16, 0.16)
 """Of the robot's reference points (red)."""
 
 _GREY = (0.62, 0.64, 0.67)
+# Per mesh file.
 _MAX_MESH_TRIANGLES = 4000
 # Faces that meet at a flatter angle than this are one smooth surface.
 _SMOOTH_ANGLE = np.radians(40.0)
@@ -77,9 +78,9 @@ class HandShape:
         Raises:
             InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
         """
+        poses = self.hand.link_poses([shape.link for shape in self.links], q, wrist_pose)
         placed = []
-        for shape in self.links:
-            pose = self.hand.frame_pose(shape.link, q, wrist_pose)
+        for shape, pose in zip(self.links, poses, strict=True):
             vertices, colours, normals = shape.triangles
             placed.append(Triangles(transform_points(pose, vertices), colours, normals @ pose[:3, :3].T))
         return merged(placed)
@@ -105,7 +106,7 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
     from yourdfpy import URDF
 
     robot = URDF.load(io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False).robot
-    palette = {material.name: material.color for material in robot.materials if material.color is not None}
+    palette: dict[str | None, Any] = {material.name: material.color for material in robot.materials if material.color is not None}
     links, missing = [], []
     for link in robot.links:
         parts = []
@@ -113,9 +114,11 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
             # Where a material is defined inside a visual, others may name it without repeating its colour.
             if visual.material is not None and visual.material.color is not None:
                 palette[visual.material.name] = visual.material.color
+            if visual.geometry is None:
+                continue
             solid = _solid(trimesh, visual.geometry, hand.spec)
             if solid is None:
-                missing.append(visual.geometry.mesh.filename)
+                missing.append(visual.geometry.mesh.filename if visual.geometry.mesh else link.name)
                 continue
             tint = colour or _colour(visual.material, palette)
             parts.append(_triangles(*solid, np.eye(4) if visual.origin is None else visual.origin, tint))
@@ -248,6 +251,8 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
         solid = trimesh.creation.icosphere(subdivisions=3, radius=geometry.sphere.radius)
     elif geometry.cylinder is not None:
         solid = trimesh.creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length, sections=40)
+    elif geometry.mesh is None:
+        return None
     else:
         try:
             solid = trimesh.load_mesh(_mesh_file(geometry.mesh.filename, spec))
@@ -259,9 +264,17 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
         solid.merge_vertices(merge_norm=True, merge_tex=True)
         if len(solid.faces) > _MAX_MESH_TRIANGLES:
             solid = _simplified(trimesh, solid)
-        if geometry.mesh.scale is not None:
-            return np.asarray(solid.vertices) * np.asarray(geometry.mesh.scale), np.asarray(solid.faces)
+        return _one_sided(solid, np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale, dtype=float))
     return np.asarray(solid.vertices), np.asarray(solid.faces)
+
+
+def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a mesh, outsides only; one that is not closed has no outside, and is given faces on both sides."""
+    vertices, faces = np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces)
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        return np.concatenate([vertices, vertices]), np.concatenate([faces, faces[:, ::-1] + len(vertices)])
+    is_inside_out = (mesh.volume < 0.0) != (np.prod(scale) < 0.0)
+    return vertices, faces[:, ::-1] if is_inside_out else faces
 
 
 def _mesh_file(name: str, spec: HandSpec) -> Path:
@@ -315,7 +328,7 @@ def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals.reshape(-1, 3, 3)
 
 
-def _colour(material: Any, palette: dict[str, Any]) -> tuple[float, float, float]:
+def _colour(material: Any, palette: dict[str | None, Any]) -> tuple[float, float, float]:
     """Colour of a URDF material: its own, or that of the material it names; grey without one."""
     if material is None or material.name not in palette:
         return _GREY

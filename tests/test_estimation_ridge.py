@@ -195,12 +195,15 @@ def test_with_a_ridge_the_same_noise_leaves_the_fingertips_as_they_are() -> None
 
 # --- what is refused
 
+NOT_POINTS: list[Any] = [np.zeros((5, 2)), np.zeros(3), np.zeros((0, 3)), np.zeros((5, 3, 1)), 0.0, [], None]
+NOT_POINTS += ["points", [["0", "1", "2"]] * 5, [[1, 2, 3], [4, 5]], {"thumb": [0, 0, 0]}, 1j * FINGERTIPS]
+NOT_WEIGHTS: list[Any] = [np.ones(4), np.ones(6), np.ones((5, 1)), 1.0, np.zeros(5), -np.ones(5), [1, 1, 1, 1, -1e-9]]
+NOT_WEIGHTS += [[1, 1, 1, 1, np.nan], [1, 1, 1, 1, np.inf], "12345", ["1"] * 5, {}]
+NOT_ROTATIONS: list[Any] = [np.eye(4), np.eye(2), np.eye(3)[None], [1, 0, 0, 0], np.zeros((3, 3)), 1.1 * np.eye(3)]
+NOT_ROTATIONS += [np.eye(3) + 0.01 * np.eye(3, k=1), np.nan * np.eye(3), np.full((3, 3), np.inf), "prior", [["1"] * 3] * 3]
 
-@pytest.mark.parametrize(
-    "points",
-    [np.zeros((5, 2)), np.zeros((3,)), np.zeros((0, 3)), np.zeros((5, 3, 1)), 0.0, [], "points", [["0", "1", "2"]] * 5, None]
-    + [[[1, 2, 3], [4, 5]], {"thumb": [0, 0, 0]}, 1j * FINGERTIPS],
-)
+
+@pytest.mark.parametrize("points", NOT_POINTS)
 def test_what_is_no_array_of_points_is_refused(points: Any) -> None:
     with pytest.raises(InvalidInputError, match="points_before: expected"):
         estimate_motion(points, FINGERTIPS)
@@ -224,11 +227,7 @@ def test_points_before_and_after_must_be_as_many(count: int) -> None:
         estimate_motion(FINGERTIPS, np.zeros((count, 3)))
 
 
-@pytest.mark.parametrize(
-    "weights",
-    [np.ones(4), np.ones(6), np.ones((5, 1)), 1.0, np.zeros(5), -np.ones(5), [1, 1, 1, 1, -1e-9], [1, 1, 1, 1, np.nan]]
-    + [[1, 1, 1, 1, np.inf], "12345", ["1"] * 5, {}],
-)
+@pytest.mark.parametrize("weights", NOT_WEIGHTS)
 def test_weights_that_are_none_are_refused(weights: Any) -> None:
     with pytest.raises(InvalidInputError, match="weights: expected"):
         estimate_motion(FINGERTIPS, FINGERTIPS, weights=weights)
@@ -240,19 +239,7 @@ def test_a_ridge_that_is_none_is_refused(ridge: Any) -> None:
         MotionEstimator(FINGERTIPS, ridge=ridge)
 
 
-@pytest.mark.parametrize(
-    "prior",
-    [
-        np.eye(4),
-        np.eye(2),
-        np.zeros((3, 3)),
-        1.1 * np.eye(3),
-        np.eye(3) + 0.01 * np.eye(3, k=1),
-        np.nan * np.eye(3),
-        np.eye(3)[None],
-    ]
-    + [np.inf * np.ones((3, 3)), "prior", [["1", "0", "0"], ["0", "1", "0"], ["0", "0", "1"]], [1, 0, 0, 0]],
-)
+@pytest.mark.parametrize("prior", NOT_ROTATIONS)
 def test_a_prior_that_is_no_rotation_is_refused(prior: Any) -> None:
     with pytest.raises(InvalidInputError, match="prior: expected"):
         estimate_motion(FINGERTIPS, FINGERTIPS, ridge=0.1, prior=prior)

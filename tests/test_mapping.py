@@ -15,7 +15,7 @@ HUMAN = load_hand("human")
 THREE = load_hand("three_finger")
 ROBOTS = ("three_finger", "allegro_right", "allegro_left")
 # Long enough to settle, and no speed limit in the way: for statements about where a motion ends, not how it gets there.
-SETTLE = IkOptions(max_iterations=100, step_tolerance=1e-9, has_velocity_limits=False)
+SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, error_damping=0.0, has_velocity_limits=False)
 
 
 def posture(share: np.ndarray | float, hand: Hand = HUMAN) -> np.ndarray:
@@ -55,14 +55,16 @@ def test_rigid_motion_of_the_human_moves_the_robot_rigidly(pose: np.ndarray) -> 
 
 @given(pose=poses, q=small_postures())
 def test_moving_the_humans_world_carries_the_wrist_and_leaves_the_joints(pose: np.ndarray, q: np.ndarray) -> None:
-    here, there = HandMapper(HUMAN, THREE, ik=SETTLE), HandMapper(HUMAN, THREE, ik=SETTLE)
+    here, there = HandMapper(HUMAN, THREE), HandMapper(HUMAN, THREE)
     here.map_step(HUMAN.rest, np.eye(4))
     there.map_step(HUMAN.rest, pose)
     moved = affine(pin.exp3(np.array([0.1, -0.2, 0.05])), np.array([0.02, 0.01, -0.03]))
-    step_here = here.map_step(q, moved)
-    step_there = there.map_step(q, pose @ moved)
-    np.testing.assert_allclose(step_there.command.q, step_here.command.q, atol=1e-6)
-    np.testing.assert_allclose(step_there.command.wrist, pose @ step_here.command.wrist, atol=1e-6)
+    for _ in range(3):
+        step_here = here.map_step(q, moved)
+        step_there = there.map_step(q, pose @ moved)
+        # Every iterate is the same, not only the end: 1e-9 leaves room for rounding near singular postures.
+        np.testing.assert_allclose(step_there.command.q, step_here.command.q, atol=1e-9)
+        np.testing.assert_allclose(step_there.command.wrist, pose @ step_here.command.wrist, atol=1e-9)
 
 
 @pytest.mark.parametrize("pivot", ["centroid", "palm"])
@@ -72,11 +74,11 @@ def test_palm_alignment_makes_the_joints_independent_of_where_the_robot_stands(
 ) -> None:
     commands = []
     for wrist in (np.eye(4), affine(rotation, np.array([0.3, -1.0, 0.5]))):
-        mapper = HandMapper(HUMAN, THREE, ik=SETTLE, alignment="palm", pivot=pivot)
+        mapper = HandMapper(HUMAN, THREE, alignment="palm", pivot=pivot)
         mapper.reset(HUMAN.rest, np.eye(4), robot_wrist=wrist)
         commands.append((wrist, mapper.map_step(q, np.eye(4)).command))
-    np.testing.assert_allclose(commands[0][1].q, commands[1][1].q, atol=1e-6)
-    np.testing.assert_allclose(commands[1][0] @ commands[0][1].wrist, commands[1][1].wrist, atol=1e-6)
+    np.testing.assert_allclose(commands[0][1].q, commands[1][1].q, atol=1e-9)
+    np.testing.assert_allclose(commands[1][0] @ commands[0][1].wrist, commands[1][1].wrist, atol=1e-9)
 
 
 @given(q=small_postures())

@@ -151,7 +151,7 @@ def test_what_is_no_quaternion_is_refused(quat: Any) -> None:
 @given(poses)
 def test_seven_numbers_give_the_pose_back_in_both_orders(pose: np.ndarray) -> None:
     quat_wxyz = quat_wxyz_from_rotation(pose[:3, :3])
-    for order, quat in (("wxyz", quat_wxyz), ("xyzw", np.roll(quat_wxyz, -1))):
+    for order, quat in zip(ORDERS, (quat_wxyz, np.roll(quat_wxyz, -1)), strict=True):
         values = [*pose[:3, 3], *quat]
         np.testing.assert_allclose(pose_from_xyz_quat(values, order), pose, rtol=0.0, atol=1e-14)
         np.testing.assert_allclose(check_pose(values, quat_order=order), pose, rtol=0.0, atol=1e-14)
@@ -258,9 +258,11 @@ def test_a_mirrored_pose_is_refused(pose: np.ndarray, column: int) -> None:
         check_pose(pose)
 
 
-@pytest.mark.parametrize(
-    "linear", [np.zeros((3, 3)), 1.01 * np.eye(3), np.diag([1.0, 1.0, 0.9]), np.eye(3) + 0.01 * np.eye(3, k=1), np.ones((3, 3))]
-)
+SHEARS = [np.eye(3) + 0.01 * np.eye(3)[[i]].T @ np.eye(3)[[j]] for i in range(3) for j in range(3) if i != j]
+SCALES = [np.diag([0.99, 1.0, 1.0]), np.diag([1.0, 1.01, 1.0]), np.diag([1.0, 1.0, 0.9]), np.zeros((3, 3)), np.ones((3, 3))]
+
+
+@pytest.mark.parametrize("linear", SHEARS + SCALES)
 def test_what_scales_or_shears_is_no_pose(linear: np.ndarray) -> None:
     with pytest.raises(InvalidInputError, match="no rotation"):
         check_pose(affine(linear, np.zeros(3)))

@@ -23,6 +23,8 @@ class IkOptions:
         wrist_orientation_weight: Of the wrist frame's orientation.
         rest_weight: Pull of every joint to its rest angle: the null-space term of eq. (8).
         damping: Cost of any motion; keeps the step short near singular postures.
+        error_damping: Further squared cost of any motion per squared weighted error (Levenberg-Marquardt): calms a hand that
+            stretches after points out of its reach.
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: Linearisations per sample.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm].
@@ -33,8 +35,9 @@ class IkOptions:
     point_weight: float = 1.0
     wrist_position_weight: float = 3.0
     wrist_orientation_weight: float = 3.0
-    rest_weight: float = 0.05
+    rest_weight: float = 0.2
     damping: float = 0.1
+    error_damping: float = 1.0
     solver: str = "daqp"
     max_iterations: int = 2
     step_tolerance: float = 1e-4
@@ -47,13 +50,24 @@ class IkOptions:
         Raises:
             InvalidOptionsError: With the name and the value at fault.
         """
-        for name in ("point_weight", "wrist_position_weight", "wrist_orientation_weight", "rest_weight", "step_tolerance"):
+        for name in ("damping", "point_tolerance"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidOptionsError(f"{name}: expected a number > 0, got {getattr(self, name)}")
+        for name in _NUMBERS:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidOptionsError(f"{name}: expected a number >= 0, got {value}")
-        for name in ("damping", "point_tolerance"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidOptionsError(f"{name}: expected a number > 0, got {value}")
+                raise InvalidOptionsError(f"{name}: expected a finite number >= 0, got {value}")
         if self.max_iterations < 1:
             raise InvalidOptionsError(f"max_iterations: expected at least 1, got {self.max_iterations}")
+
+
+_NUMBERS = (
+    "point_weight",
+    "wrist_position_weight",
+    "wrist_orientation_weight",
+    "rest_weight",
+    "damping",
+    "error_damping",
+    "step_tolerance",
+    "point_tolerance",
+)

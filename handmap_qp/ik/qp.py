@@ -77,7 +77,7 @@ class PointIk:
         self._error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
         self._rest_weight = options.rest_weight**2
-        self._diagonal = np.full(nv, options.damping**2)
+        self._diagonal = np.full(nv, float(options.damping) ** 2)
         self._diagonal[self._first_joint_v :] += self._rest_weight
         self._weighted = np.empty((3 * count + 6, nv))
         self._H = np.empty((nv, nv))
@@ -134,6 +134,18 @@ class PointIk:
                 status = "limited"
         return IkResult(status, configuration.points.copy(), errors, active, iterations)
 
+    def problem(
+        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The QP of the first iteration, for a look at it; arguments as of `solve`.
+
+        Returns:
+            H, shape (nv, nv); c, lower and upper bound, shape (nv,) each.
+        """
+        self._linearise(point_targets, None if wrist_target is None else pin.SE3(wrist_target))
+        lower, upper = self._limits.bounds(self.configuration.q, dt)
+        return self._H.copy(), self._c.copy(), lower, upper
+
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
         points = self.configuration.points.copy()
@@ -141,7 +153,7 @@ class PointIk:
 
     def _linearise(self, point_targets: np.ndarray, wrist_target: pin.SE3 | None) -> None:
         """Write H and c of the QP at the present configuration."""
-        configuration = self.configuration
+        configuration, options = self.configuration, self.options
         np.subtract(point_targets, configuration.points, out=self._point_error)
         if wrist_target is None:
             self._error[-6:] = 0.0
@@ -152,8 +164,9 @@ class PointIk:
             jacobian = configuration.stacked_jacobian(pin.Jlog6(offset.inverse()))
         np.multiply(jacobian, self._mask, out=self._weighted)
         np.dot(self._weighted.T, self._weighted, out=self._H)
-        self._H_diagonal += self._diagonal
-        np.dot(self._error * -self._row_weights, self._weighted, out=self._c)
+        weighted_error = self._error * self._row_weights
+        self._H_diagonal += self._diagonal + options.error_damping * (weighted_error @ weighted_error)
+        np.dot(-weighted_error, self._weighted, out=self._c)
         self._c_joints += self._rest_weight * (configuration.q[self._first_joint_q :] - self._rest)
 
 

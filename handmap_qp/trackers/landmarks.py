@@ -143,8 +143,6 @@ def fit_recording(recording: Recording, progress: Callable[[int], None] | None =
     q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
     error = np.full((count, LANDMARK_COUNT), np.nan)
     first = int(np.argmax(recording.valid))
-    q[first], wrist[first], _ = fitter.fit(recording.landmarks[first])
-    q[:first], wrist[:first] = q[first], wrist[first]
     for i in range(first, count):
         if recording.valid[i]:
             q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
@@ -152,6 +150,7 @@ def fit_recording(recording: Recording, progress: Callable[[int], None] | None =
             q[i], wrist[i] = q[i - 1], wrist[i - 1]
         if progress is not None:
             progress(i + 1)
+    q[:first], wrist[:first] = q[first], wrist[first]
     return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, recording.valid, error)
 
 

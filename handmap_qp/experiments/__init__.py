@@ -1,0 +1,1 @@
+"""Experiments of the paper's Section IV, on embedded data."""

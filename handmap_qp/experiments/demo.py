@@ -1,0 +1,175 @@
+"""The demo: the paper's wrist arc with the first synergy (Sec. IV), carried from the human hand to the three-fingered one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joints_figure
+from handmap_qp.human import load_synergies
+from handmap_qp.library import load_hand
+from handmap_qp.mapping import HandMapper
+from handmap_qp.rendering import require_matplotlib
+from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.trajectory import Trajectory, map_motion, save_npz
+from handmap_qp.transform import affine, transform_points
+
+ARC_LENGTH = 0.47
+"""Length of the wrist's arc along x [m]."""
+ARC_HEIGHT = 0.15
+"""Height of the wrist's arc along z [m]."""
+RATE = 60.0
+"""Samples per second."""
+
+_START_HEIGHT = 0.15
+_OPEN, _CLOSED = 1.0, -0.4
+# Back of the hand up, fingers along -y of the world, so that the arc runs across the hand.
+_WRIST_ROTATION = np.diag([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DemoResult:
+    """What the demo made and how good it is.
+
+    Attributes:
+        motion: The human's motion.
+        trajectory: The robot's.
+        files: Files written.
+    """
+
+    motion: HumanMotion
+    trajectory: Trajectory
+    files: tuple[Path, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers by name; the name bears the unit."""
+        trajectory = self.trajectory
+        points = 1e3 * trajectory.point_error
+        return {
+            "robot": trajectory.robot.name,
+            "samples": len(trajectory.time),
+            "point_error_mm_mean": float(points.mean()),
+            "point_error_mm_p95": float(np.percentile(points, 95)),
+            "point_error_mm_max": float(points.max()),
+            "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error.mean()),
+            "wrist_error_mm_max": 1e3 * float(trajectory.wrist_error.max()),
+            "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
+            "limit_violation_max": trajectory.limit_violation,
+            "step_cpu_us_median": 1e6 * float(np.median(trajectory.step_cpu)),
+        }
+
+
+def run_demo(
+    directory: Path | str = Path("demo"), *, samples: int = 241, progress: Callable[[int], None] | None = None
+) -> DemoResult:
+    """Map the demo's motion and write trajectory and pictures.
+
+    Writes `trajectory.npz`, `hands.png`, `errors.png` and `joints.png`: all of them, or none if something fails.
+
+    Args:
+        directory: Folder to write to; made if it does not exist, and files of the same names in it are replaced.
+        samples: Number of samples, 60 a second.
+        progress: Called with the number of samples mapped after each one.
+
+    Returns:
+        The result.
+
+    Raises:
+        InvalidInputError: If the folder cannot be written, or there are too few samples.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    require_matplotlib()
+    directory = Path(directory)
+    motion = arc_motion(samples)
+    with _folder(directory) as folder:
+        trajectory = map_motion(HandMapper(motion.human, load_hand("three_finger"), dt=1.0 / RATE), motion, progress)
+        _save(folder / "trajectory.npz", motion, trajectory)
+        hands_figure(motion, trajectory).savefig(folder / "hands.png")
+        errors_figure(trajectory).savefig(folder / "errors.png")
+        joints_figure(trajectory).savefig(folder / "joints.png")
+        names = sorted(path.name for path in folder.iterdir())
+    return DemoResult(motion, trajectory, tuple(directory / name for name in names))
+
+
+def arc_motion(samples: int) -> HumanMotion:
+    """The human's motion: the paper's wrist arc, the hand closing and opening along the first synergy on the way.
+
+    The paper gives "a cosine arc whose length was 470 mm in the x direction and whose height in the z direction was 150 mm". It is
+    read here as half a wave over the way along x, highest in its middle: `z = 150 mm * cos(pi * (x / 470 mm - 1/2))`. The wrist
+    starts and stops smoothly (`x` is a minimum-jerk function of time) and does not turn. The joints are `q = q_m + S z`, with `z_1`
+    going from open (1.0) to closed (-0.4) in the middle and back, as a cosine; both stay inside the joint limits.
+
+    Args:
+        samples: Number of samples T, 60 a second.
+
+    Returns:
+        The motion of the human hand, its reference points the five fingertips.
+
+    Raises:
+        InvalidInputError: If there are fewer than three samples.
+    """
+    if samples < 3:
+        raise InvalidInputError(f"samples: expected at least 3, got {samples}", value=samples)
+    human = load_hand("human")
+    progress = np.linspace(0.0, 1.0, samples)
+    way = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+    wrist = np.tile(affine(_WRIST_ROTATION, np.zeros(3)), (samples, 1, 1))
+    wrist[:, 0, 3] = ARC_LENGTH * way
+    wrist[:, 2, 3] = _START_HEIGHT + ARC_HEIGHT * np.cos(np.pi * (way - 0.5))
+    synergies = load_synergies()
+    z_1 = 0.5 * (_OPEN + _CLOSED) + 0.5 * (_OPEN - _CLOSED) * np.cos(2.0 * np.pi * progress)
+    return HumanMotion(
+        human=human,
+        time=np.arange(samples) / RATE,
+        dt=np.full(samples, 1.0 / RATE),
+        q=np.array([synergies.posture([z]) for z in z_1]),
+        wrist=wrist,
+        valid=np.ones(samples, dtype=bool),
+        fit_error=np.zeros((samples, len(human.reference_points))),
+    )
+
+
+def human_points(motion: HumanMotion) -> np.ndarray:
+    """The human's reference points in its world [m], shape (T, m, 3)."""
+    local = [motion.human.points(q) for q in motion.q]
+    return np.array([transform_points(wrist, points) for wrist, points in zip(motion.wrist, local, strict=True)])
+
+
+def _save(path: Path, motion: HumanMotion, trajectory: Trajectory) -> None:
+    """The trajectory's own file, with the human's columns added."""
+    trajectory.save(path)
+    with np.load(path) as saved:
+        columns = dict(saved)
+    columns["human_joint_names"] = np.array(motion.human.joint_names)
+    columns["human_q"] = motion.q
+    columns["human_wrist"] = motion.wrist
+    columns["human_points"] = human_points(motion)
+    save_npz(path, columns)
+
+
+@contextmanager
+def _folder(directory: Path) -> Iterator[Path]:
+    """A new folder beside `directory` to write into; what is in it takes its place there if the block succeeds."""
+    try:
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        if directory.exists() and not (directory.is_dir() and os.access(directory, os.W_OK)):
+            raise InvalidInputError(f"{directory}: expected a folder that can be written, or a new name", value=directory)
+        temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=directory.parent))
+        try:
+            yield temporary
+            directory.mkdir(exist_ok=True)
+            for file in temporary.iterdir():
+                file.replace(directory / file.name)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except OSError as error:
+        raise InvalidInputError(f"{directory}: cannot be written: {error.strerror or error}", value=directory) from error

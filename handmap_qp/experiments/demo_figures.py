@@ -1,0 +1,177 @@
+"""The demo's pictures: both hands on their way, the errors, and the joints against their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from handmap_qp.hand import Hand
+from handmap_qp.raster import Camera, Triangles, merged
+from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, draw_hands, load_shape, require_matplotlib, spheres, tube
+from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DPI = 160
+_INK, _PALE = "#222831", "#8a929c"
+_COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "axes.edgecolor": _PALE,
+    "axes.linewidth": 0.8,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e7eb",
+    "grid.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "xtick.color": _PALE,
+    "ytick.color": _PALE,
+    "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK,
+    "lines.linewidth": 1.8,
+    "legend.frameon": False,
+    "figure.dpi": _DPI,
+    "savefig.dpi": _DPI,
+    "figure.facecolor": "white",
+}
+
+
+def _styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """Draw under the pictures' common style, without changing anybody else's."""
+
+    @wraps(draw)
+    def styled(*arguments: Any) -> Figure:
+        with require_matplotlib().rc_context(_STYLE):
+            return draw(*arguments)
+
+    return styled
+
+
+@_styled
+def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
+    """Both hands at the start, in the middle and at the end of the way, with their reference points and the points' paths.
+
+    Both are seen by the same camera, each in its own world.
+
+    Args:
+        motion: The human's motion.
+        trajectory: The robot's.
+
+    Returns:
+        The picture, 1600 x 672 pixels.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.2))
+    size = (800, 672)
+    instants = [0, len(motion.time) // 2, len(motion.time) - 1]
+    human, robot = motion.human, trajectory.robot
+    human_way = np.array([human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)])
+    hands = [_placed(human, motion.q, motion.wrist, instants), _placed(robot, trajectory.q, trajectory.wrist, instants)]
+    corners = np.concatenate([hand.vertices.reshape(-1, 3) for hand in hands])
+    # The floor below the hands must be in the picture too, for their shadows.
+    floor = corners * [1.0, 1.0, 0.0]
+    camera = Camera.framing(np.concatenate([corners, floor]), size, azimuth=-83.0, elevation=27.0, margin=0.03)
+    # The titles stand above the arc: the scene moves down to make room for them.
+    camera = replace(camera, centre=(camera.centre[0], camera.centre[1] + 34.0))
+    titles = (
+        ("Human hand", f"{len(human.joint_names)} joints, driven along the first synergy", HUMAN_COLOUR, human_way),
+        ("Three-fingered robot hand", f"{len(robot.joint_names)} joints, mapped by T and the QP", ROBOT_COLOUR, trajectory.points),
+    )
+    below = min(float(camera.project(floor)[:, 1].max()) + 26.0, size[1] - 16.0)
+    for column, (hand, (title, subtitle, colour, way)) in enumerate(zip(hands, titles, strict=True)):
+        axes = figure.add_axes((0.5 * column, 0.0, 0.5, 1.0))
+        balls = spheres(way[instants].reshape(-1, 3), 0.0065, colour)
+        paths = [tube(way[:, point], 0.0011, colour) for point in range(way.shape[1])]
+        draw_hands(axes, hand, camera, marks=merged([balls, *paths]), ground=0.0, supersampling=3)
+        axes.text(36, 50, title, fontsize=13, fontweight="bold")
+        axes.text(36, 79, subtitle, fontsize=9, color=_PALE)
+        for instant, word in zip(instants, ("start", "middle", "end"), strict=True):
+            x = camera.project(motion.wrist[instant, :3, 3] * [1.0, 1.0, 0.0])[0]
+            axes.text(x, below, f"{word}, {motion.time[instant]:.0f} s", fontsize=8, color=_PALE, ha="center")
+    return figure
+
+
+@_styled
+def errors_figure(trajectory: Trajectory) -> Figure:
+    """Distance of points and wrist from their targets, and CPU time of each step, over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.5, 5.6), layout="constrained")
+    axes = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0))
+    time = trajectory.time
+    for point, (spec, colour) in enumerate(zip(trajectory.robot.reference_points, _COLOURS, strict=False)):
+        axes[0].plot(time, 1e3 * trajectory.point_error[:, point], color=colour, label=_words(spec.name))
+    axes[0].set_title("Reference points: distance from their targets")
+    axes[0].set_ylabel("mm")
+    axes[0].legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
+    axes[1].plot(time, 1e3 * trajectory.wrist_error, color=_INK)
+    axes[1].set_title("Wrist: distance from its target")
+    axes[1].set_ylabel("mm")
+    axes[2].plot(time, 1e6 * trajectory.step_cpu, color=_PALE, linewidth=1.0)
+    axes[2].set_title("CPU time of a step")
+    axes[2].set_ylabel("µs")
+    axes[2].set_ylim(0.0, 2.0 * float(np.nanpercentile(1e6 * trajectory.step_cpu, 95)))
+    axes[2].set_xlabel("time [s]")
+    for one in axes[:2]:
+        one.set_ylim(bottom=0.0)
+    axes[2].set_xlim(time[0], time[-1])
+    return figure
+
+
+@_styled
+def joints_figure(trajectory: Trajectory) -> Figure:
+    """Each joint of the robot over time, between its limits."""
+    from matplotlib.figure import Figure
+
+    robot = trajectory.robot
+    columns = 4
+    rows = -(-len(robot.joint_names) // columns)
+    figure = Figure(figsize=(9.5, 2.1 * rows + 0.4), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for joint, axes in enumerate(grid.flat):
+        if joint >= len(robot.joint_names):
+            axes.set_axis_off()
+            continue
+        _joint_axes(axes, trajectory, joint)
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    for row in grid:
+        row[0].set_ylabel("deg")
+    return figure
+
+
+def _joint_axes(axes: Axes, trajectory: Trajectory, joint: int) -> None:
+    robot = trajectory.robot
+    lower, upper = np.degrees([robot.lower_limits[joint], robot.upper_limits[joint]])
+    room = 0.08 * (upper - lower)
+    axes.axhspan(lower - room, lower, color="#f3d9d4", linewidth=0.0)
+    axes.axhspan(upper, upper + room, color="#f3d9d4", linewidth=0.0)
+    axes.plot(trajectory.time, np.degrees(trajectory.q[:, joint]), color=_COLOURS[2])
+    axes.set_ylim(lower - room, upper + room)
+    axes.set_xlim(trajectory.time[0], trajectory.time[-1])
+    axes.set_title(_words(robot.joint_names[joint]))
+
+
+def _placed(hand: Hand, q: np.ndarray, wrist: np.ndarray, instants: list[int]) -> Triangles:
+    """A hand at several instants at once."""
+    shape = load_shape(hand)
+    return merged([shape.triangles(q[i], wrist[i]) for i in instants])
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
