@@ -51,7 +51,7 @@ class PolarFactors:
 
     def stretch(self, stretches: np.ndarray | None = None) -> np.ndarray:
         """The symmetric factor U, shape (3, 3), or the one with other eigenvalues along the same axes."""
-        return (self.axes * (self.stretches if stretches is None else stretches)) @ self.axes.T
+        return (self.axes * (self.stretches if stretches is None else stretches)).dot(self.axes.T)
 
 
 def polar(linear: np.ndarray) -> PolarFactors:
@@ -67,10 +67,12 @@ def polar(linear: np.ndarray) -> PolarFactors:
         Rotation, axes and stretches.
     """
     axes, stretches, right, _ = dgesdd(linear)
-    if determinant(axes) * determinant(right) < 0.0:
+    rotation = axes.dot(right)
+    if determinant(rotation) < 0.0:
         right[2] *= -1.0
         stretches[2] *= -1.0
-    return PolarFactors(axes @ right, axes, stretches)
+        rotation = axes.dot(right)
+    return PolarFactors(rotation, axes, stretches)
 
 
 def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Decomposition:
@@ -104,7 +106,7 @@ def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) 
 
 def about(linear: np.ndarray, point: np.ndarray, image: np.ndarray) -> np.ndarray:
     """The motion `x -> linear (x - point) + image`, shape (4, 4)."""
-    return affine(linear, image - linear @ point)
+    return affine(linear, image - linear.dot(point))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -130,29 +130,11 @@ class HandMapper:
         # With reference="previous" these points are the next reference; if they cannot be, that is said before the robot moves.
         following = self._estimator(human_points) if self.options.reference == "previous" else None
         result = self._ik.hold() if self._is_released else self._ik.solve(transfer.targets, transfer.wrist_target, dt)
-        robot = self._ik.configuration
         if following is not None:
             self._reference = self._reference_with(following, human_points, human_wrist)
-        errors = result.errors
-        return MapStep(
-            command=RobotCommand(self.robot.joint_names, robot.q[self.robot.q_indices], robot.wrist.homogeneous),
-            human_points=human_points,
-            motion=estimate.motion,
-            motion_rigid=transfer.motion_rigid,
-            motion_deformation=transfer.motion_deformation,
-            residuals=estimate.residuals,
-            stretches=transfer.stretches,
-            is_clamped=transfer.is_clamped,
-            targets=transfer.targets,
-            wrist_target=transfer.wrist_target,
-            points=result.points,
-            point_error=np.sqrt(np.einsum("ij,ij->i", errors, errors)),
-            at_limit=result.active[self.robot.v_indices] != 0,
-            out_of_range=out_of_range,
-            status=result.status,
-            iterations=result.iterations,
-            duration=perf_counter() - started,
-        )
+        robot = self._ik.configuration
+        command = RobotCommand(self.robot.joint_names, robot.q[self.robot.q_indices], robot.wrist.homogeneous)
+        return MapStep(command, human_points, estimate, transfer, result, out_of_range, perf_counter() - started)
 
     def reset(
         self,

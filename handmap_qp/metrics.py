@@ -71,6 +71,6 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
         "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
         "samples at a limit": f"{number['samples_at_limit']}",
         "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
-        "human fit error": f"{number['fit_error_mm_mean']:.2f} mm mean, {number['fit_error_tips_mm_mean']:.2f} mm at the fingertips",
+        "human fit error": f"{number['fit_error_mm_mean']:.2f} mm mean, {number['fit_error_tips_mm_mean']:.2f} mm at the tips",
         **{f"  {finger}, base to tip": f"{values} mm" for finger, values in zip(fingers, per_finger, strict=True)},
     }

@@ -262,15 +262,14 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
         if not isinstance(solid, trimesh.Trimesh) or len(solid.faces) == 0:
             return None
         solid.merge_vertices(merge_norm=True, merge_tex=True)
-        if len(solid.faces) > _MAX_MESH_TRIANGLES:
-            solid = _simplified(trimesh, solid)
         return _one_sided(solid, np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale, dtype=float))
     return np.asarray(solid.vertices), np.asarray(solid.faces)
 
 
 def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces of a mesh, outsides only; one that is not closed has no outside, and is given faces on both sides."""
-    vertices, faces = np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces)
+    vertices, faces = _simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    vertices = vertices * scale
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         return np.concatenate([vertices, vertices]), np.concatenate([faces, faces[:, ::-1] + len(vertices)])
     is_inside_out = (mesh.volume < 0.0) != (np.prod(scale) < 0.0)
@@ -284,21 +283,20 @@ def _mesh_file(name: str, spec: HandSpec) -> Path:
     return urdf_path(spec).parent / name.removeprefix("file://")
 
 
-def _simplified(trimesh: Any, mesh: Any) -> Any:
-    """A coarser mesh: vertices that share a cell of a grid become one. The grid is as fine as the number of triangles allows."""
-    cells = 96
-    while True:
-        grid = np.floor((mesh.vertices - mesh.bounds[0]) / (mesh.extents.max() / cells)).astype(np.int64)
-        _, cell_of = np.unique(grid, axis=0, return_inverse=True)
+def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh of few enough triangles: vertices that share a cell of a grid become one, and the grid is as fine as it may be."""
+    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    cells, coarse, cell_of = 96, faces, np.arange(len(vertices))
+    while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
+        _, cell_of = np.unique(np.floor((vertices - low) * (cells / size)).astype(np.int64), axis=0, return_inverse=True)
         cell_of = cell_of.reshape(-1)
-        faces = cell_of[mesh.faces]
-        is_whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-        if np.count_nonzero(is_whole) <= _MAX_MESH_TRIANGLES or cells <= 8:
-            break
-        cells = int(0.8 * cells)
-    counts = np.bincount(cell_of)
-    means = np.column_stack([np.bincount(cell_of, weights=mesh.vertices[:, axis]) / counts for axis in range(3)])
-    return trimesh.Trimesh(means, faces[is_whole], process=False)
+        coarse = cell_of[faces]
+        a, b, c = coarse.T
+        coarse = coarse[(a != b) & (b != c) & (c != a)]
+        cells = int(0.85 * cells)
+    counts = np.maximum(np.bincount(cell_of), 1)
+    means = np.column_stack([np.bincount(cell_of, weights=vertices[:, axis]) / counts for axis in range(3)])
+    return means, coarse
 
 
 def _triangles(vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, colour: tuple[float, float, float]) -> Triangles:

@@ -21,28 +21,54 @@ from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.options import ANGLE_UNIT, LENGTH_UNIT, IkOptions
 from handmap_qp.ik.solvers import make_solver
 
+End = Literal["settled", "unsettled", "failed", "released"]
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkResult:
-    """Where the iterations ended.
+    """Where the iterations of one sample ended.
 
     Attributes:
-        status: `converged`: all points have arrived; `limited`: joints or wrist at a limit keep them away; `unreachable`: no
-            limit does, and more iterations would not help; `unsettled`: the iterations of this sample were used up; `failed`:
-            the solver found no answer and the hand stays where it was; `released`: nothing was asked of it.
+        end: `settled`: the last step was shorter than the tolerance; `unsettled`: the iterations were used up; `failed`: the
+            solver found no answer and the hand stays where it was; `released`: nothing was asked of it.
         points: Reference points [m], shape (m, 3).
         errors: Target minus point [m], shape (m, 3).
-        active: -1 at a lower bound of this sample's box, +1 at an upper one, 0 inside, shape (nv,).
+        point_tolerance: Length of an error that counts as none [m].
+        displacement: From the sample before to this one, in the tangent space, shape (nv,).
+        lower: Its lower bounds from position and speed limits, shape (nv,).
+        upper: Its upper bounds, shape (nv,).
+        joint_columns: Where in those the hand's joints are, in the order of `Hand.joint_names`, shape (n,).
         iterations: QPs solved.
     """
 
-    status: Status
+    end: End
     points: np.ndarray
     errors: np.ndarray
-    active: np.ndarray
+    point_tolerance: float
+    displacement: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    joint_columns: np.ndarray
     iterations: int
+
+    @property
+    def active(self) -> np.ndarray:
+        """-1 at a lower bound, +1 at an upper one, 0 between, shape (nv,)."""
+        return (self.displacement >= self.upper).astype(np.int8) - (self.displacement <= self.lower)
+
+    @property
+    def status(self) -> Status:
+        """`converged`: all points have arrived; `limited`: joints or wrist at a limit keep them away; `unreachable`: no limit does,
+        and more iterations would not help; `unsettled`: the hand is still on its way; `failed` and `released` as in `end`.
+        """  # noqa: D205
+        if self.end == "failed" or self.end == "released":
+            return self.end
+        if np.linalg.norm(self.errors, axis=1).max() <= self.point_tolerance:
+            return "converged"
+        if self.active.any():
+            return "limited"
+        return "unreachable" if self.end == "settled" else "unsettled"
 
 
 class PointIk:
@@ -74,7 +100,8 @@ class PointIk:
         weights = _row_weights(hand, options)
         self._row_weights = weights
         self._mask = self.configuration.support * weights[:, None]
-        self._error = np.zeros(3 * count + 6)
+        self._error = np.zeros(3 * count + 6)  # point minus target, and the twist from target to wrist
+        self._weighted_error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
         self._rest_weight = options.rest_weight**2
         self._diagonal = np.full(nv, float(options.damping) ** 2)
@@ -85,6 +112,7 @@ class PointIk:
         self._c = np.empty(nv)
         self._c_joints = self._c[self._first_joint_v :]
         self._zero_step = np.zeros(nv)
+        self._zero_step.setflags(write=False)
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration.
@@ -109,30 +137,27 @@ class PointIk:
         start = configuration.q.copy()
         lower, upper = self._limits.bounds(start, dt)
         target = None if wrist_target is None else pin.SE3(wrist_target)
-        total = self._zero_step.copy()
-        status: Status = "unsettled"
-        iterations = 0
-        while status == "unsettled" and iterations < options.max_iterations:
-            iterations += 1
+        total, end, iterations = self._zero_step, "unsettled", 0
+        while end == "unsettled" and iterations < options.max_iterations:
             self._linearise(point_targets, target)
-            step = self._solver.solve(self._H, self._c, lower - total, upper - total)
+            # Bounds hold for the whole displacement of the sample, so later iterations get what is left of them.
+            step = self._solver.solve(self._H, self._c, *((lower - total, upper - total) if iterations else (lower, upper)))
+            iterations += 1
             if step is None:
-                status, total = "failed", self._zero_step
+                total, end = self._zero_step, "failed"
             else:
-                if step @ step <= options.step_tolerance**2:
-                    status = "unreachable"
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
+                if step.dot(step) <= options.step_tolerance**2:
+                    end = "settled"
             # One displacement from the start, not a chain of steps: a floating wrist's twist then keeps its limits exactly.
             configuration.update(pin.integrate(self.hand.model, start, total))
-        errors = point_targets - configuration.points
-        active = (total >= upper).astype(np.int8) - (total <= lower)
-        if status != "failed":
-            if np.einsum("ij,ij->i", errors, errors).max() <= options.point_tolerance**2:
-                status = "converged"
-            elif active.any():
-                status = "limited"
-        return IkResult(status, configuration.points.copy(), errors, active, iterations)
+        return self._result(end, point_targets, total, lower, upper, iterations)
+
+    def hold(self) -> IkResult:
+        """Stay where the hand is, as if it were released from its targets."""
+        free = np.full(self.hand.model.nv, np.inf)
+        return self._result("released", self.configuration.points, self._zero_step, -free, free, 0)
 
     def problem(
         self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
@@ -146,27 +171,31 @@ class PointIk:
         lower, upper = self._limits.bounds(self.configuration.q, dt)
         return self._H.copy(), self._c.copy(), lower, upper
 
-    def hold(self) -> IkResult:
-        """Stay where the hand is, as if it were released from its targets."""
+    def _result(
+        self, end: End, targets: np.ndarray, total: np.ndarray, lower: np.ndarray, upper: np.ndarray, iterations: int
+    ) -> IkResult:
         points = self.configuration.points.copy()
-        return IkResult("released", points, np.zeros_like(points), np.zeros(self.hand.model.nv, dtype=np.int8), 0)
+        return IkResult(
+            end, points, targets - points, self.options.point_tolerance, total, lower, upper, self.hand.v_indices, iterations
+        )
 
     def _linearise(self, point_targets: np.ndarray, wrist_target: pin.SE3 | None) -> None:
         """Write H and c of the QP at the present configuration."""
-        configuration, options = self.configuration, self.options
-        np.subtract(point_targets, configuration.points, out=self._point_error)
+        configuration, error, weighted_error = self.configuration, self._error, self._weighted_error
+        np.subtract(configuration.points, point_targets, out=self._point_error)
         if wrist_target is None:
-            self._error[-6:] = 0.0
+            error[-6:] = 0.0
             jacobian = configuration.stacked_jacobian(_NO_WRIST)
         else:
-            offset = configuration.wrist.actInv(wrist_target)
-            self._error[-6:] = pin.log6(offset).vector
-            jacobian = configuration.stacked_jacobian(pin.Jlog6(offset.inverse()))
+            offset = wrist_target.actInv(configuration.wrist)
+            error[-6:] = pin.log6(offset).vector
+            jacobian = configuration.stacked_jacobian(pin.Jlog6(offset))
         np.multiply(jacobian, self._mask, out=self._weighted)
+        np.multiply(error, self._row_weights, out=weighted_error)
         np.dot(self._weighted.T, self._weighted, out=self._H)
-        weighted_error = self._error * self._row_weights
-        self._H_diagonal += self._diagonal + options.error_damping * (weighted_error @ weighted_error)
-        np.dot(-weighted_error, self._weighted, out=self._c)
+        self._H_diagonal += self._diagonal
+        self._H_diagonal += self.options.error_damping * weighted_error.dot(weighted_error)
+        np.dot(weighted_error, self._weighted, out=self._c)
         self._c_joints += self._rest_weight * (configuration.q[self._first_joint_q :] - self._rest)
 
 
