@@ -91,7 +91,7 @@ class Map:
         from handmap_qp.metrics import summarise, table_rows
         from handmap_qp.recording import read_recording
         from handmap_qp.trackers.landmarks import fit_recording
-        from handmap_qp.trajectory import map_motion
+        from handmap_qp.trajectory import map_motion, save_npz
 
         recording = read_recording(self.recording)
         robot = load_hand(self.robot, points=self.robot_points)
@@ -102,7 +102,7 @@ class Map:
         mapper = HandMapper(human, robot, self.mapping, ik=self.ik)
         with _progress(f"mapping to {robot.name}", len(recording)) as advance:
             trajectory = map_motion(mapper, motion, advance)
-        trajectory.save(out)
+        save_npz(out, trajectory.columns)
         summary = {"recording": recording.name, **summarise(motion, trajectory), "out": str(out)}
         if self.json:
             print(json.dumps(summary, allow_nan=False))
@@ -222,12 +222,14 @@ def _print_rows(title: str, rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", show_header=list(rows[0]) != list(_PAIR))
+    table = Table(show_header=list(rows[0]) != list(_PAIR))
     for name, value in rows[0].items():
         table.add_column(name, justify="right" if isinstance(value, int | float) else "left")
     for row in rows:
         table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-    Console().print(table)
+    console = Console()
+    console.print(title, style="bold")
+    console.print(table)
 
 
 if __name__ == "__main__":

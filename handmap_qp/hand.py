@@ -99,6 +99,11 @@ class Hand:
         """Whether the wrist is free to move."""
         return self.mount == "floating"
 
+    @property
+    def has_moving_wrist(self) -> bool:
+        """Whether anything moves the wrist: six free coordinates, or the joints of an arm that the hand is mounted on."""
+        return self.model.frames[self.wrist_frame_id].parentJoint > 0
+
     def __repr__(self) -> str:
         """Name, side, joints and points in one line."""
         return (
@@ -253,9 +258,22 @@ class Hand:
         return self.model.addFrame(frame)
 
     def _check_wrist(self, wrist: pin.Frame, palm: pin.Frame) -> None:
+        """Refuse a wrist or palm among the fingers: only the free-flyer or the joints of an arm may move them, both as one."""
         for key, link, frame in (("wrist.link", self.spec.wrist.link, wrist), ("palm.link", self.spec.palm.link, palm)):
-            if frame.parentJoint != int(self.is_floating):
-                raise self.spec.error(f"{link!r} moves with the fingers; it must be fixed to the root link", key=key, value=link)
+            if self.is_floating and frame.parentJoint != 1:
+                message = f"{link!r} moves with joints; on a floating hand it must be fixed to the root link"
+                raise self.spec.error(message, key=key, value=link)
+            if not self._moves_all_fingers(frame.parentJoint):
+                message = f"{link!r} moves with the fingers; it must be fixed to the root link or to the end of an arm"
+                raise self.spec.error(message, key=key, value=link)
+        if wrist.parentJoint != palm.parentJoint:
+            message = f"{self.spec.palm.link!r} moves against the wrist's link {self.spec.wrist.link!r}"
+            raise self.spec.error(message, key="palm.link", value=self.spec.palm.link)
+
+    def _moves_all_fingers(self, joint: int) -> bool:
+        """Whether every joint is above this one or below it."""
+        above = set(self.model.supports[joint])
+        return all(other in above or joint in self.model.supports[other] for other in range(1, self.model.njoints))
 
 
 def read_urdf(spec: HandSpec) -> str:

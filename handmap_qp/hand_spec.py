@@ -74,6 +74,18 @@ class WristSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_angular_speed: float = 12.0
 
 
+class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Which links of the hand are kept apart from each other, where self-collision avoidance is asked for.
+
+    Attributes:
+        pairs: Pairs of URDF links that have collision shapes.
+        margin: Distance that their shapes keep [m].
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    margin: float = 0.002
+
+
 class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A hand: its URDF and what the URDF cannot say.
 
@@ -90,6 +102,7 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         sets: Named lists of points.
         reference: The set used unless the caller names another.
         mirror: Reflect the URDF in its root link's x = 0 plane; all coordinates here are those of the reflected hand.
+        collision: Links to keep apart; None where there is nothing to say.
         directory: Where relative paths start; the folder of `hand.yaml` when it was read from one.
     """
 
@@ -104,6 +117,7 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sets: dict[str, tuple[str, ...]]
     reference: str
     mirror: bool = False
+    collision: CollisionSpec | None = None
     directory: Path | None = None
 
     @property
@@ -135,6 +149,7 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             expected = ", ".join(self.sets) or "(none)"
             raise self.error(f"expected one of the sets {expected}, got {self.reference!r}", key="reference")
         _check_axes(self)
+        _check_collision(self)
 
     def error(self, message: str, *, key: str, value: Any = None) -> HandError:
         """An error about one key of this spec, carrying its file."""
@@ -221,3 +236,17 @@ def _check_axes(spec: HandSpec) -> None:
     cosine = sum(a * b for a, b in zip(distal, dorsal, strict=True))
     if not abs(cosine) < 1e-6:
         raise spec.error(f"expected a direction at right angles to distal, got {dorsal}", key="palm.dorsal", value=dorsal)
+
+
+def _check_collision(spec: HandSpec) -> None:
+    if spec.collision is None:
+        return
+    margin, seen = spec.collision.margin, set()
+    if not (math.isfinite(margin) and margin >= 0.0):
+        raise spec.error(f"expected a distance >= 0, got {margin}", key="collision.margin", value=margin)
+    for i, pair in enumerate(spec.collision.pairs):
+        links = frozenset(pair)
+        if len(links) < 2 or links in seen:
+            what = "is given twice" if links in seen else "is one link; expected two"
+            raise spec.error(f"{list(pair)} {what}", key=f"collision.pairs[{i}]", value=pair)
+        seen.add(links)

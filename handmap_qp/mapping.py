@@ -270,9 +270,7 @@ class HandMapper:
         """Make this sample the reference, and put the robot at its start if it is not on its way already."""
         estimator = self._estimator(human_points)
         if self._start is not None:
-            vector = np.zeros(self.robot.model.nq)
-            self.robot.write_configuration(vector, self._start.q, self._start_wrist(self._start, human_wrist))
-            self._ik.place(vector)
+            self._ik.place(self.robot.configuration_vector(self._start.q, self._start_wrist(self._start, human_wrist)))
             self._start = None
         self._reference = self._reference_with(estimator, human_points, human_wrist)
         return self._reference

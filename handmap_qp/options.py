@@ -76,7 +76,8 @@ class MappingOptions:
         }
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
-            if not (np.isscalar(value) and low <= value <= high) or (value == np.inf and name not in _MAY_BE_INFINITE):
+            is_number = isinstance(value, int | float) and low <= value <= high
+            if not is_number or (value == np.inf and name not in _MAY_BE_INFINITE):
                 raise InvalidOptionsError(f"{name}: expected a number in [{low:g}, {high:g}], got {value!r}")
         if (self.pivot == "point") != (self.pivot_point is not None):
             raise InvalidOptionsError("pivot='point' and pivot_point go together: give both or neither")

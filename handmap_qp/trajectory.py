@@ -60,16 +60,10 @@ class Trajectory:
         outside = np.maximum(self.robot.lower_limits - self.q, self.q - self.robot.upper_limits)
         return max(0.0, float(outside.max()))
 
-    def save(self, path: Path) -> None:
-        """Write everything that a robot or a reader needs to an `.npz` file, whole or not at all.
-
-        Args:
-            path: The file.
-
-        Raises:
-            InvalidInputError: If it cannot be written.
-        """
-        columns = {
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Everything that a robot or a reader needs, as plain arrays by name: what goes into a file."""
+        return {
             "time": self.time,
             "joint_names": np.array(self.robot.joint_names),
             "q": self.q,
@@ -85,7 +79,6 @@ class Trajectory:
             "robot": np.array(self.robot.name),
             "versions": np.array([f"{package} {version(package)}" for package in ("handmap-qp", "pin", "daqp", "numpy")]),
         }
-        save_npz(path, columns)
 
 
 def map_motion(mapper: HandMapper, motion: HumanMotion, progress: Callable[[int], None] | None = None) -> Trajectory:

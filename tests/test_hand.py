@@ -166,7 +166,7 @@ def test_a_broken_description_is_named_by_file_and_key(tmp_path: Path, change: d
 def test_a_file_that_is_no_description_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "hand.yaml"
     path.write_text(text)
-    with pytest.raises(HandError, match="hand.yaml"):
+    with pytest.raises(HandError, match=r"hand\.yaml"):
         load_hand(path)
 
 

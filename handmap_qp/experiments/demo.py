@@ -145,15 +145,14 @@ def human_points(motion: HumanMotion) -> np.ndarray:
 
 
 def _save(path: Path, motion: HumanMotion, trajectory: Trajectory) -> None:
-    """The trajectory's own file, with the human's columns added."""
-    trajectory.save(path)
-    with np.load(path) as saved:
-        columns = dict(saved)
-    columns["human_joint_names"] = np.array(motion.human.joint_names)
-    columns["human_q"] = motion.q
-    columns["human_wrist"] = motion.wrist
-    columns["human_points"] = human_points(motion)
-    save_npz(path, columns)
+    """The trajectory's columns and the human's."""
+    human = {
+        "human_joint_names": np.array(motion.human.joint_names),
+        "human_q": motion.q,
+        "human_wrist": motion.wrist,
+        "human_points": human_points(motion),
+    }
+    save_npz(path, {**trajectory.columns, **human})
 
 
 @contextmanager

@@ -14,6 +14,10 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 
 
+# At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
+_PRIMAL_TOLERANCE = 1e-9
+
+
 class BoxSolver(Protocol):
     """A solver of one size of problem, which may start from its last solution."""
 
@@ -29,29 +33,27 @@ class DaqpSolver:
         size: Number of variables.
     """
 
-    # At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
-    _SETTINGS = {"primal_tol": 1e-9}  # noqa: RUF012
-
     def __init__(self, size: int) -> None:
         self._rows = np.zeros((0, size))
         self._sense = np.zeros(size, dtype=np.int32)
-        self._model: daqp.Model | None = None
+        self._model = daqp.Model()
+        self._is_set_up = False
 
     def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
         """See `BoxSolver.solve`."""
-        if self._model is not None and self._model.update(H=H, f=c, bupper=upper, blower=lower) == 0:
+        if self._is_set_up and self._model.update(H=H, f=c, bupper=upper, blower=lower) == 0:
             x, _, flag, _ = self._model.solve()
             if flag > 0:
                 return x
         # The first problem, or one that could not be solved from the last one's active set.
         self._model = daqp.Model()
-        self._model.settings = self._SETTINGS
+        self._model.settings = {"primal_tol": _PRIMAL_TOLERANCE}
         flag, _ = self._model.setup(H, c, self._rows, upper, lower, self._sense)
-        if flag > 0:
+        self._is_set_up = flag > 0
+        if self._is_set_up:
             x, _, flag, _ = self._model.solve()
             if flag > 0:
                 return x
-        self._model = None
         return None
 
 
