@@ -158,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a user error.
     """
     try:
-        _parse(sys.argv[1:] if arguments is None else arguments).run()
+        parse(sys.argv[1:] if arguments is None else arguments).run()
     except HandmapError as error:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -171,8 +171,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parse(arguments: Sequence[str]) -> Command:
-    """The command that the words ask for; a mistake in them becomes a one-line error."""
+def parse(arguments: Sequence[str]) -> Command:
+    """The command that the words ask for.
+
+    Args:
+        arguments: Words after `handmap`.
+
+    Returns:
+        The command, ready to run.
+
+    Raises:
+        InvalidInputError: On a mistake in the words, in one line.
+        SystemExit: After help was asked for and printed.
+    """
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

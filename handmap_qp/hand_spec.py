@@ -242,6 +242,8 @@ def _check_collision(spec: HandSpec) -> None:
     if spec.collision is None:
         return
     margin, seen = spec.collision.margin, set()
+    if not spec.collision.pairs:
+        raise spec.error("expected at least one pair of links", key="collision.pairs", value=spec.collision.pairs)
     if not (math.isfinite(margin) and margin >= 0.0):
         raise spec.error(f"expected a distance >= 0, got {margin}", key="collision.margin", value=margin)
     for i, pair in enumerate(spec.collision.pairs):

@@ -1,16 +1,26 @@
-"""Joint position and speed limits as one box on the displacement, which can never contradict itself.
+"""Position, speed and acceleration limits as one box on the displacement, which can never contradict itself.
 
     clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
 
 Clipping is monotone, so the lower bound never passes the upper one, also where `q` starts outside its limits: there both bounds
 meet at the speed limit and the joint comes back as fast as it may. The stacked position and speed rows of mink and pink are
 infeasible in that case.
+
+An acceleration limit is clipped into that box the same way, `clip(v_last dt -+ a dt^2, lower, upper)`: position and speed go
+before it. To make that a rare case, a joint may approach its limit only as fast as it can still brake,
+
+    v dt + v^2 / (2 a) <= distance to the limit,
+
+which, once true, stays true from sample to sample whatever their length: a joint that starts at rest inside its limits never has
+to break either limit for the other.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hand import Hand
 
 
@@ -20,9 +30,14 @@ class BoxLimits:
     Args:
         hand: The hand.
         has_velocity_limits: Whether speed limits hold; position limits always do.
+        max_acceleration: Limit of every velocity coordinate's acceleration, shape (nv,) or one number for all [rad/s^2, and
+            m/s^2 for a floating wrist's translation]; none if omitted.
+
+    Raises:
+        InvalidOptionsError: If an acceleration limit is not > 0 or has another shape.
     """
 
-    def __init__(self, hand: Hand, *, has_velocity_limits: bool = True) -> None:
+    def __init__(self, hand: Hand, *, has_velocity_limits: bool = True, max_acceleration: npt.ArrayLike | None = None) -> None:
         model = hand.model
         self._first_q = 7 if hand.is_floating else 0
         self._joints = slice(6 if hand.is_floating else 0, None)
@@ -35,13 +50,16 @@ class BoxLimits:
             self._speed[3:6] = hand.spec.wrist.max_angular_speed
         if not has_velocity_limits:
             self._speed[:] = np.inf
+        self._acceleration = None if max_acceleration is None else _check_acceleration(max_acceleration, model.nv)
 
-    def bounds(self, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bound of the displacement from `q`.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
             dt: Time for the displacement [s].
+            previous_velocity: Displacement of the last sample divided by its time, shape (nv,); at rest if omitted. Matters only
+                to acceleration limits.
 
         Returns:
             Two arrays of shape (nv,), `lower <= upper`.
@@ -52,4 +70,48 @@ class BoxLimits:
         slowest, fastest = lower[joints], upper[joints].copy()
         upper[joints] = np.maximum(np.minimum(self._upper - angles, fastest), slowest)
         lower[joints] = np.minimum(np.maximum(self._lower - angles, slowest), fastest)
-        return lower, upper
+        if self._acceleration is None:
+            return lower, upper
+        return self._with_acceleration(self._acceleration, angles, dt, previous_velocity, lower, upper)
+
+    def _with_acceleration(
+        self,
+        acceleration: np.ndarray,
+        angles: np.ndarray,
+        dt: float,
+        previous_velocity: np.ndarray | None,
+        lower: np.ndarray,
+        upper: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The part of the box that can be reached from the last sample's velocity, or its nearest corner."""
+        joints = self._joints
+        change = acceleration * dt**2
+        middle = np.zeros_like(change) if previous_velocity is None else previous_velocity * dt
+        # Where a limit has been passed, braking for it is no matter: the box already brings the joint back.
+        brake = acceleration[joints]
+        to_upper = _braking_displacement(np.maximum(self._upper - angles, 0.0), brake, dt)
+        to_lower = _braking_displacement(np.maximum(angles - self._lower, 0.0), brake, dt)
+        braked_lower, braked_upper = lower.copy(), upper.copy()
+        braked_upper[joints] = np.maximum(np.minimum(upper[joints], to_upper), lower[joints])
+        braked_lower[joints] = np.minimum(np.maximum(lower[joints], -to_lower), upper[joints])
+        return (
+            np.minimum(np.maximum(middle - change, braked_lower), braked_upper),
+            np.maximum(np.minimum(middle + change, braked_upper), braked_lower),
+        )
+
+
+def _braking_displacement(distance: np.ndarray, acceleration: np.ndarray, dt: float) -> np.ndarray:
+    """The largest displacement in `dt` after which a joint can still stop within `distance`: v dt + v^2 / (2 a) = distance.
+
+    In a form that cancels nothing, however small the distance.
+    """
+    return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / (acceleration * dt**2)))
+
+
+def _check_acceleration(max_acceleration: npt.ArrayLike, nv: int) -> np.ndarray:
+    limit = np.array(max_acceleration, dtype=float)
+    if limit.ndim == 0:
+        limit = np.full(nv, float(limit))
+    if limit.shape != (nv,) or not (limit > 0.0).all():
+        raise InvalidOptionsError(f"max_acceleration: expected {nv} numbers > 0, or one for all, got {max_acceleration}")
+    return limit
