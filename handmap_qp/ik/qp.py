@@ -3,13 +3,14 @@
     min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + w_q^2 |q + dq - q_rest|^2 + w_d^2 |dq|^2
     s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
 
-Wrist and fingers are solved together. The box can never contradict itself: where `q` starts outside its limits, the joint comes
-back as fast as its speed limit allows. Lengths are measured in units of 10 mm and angles of the wrist in units of 0.1 rad, which
+Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the squared error (Levenberg-Marquardt). The box can
+never contradict itself: where `q` starts outside its limits, the joint comes back as fast as its speed limit allows. Lengths are measured in units of 10 mm and angles of the wrist in units of 0.1 rad, which
 keeps the Hessian within a few orders of one, where solvers are at their best.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,7 +22,10 @@ from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.options import ANGLE_UNIT, LENGTH_UNIT, IkOptions
 from handmap_qp.ik.solvers import make_solver
 
-End = Literal["settled", "unsettled", "failed", "released"]
+End = Literal["solved", "failed", "released"]
+# A hand whose last step is shorter than this stands still, for all that its status says [rad or m].
+_AT_REST = 1e-3
+
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
 
 
@@ -30,8 +34,7 @@ class IkResult:
     """Where the iterations of one sample ended.
 
     Attributes:
-        end: `settled`: the last step was shorter than the tolerance; `unsettled`: the iterations were used up; `failed`: the
-            solver found no answer and the hand stays where it was; `released`: nothing was asked of it.
+        end: `solved`; `failed`: the solver found no answer and the hand stays where it was; `released`: nothing was asked of it.
         points: Reference points [m], shape (m, 3).
         errors: Target minus point [m], shape (m, 3).
         point_tolerance: Length of an error that counts as none [m].
@@ -40,6 +43,7 @@ class IkResult:
         upper: Its upper bounds, shape (nv,).
         joint_columns: Where in those the hand's joints are, in the order of `Hand.joint_names`, shape (n,).
         iterations: QPs solved.
+        last_step: Euclidean norm of the last iteration's step [rad or m].
     """
 
     end: End
@@ -51,6 +55,7 @@ class IkResult:
     upper: np.ndarray
     joint_columns: np.ndarray
     iterations: int
+    last_step: float
 
     @property
     def active(self) -> np.ndarray:
@@ -59,16 +64,18 @@ class IkResult:
 
     @property
     def status(self) -> Status:
-        """`converged`: all points have arrived; `limited`: joints or wrist at a limit keep them away; `unreachable`: no limit does,
-        and more iterations would not help; `unsettled`: the hand is still on its way; `failed` and `released` as in `end`.
-        """  # noqa: D205
-        if self.end == "failed" or self.end == "released":
+        """How well the targets were met.
+
+        `converged`: all points have arrived; `limited`: joints or wrist at a limit keep some away; `unreachable`: no limit does
+        and the hand does not move any more; `unsettled`: it is still on its way; `failed` and `released` as in `end`.
+        """
+        if self.end != "solved":
             return self.end
         if np.linalg.norm(self.errors, axis=1).max() <= self.point_tolerance:
             return "converged"
         if self.active.any():
             return "limited"
-        return "unreachable" if self.end == "settled" else "unsettled"
+        return "unreachable" if self.last_step <= _AT_REST else "unsettled"
 
 
 class PointIk:
@@ -137,27 +144,29 @@ class PointIk:
         start = configuration.q.copy()
         lower, upper = self._limits.bounds(start, dt)
         target = None if wrist_target is None else pin.SE3(wrist_target)
-        total, end, iterations = self._zero_step, "unsettled", 0
-        while end == "unsettled" and iterations < options.max_iterations:
+        total, last_step, iterations, end = self._zero_step, np.inf, 0, "solved"
+        while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target)
             # Bounds hold for the whole displacement of the sample, so later iterations get what is left of them.
             step = self._solver.solve(self._H, self._c, *((lower - total, upper - total) if iterations else (lower, upper)))
             iterations += 1
             if step is None:
-                total, end = self._zero_step, "failed"
+                total, last_step, end = self._zero_step, 0.0, "failed"
             else:
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
-                if step.dot(step) <= options.step_tolerance**2:
-                    end = "settled"
+                last_step = math.sqrt(step.dot(step))
             # One displacement from the start, not a chain of steps: a floating wrist's twist then keeps its limits exactly.
             configuration.update(pin.integrate(self.hand.model, start, total))
-        return self._result(end, point_targets, total, lower, upper, iterations)
+        points = configuration.points.copy()
+        columns, tolerance = self.hand.v_indices, options.point_tolerance
+        return IkResult(end, points, point_targets - points, tolerance, total, lower, upper, columns, iterations, last_step)
 
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
-        free = np.full(self.hand.model.nv, np.inf)
-        return self._result("released", self.configuration.points, self._zero_step, -free, free, 0)
+        points, free = self.configuration.points.copy(), np.full(self.hand.model.nv, np.inf)
+        columns, tolerance = self.hand.v_indices, self.options.point_tolerance
+        return IkResult("released", points, np.zeros_like(points), tolerance, self._zero_step, -free, free, columns, 0, 0.0)
 
     def problem(
         self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
@@ -170,14 +179,6 @@ class PointIk:
         self._linearise(point_targets, None if wrist_target is None else pin.SE3(wrist_target))
         lower, upper = self._limits.bounds(self.configuration.q, dt)
         return self._H.copy(), self._c.copy(), lower, upper
-
-    def _result(
-        self, end: End, targets: np.ndarray, total: np.ndarray, lower: np.ndarray, upper: np.ndarray, iterations: int
-    ) -> IkResult:
-        points = self.configuration.points.copy()
-        return IkResult(
-            end, points, targets - points, self.options.point_tolerance, total, lower, upper, self.hand.v_indices, iterations
-        )
 
     def _linearise(self, point_targets: np.ndarray, wrist_target: pin.SE3 | None) -> None:
         """Write H and c of the QP at the present configuration."""

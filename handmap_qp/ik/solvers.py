@@ -13,7 +13,6 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 
-
 # At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
 _PRIMAL_TOLERANCE = 1e-9
 
