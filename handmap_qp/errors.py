@@ -86,3 +86,17 @@ class MissingExtraError(HandmapError, ImportError):
         super().__init__(f"{package} is not installed: pip install 'handmap-qp[{extra}]'")
         self.package = package
         self.extra = extra
+
+
+class RefusedError(HandmapError):
+    """A request that the mapping service does not carry out.
+
+    Attributes:
+        code: The kind of refusal, one word.
+        field: The field at fault, as `q[3]` or `mapping.ridge`; empty where none is.
+    """
+
+    def __init__(self, code: str, message: str, *, field: str = "") -> None:
+        super().__init__(message)
+        self.code = code
+        self.field = field

@@ -188,11 +188,10 @@ class Hand:
             InvalidInputError: If there is no such frame.
         """
         own = f"{_ROOT}/{frame}"
-        name = own if self.model.existFrame(own) else frame
-        if not self.model.existFrame(name):
-            raise InvalidInputError(f"{self.name} has no frame {frame!r}", value=frame)
+        if not self.model.existFrame(own):
+            return self.link_poses([frame], q, wrist_pose)[0]
         self._scratch.place(self.configuration_vector(q, wrist_pose))
-        return self._scratch.data.oMf[self.model.getFrameId(name)].homogeneous
+        return self._scratch.data.oMf[self.model.getFrameId(own)].homogeneous
 
     def link_poses(self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Poses of links in the world, where `frame_pose` would find a palm, wrist or reference point of the same name first.
@@ -248,9 +247,10 @@ class Hand:
         return chosen
 
     def _add_frame(self, name: str, link: str, placement: np.ndarray, key: str) -> int:
-        if not self.model.existFrame(link):
+        # By kind as well as by name: many URDFs have a joint of the same name as its link.
+        if not self.model.existFrame(link, pin.FrameType.BODY):
             raise self.spec.error(f"the URDF has no link {link!r}", key=key, value=link)
-        parent_id = self.model.getFrameId(link)
+        parent_id = self.model.getFrameId(link, pin.FrameType.BODY)
         parent = self.model.frames[parent_id]
         frame = pin.Frame(
             f"{_ROOT}/{name}", parent.parentJoint, parent_id, parent.placement * pin.SE3(placement), pin.FrameType.OP_FRAME

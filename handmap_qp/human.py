@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.paths import urdf_directory
+from handmap_qp.transform import as_floats
 from handmap_qp.urdf_text import get_numbers, parse_urdf, set_numbers
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -209,6 +210,33 @@ class Synergies:
             InvalidInputError: On a wrong shape or a number that is not finite.
         """
         return np.linalg.lstsq(self.matrix, _checked(q, (20,), "q") - self.mean, rcond=None)[0]
+
+    def explained_variance(self, q: npt.ArrayLike) -> np.ndarray:
+        """How much of a motion's variance the first synergies can reproduce.
+
+        The motion is taken about its own mean, and projected by least squares over the joint angles onto the span of the first k
+        synergies, for each k.
+
+        Args:
+            q: Joint angles over time [rad], shape (T, 20), T >= 2.
+
+        Returns:
+            Fractions in 0..1 that never fall, for k = 1..15, shape (15,).
+
+        Raises:
+            InvalidInputError: On a wrong shape, a number that is not finite, or a motion that stands still.
+        """
+        postures = as_floats(q, "q")
+        if postures.ndim != 2 or len(postures) < 2:
+            raise InvalidInputError(f"q: expected shape (T, 20) with T >= 2, got {postures.shape}")
+        motion = _checked(postures, (len(postures), 20), "q")
+        motion = motion - motion.mean(axis=0)
+        total = float(np.square(motion).sum())
+        if not total > 0.0:
+            raise InvalidInputError("q: expected a motion, got the same posture throughout")
+        # The first k columns of an orthonormal factor span what the first k synergies span.
+        directions, _ = np.linalg.qr(self.matrix)
+        return np.clip(np.cumsum(np.square(motion @ directions).sum(axis=0)) / total, 0.0, 1.0)
 
 
 @cache

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from numbers import Real
+from typing import Any, Literal
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class MappingOptions:
                 raise InvalidOptionsError(f"{name}: expected a number in [{low:g}, {high:g}], got {value!r}")
         if (self.pivot == "point") != (self.pivot_point is not None):
             raise InvalidOptionsError("pivot='point' and pivot_point go together: give both or neither")
-        if self.pivot_point is not None and not (np.shape(self.pivot_point) == (3,) and np.isfinite(self.pivot_point).all()):
+        if self.pivot_point is not None and not _is_point(self.pivot_point):
             raise InvalidOptionsError(f"pivot_point: expected three finite numbers, got {self.pivot_point}")
         if self.deformation_gain != 1.0 and self.stretch_min == 0.0:
             raise InvalidOptionsError("deformation_gain needs positive stretches: give stretch_min > 0")
@@ -92,11 +93,23 @@ class MappingOptions:
             if self.alignment not in ("world", "palm"):
                 raise InvalidOptionsError(f"alignment: expected world, palm or a rotation; got {self.alignment!r}")
             return
-        rotation = np.asarray(self.alignment, dtype=float)
-        if rotation.shape != (3, 3) or not np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6:
+        try:
+            rotation = np.asarray(self.alignment, dtype=float)
+        except (TypeError, ValueError):
+            rotation = np.empty(0)
+        is_finite = rotation.shape == (3, 3) and bool(np.isfinite(rotation).all())
+        if not (is_finite and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6):
             raise InvalidOptionsError(f"alignment: expected world, palm or a rotation (3, 3); got {self.alignment}")
         if np.linalg.det(rotation) < 0.0:
             raise InvalidOptionsError("alignment: the matrix mirrors; map a left hand with a left hand's URDF instead")
+
+
+def _is_point(value: Any) -> bool:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    return array.shape == (3,) and bool(np.isfinite(array).all())
 
 
 _MAY_BE_INFINITE = ("stretch_max", "joint_tolerance")

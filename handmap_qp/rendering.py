@@ -255,7 +255,7 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
         return None
     else:
         try:
-            solid = trimesh.load_mesh(_mesh_file(geometry.mesh.filename, spec))
+            solid = trimesh.load_mesh(mesh_file(geometry.mesh.filename, spec))
         # Whatever a mesh reader dislikes, a picture without one part beats no picture.
         except Exception:
             return None
@@ -276,7 +276,12 @@ def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices, faces[:, ::-1] if is_inside_out else faces
 
 
-def _mesh_file(name: str, spec: HandSpec) -> Path:
+def mesh_file(name: str, spec: HandSpec) -> Path:
+    """Where a mesh that a URDF names lies on disk: in an installed package of robot descriptions, or relative to the URDF's file.
+
+    Raises:
+        MissingExtraError: If the package is not installed.
+    """
     if name.startswith("package://"):
         package, _, inside = name.removeprefix("package://").partition("/")
         return package_share(package) / package / inside

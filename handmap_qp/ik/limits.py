@@ -7,7 +7,7 @@ meet at the speed limit and the joint comes back as fast as it may. The stacked 
 infeasible in that case.
 
 An acceleration limit is clipped into that box the same way, `clip(v_last dt -+ a dt^2, lower, upper)`: position and speed go
-before it. To make that a rare case, a joint may approach its limit only as fast as it can still brake,
+before it. That they ever have to is made rare by letting a joint approach its limit only as fast as it can still brake,
 
     v dt + v^2 / (2 a) <= distance to the limit,
 
@@ -85,27 +85,25 @@ class BoxLimits:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The part of the box that can be reached from the last sample's velocity, or its nearest corner."""
         joints = self._joints
-        change = acceleration * dt**2
-        middle = np.zeros_like(change) if previous_velocity is None else previous_velocity * dt
-        # Where a limit has been passed, braking for it is no matter: the box already brings the joint back.
-        brake = acceleration[joints]
-        to_upper = _braking_displacement(np.maximum(self._upper - angles, 0.0), brake, dt)
-        to_lower = _braking_displacement(np.maximum(angles - self._lower, 0.0), brake, dt)
-        braked_lower, braked_upper = lower.copy(), upper.copy()
-        braked_upper[joints] = np.maximum(np.minimum(upper[joints], to_upper), lower[joints])
-        braked_lower[joints] = np.minimum(np.maximum(lower[joints], -to_lower), upper[joints])
-        return (
-            np.minimum(np.maximum(middle - change, braked_lower), braked_upper),
-            np.maximum(np.minimum(middle + change, braked_upper), braked_lower),
-        )
+        # The smallest number is for samples so short that their square is zero.
+        change = np.maximum(acceleration * dt**2, 1e-200)
+        middle = 0.0 if previous_velocity is None else previous_velocity * dt
+        lowest, highest = middle - change, middle + change
+        least, most = lowest.copy(), highest.copy()
+        # Where a limit has been passed there is no distance left to brake in; the box will bring the joint back.
+        to_upper = _braking_displacement(np.maximum(self._upper - angles, 0.0), change[joints])
+        to_lower = _braking_displacement(np.maximum(angles - self._lower, 0.0), change[joints])
+        most[joints] = np.minimum(np.maximum(to_upper, lowest[joints]), highest[joints])
+        least[joints] = np.minimum(np.maximum(-to_lower, lowest[joints]), highest[joints])
+        return np.minimum(np.maximum(least, lower), upper), np.minimum(np.maximum(most, lower), upper)
 
 
-def _braking_displacement(distance: np.ndarray, acceleration: np.ndarray, dt: float) -> np.ndarray:
-    """The largest displacement in `dt` after which a joint can still stop within `distance`: v dt + v^2 / (2 a) = distance.
+def _braking_displacement(distance: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The largest displacement x after which a joint can still stop within `distance`: x + x^2 / (2 a dt^2) = distance.
 
-    In a form that cancels nothing, however small the distance.
+    In a form that cancels nothing, however small the distance; `change` is a dt^2.
     """
-    return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / (acceleration * dt**2)))
+    return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / change))
 
 
 def _check_acceleration(max_acceleration: npt.ArrayLike, nv: int) -> np.ndarray:

@@ -31,6 +31,8 @@ class IkOptions:
             by about a tenth of a millimetre, which the next sample mends; only quick motions take a second iteration.
         point_tolerance: Points nearer to their targets than this have arrived [m].
         has_velocity_limits: Whether speed limits hold; position limits always do.
+        max_acceleration: Limit of every coordinate's acceleration [rad/s^2, m/s^2]; none if omitted.
+        avoids_self_collision: Whether the pairs of links that the hand's `collision` names are kept apart.
     """
 
     point_weight: float = 1.0
@@ -44,6 +46,8 @@ class IkOptions:
     step_tolerance: float = 0.1
     point_tolerance: float = 1e-3
     has_velocity_limits: bool = True
+    max_acceleration: float | None = None
+    avoids_self_collision: bool = False
 
     def __post_init__(self) -> None:
         """Refuse values that leave the problem without a unique solution.

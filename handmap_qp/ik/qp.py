@@ -4,8 +4,9 @@
     s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
 
 Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the squared error (Levenberg-Marquardt). The box can
-never contradict itself: where `q` starts outside its limits, the joint comes back as fast as its speed limit allows. Lengths are measured in units of 10 mm and angles of the wrist in units of 0.1 rad, which
-keeps the Hessian within a few orders of one, where solvers are at their best.
+never contradict itself: where `q` starts outside its limits, the joint comes back as fast as its speed limit allows. Lengths are
+measured in units of 10 mm and angles of the wrist in units of 0.1 rad, which keeps the Hessian within a few orders of one, where
+solvers are at their best.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hand import Hand
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits
-from handmap_qp.ik.options import ANGLE_UNIT, LENGTH_UNIT, IkOptions
+from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
 
 End = Literal["solved", "failed", "released"]
@@ -97,16 +100,17 @@ class PointIk:
         self.configuration = hand.configuration()
         model, nv = hand.model, hand.model.nv
         count = len(hand.reference_points)
-        self._solver = make_solver(options.solver, nv)
+        self._collisions = CollisionLimit(hand) if options.avoids_self_collision else None
+        self._solver = make_solver(options.solver, nv, len(self._collisions.pairs) if self._collisions else 0)
         self._first_joint_q = 7 if hand.is_floating else 0
         self._first_joint_v = 6 if hand.is_floating else 0
-        self._limits = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits)
+        self._limits = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits, max_acceleration=options.max_acceleration)
         rest = np.zeros(model.nq)
         rest[hand.q_indices] = hand.rest
         self._rest = rest[self._first_joint_q :]
-        weights = _row_weights(hand, options)
-        self._row_weights = weights
-        self._mask = self.configuration.support * weights[:, None]
+        position, orientation = wrist_costs(options)
+        self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
+        self._mask = self.configuration.support * self._row_weights[:, None]
         self._error = np.zeros(3 * count + 6)  # point minus target, and the twist from target to wrist
         self._weighted_error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
@@ -118,16 +122,18 @@ class PointIk:
         self._H_diagonal = self._H.reshape(-1)[:: nv + 1]
         self._c = np.empty(nv)
         self._c_joints = self._c[self._first_joint_v :]
+        self._velocity = np.zeros(nv)
         self._zero_step = np.zeros(nv)
         self._zero_step.setflags(write=False)
 
     def place(self, q: np.ndarray) -> None:
-        """Put the hand at a configuration.
+        """Put the hand at a configuration, at rest.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
         self.configuration.update(q)
+        self._velocity = self._zero_step
 
     def solve(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> IkResult:
         """Move the hand towards its targets for one sample.
@@ -142,13 +148,15 @@ class PointIk:
         """
         configuration, options = self.configuration, self.options
         start = configuration.q.copy()
-        lower, upper = self._limits.bounds(start, dt)
+        lower, upper = self._limits.bounds(start, dt, self._velocity)
         target = None if wrist_target is None else pin.SE3(wrist_target)
         total, last_step, iterations, end = self._zero_step, np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target)
             # Bounds hold for the whole displacement of the sample, so later iterations get what is left of them.
-            step = self._solver.solve(self._H, self._c, *((lower - total, upper - total) if iterations else (lower, upper)))
+            box = (lower - total, upper - total) if iterations else (lower, upper)
+            rows = None if self._collisions is None else self._collisions.feasible_rows(configuration, *box)
+            step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
             if step is None:
                 total, last_step, end = self._zero_step, 0.0, "failed"
@@ -158,12 +166,14 @@ class PointIk:
                 last_step = math.sqrt(step.dot(step))
             # One displacement from the start, not a chain of steps: a floating wrist's twist then keeps its limits exactly.
             configuration.update(pin.integrate(self.hand.model, start, total))
+        self._velocity = total / dt
         points = configuration.points.copy()
         columns, tolerance = self.hand.v_indices, options.point_tolerance
         return IkResult(end, points, point_targets - points, tolerance, total, lower, upper, columns, iterations, last_step)
 
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
+        self._velocity = self._zero_step
         points, free = self.configuration.points.copy(), np.full(self.hand.model.nv, np.inf)
         columns, tolerance = self.hand.v_indices, self.options.point_tolerance
         return IkResult("released", points, np.zeros_like(points), tolerance, self._zero_step, -free, free, columns, 0, 0.0)
@@ -177,7 +187,7 @@ class PointIk:
             H, shape (nv, nv); c, lower and upper bound, shape (nv,) each.
         """
         self._linearise(point_targets, None if wrist_target is None else pin.SE3(wrist_target))
-        lower, upper = self._limits.bounds(self.configuration.q, dt)
+        lower, upper = self._limits.bounds(self.configuration.q, dt, self._velocity)
         return self._H.copy(), self._c.copy(), lower, upper
 
     def _linearise(self, point_targets: np.ndarray, wrist_target: pin.SE3 | None) -> None:
@@ -201,10 +211,3 @@ class PointIk:
 
 
 _NO_WRIST = np.zeros((6, 6))
-
-
-def _row_weights(hand: Hand, options: IkOptions) -> np.ndarray:
-    """Weight of every row of the stacked task, shape (3 m + 6,)."""
-    points = options.point_weight / LENGTH_UNIT * np.sqrt(hand.point_weights)
-    wrist = [options.wrist_position_weight / LENGTH_UNIT] * 3 + [options.wrist_orientation_weight / ANGLE_UNIT] * 3
-    return np.concatenate([np.repeat(points, 3), wrist])

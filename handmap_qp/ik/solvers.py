@@ -1,4 +1,4 @@
-"""QP solvers behind one call, for problems with a box: `min 1/2 x' H x + c' x  s.t.  lower <= x <= upper`.
+"""QP solvers behind one call: `min 1/2 x' H x + c' x  s.t.  lower <= x <= upper,  G x <= h`.
 
 DAQP and ProxQP are spoken to natively and keep their workspace and active set from call to call. Any other solver goes through
 `qpsolvers`, which is convenient and slower.
@@ -13,14 +13,19 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 
+Rows = tuple[np.ndarray, np.ndarray]
+"""G, shape (k, n), and h, shape (k,)."""
+
 # At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
 _PRIMAL_TOLERANCE = 1e-9
 
 
-class BoxSolver(Protocol):
+class QpSolver(Protocol):
     """A solver of one size of problem, which may start from its last solution."""
 
-    def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
+    def solve(
+        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray | None:
         """The minimiser, shape (n,), or None where the solver found none."""
         ...
 
@@ -30,24 +35,38 @@ class DaqpSolver:
 
     Args:
         size: Number of variables.
+        row_count: Number of linear rows, the same in every call.
     """
 
-    def __init__(self, size: int) -> None:
-        self._rows = np.zeros((0, size))
-        self._sense = np.zeros(size, dtype=np.int32)
+    def __init__(self, size: int, row_count: int = 0) -> None:
+        self._size = size
+        self._no_rows = np.zeros((0, size))
+        self._sense = np.zeros(size + row_count, dtype=np.int32)
+        self._lower = np.full(size + row_count, -np.inf)
+        self._upper = np.empty(size + row_count)
         self._model = daqp.Model()
         self._is_set_up = False
 
-    def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
-        """See `BoxSolver.solve`."""
-        if self._is_set_up and self._model.update(H=H, f=c, bupper=upper, blower=lower) == 0:
-            x, _, flag, _ = self._model.solve()
-            if flag > 0:
-                return x
+    def solve(
+        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray | None:
+        """See `QpSolver.solve`."""
+        G = self._no_rows
+        if rows is not None:
+            # DAQP takes the box first and the rows behind it.
+            G = rows[0]
+            self._lower[: self._size], self._upper[: self._size], self._upper[self._size :] = lower, upper, rows[1]
+            lower, upper = self._lower, self._upper
+        if self._is_set_up:
+            update = {"H": H, "f": c, "bupper": upper, "blower": lower}
+            if self._model.update(**update if rows is None else {**update, "A": G}) == 0:
+                x, _, flag, _ = self._model.solve()
+                if flag > 0:
+                    return x
         # The first problem, or one that could not be solved from the last one's active set.
         self._model = daqp.Model()
         self._model.settings = {"primal_tol": _PRIMAL_TOLERANCE}
-        flag, _ = self._model.setup(H, c, self._rows, upper, lower, self._sense)
+        flag, _ = self._model.setup(H, c, G, upper, lower, self._sense)
         self._is_set_up = flag > 0
         if self._is_set_up:
             x, _, flag, _ = self._model.solve()
@@ -61,24 +80,29 @@ class ProxqpSolver:
 
     Args:
         size: Number of variables.
+        row_count: Number of linear rows, the same in every call.
         tolerance: Absolute accuracy; at 1e-6 a warm start can report a wrong active set as solved, at 1e-9 not.
     """
 
-    def __init__(self, size: int, tolerance: float = 1e-9) -> None:
+    def __init__(self, size: int, row_count: int = 0, tolerance: float = 1e-9) -> None:
         from proxsuite import proxqp
 
         self._proxqp = proxqp
-        self._qp = proxqp.dense.QP(size, 0, 0, True)
+        self._qp = proxqp.dense.QP(size, 0, row_count, True)
         self._qp.settings.eps_abs = tolerance
         self._qp.settings.eps_rel = 0.0
+        self._unbounded = np.full(row_count, -1e20)
         self._is_initialised = False
 
-    def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
-        """See `BoxSolver.solve`."""
+    def solve(
+        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray | None:
+        """See `QpSolver.solve`."""
+        linear = {} if rows is None else {"C": rows[0], "l": self._unbounded, "u": rows[1]}
         if self._is_initialised:
-            self._qp.update(H=H, g=c, l_box=lower, u_box=upper)
+            self._qp.update(H=H, g=c, l_box=lower, u_box=upper, **linear)
         else:
-            self._qp.init(H=H, g=c, l_box=lower, u_box=upper)
+            self._qp.init(H=H, g=c, l_box=lower, u_box=upper, **linear)
         self._qp.solve()
         if not self._is_initialised:
             # Only now: ProxQP 0.8 crashes if it is told to start warm before its first solution.
@@ -102,17 +126,21 @@ class QpsolversSolver:
         self._qpsolvers = qpsolvers
         self._name = name
 
-    def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
-        """See `BoxSolver.solve`."""
-        return self._qpsolvers.solve_qp(H, c, lb=lower, ub=upper, solver=self._name)
+    def solve(
+        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray | None:
+        """See `QpSolver.solve`."""
+        G, h = (None, None) if rows is None else rows
+        return self._qpsolvers.solve_qp(H, c, G, h, lb=lower, ub=upper, solver=self._name)
 
 
-def make_solver(name: str, size: int) -> BoxSolver:
+def make_solver(name: str, size: int, row_count: int = 0) -> QpSolver:
     """A solver by name.
 
     Args:
         name: `daqp` (default everywhere), `proxqp`, or any other that `qpsolvers` lists as available.
         size: Number of variables.
+        row_count: Number of linear rows.
 
     Returns:
         A solver for problems of that size.
@@ -121,9 +149,9 @@ def make_solver(name: str, size: int) -> BoxSolver:
         InvalidOptionsError: If no such solver is installed.
     """
     if name == "daqp":
-        return DaqpSolver(size)
+        return DaqpSolver(size, row_count)
     if name == "proxqp":
-        return ProxqpSolver(size)
+        return ProxqpSolver(size, row_count)
     import qpsolvers
 
     if name not in qpsolvers.available_solvers:

@@ -1,7 +1,8 @@
 """The QP's terms as `mink` tasks, over a configuration that Pinocchio backs.
 
 They say the same as `handmap_qp.ik.qp`, one term a class, so that `mink.build_ik` composes them with tasks of your own (subclass
-`mink.Task`). mink's error convention holds: a task asks for `J dq = -gain * error`.
+`mink.Task`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its Levenberg-Marquardt term too: every task
+adds `lm_damping |W error|^2` to the whole diagonal, which over the point and the wrist task sums to `IkOptions.error_damping`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import pinocchio as pin
 
 from handmap_qp.configuration import Configuration
 from handmap_qp.hand import Hand
-from handmap_qp.ik.options import ANGLE_UNIT, LENGTH_UNIT, IkOptions
+from handmap_qp.ik.costs import point_costs, wrist_costs
+from handmap_qp.ik.options import IkOptions
 
 
 class PointTask(mink.Task):
@@ -21,10 +23,11 @@ class PointTask(mink.Task):
     Args:
         targets: Where the points shall be [m], shape (m, 3).
         cost: Weight of each point's error [cost]/[m], shape (m,).
+        lm_damping: Squared cost of any motion per squared weighted error.
     """
 
-    def __init__(self, targets: np.ndarray, cost: np.ndarray) -> None:
-        super().__init__(cost=np.repeat(cost, 3))
+    def __init__(self, targets: np.ndarray, cost: np.ndarray, lm_damping: float = 0.0) -> None:
+        super().__init__(cost=np.repeat(cost, 3), lm_damping=lm_damping)
         self.targets = targets
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
@@ -43,10 +46,11 @@ class WristTask(mink.Task):
         target: Where the wrist frame shall be, shape (4, 4).
         position_cost: Weight of the translational error [cost]/[m].
         orientation_cost: Weight of the rotational error [cost]/[rad].
+        lm_damping: Squared cost of any motion per squared weighted error.
     """
 
-    def __init__(self, target: np.ndarray, position_cost: float, orientation_cost: float) -> None:
-        super().__init__(cost=np.array([position_cost] * 3 + [orientation_cost] * 3))
+    def __init__(self, target: np.ndarray, position_cost: float, orientation_cost: float, lm_damping: float = 0.0) -> None:
+        super().__init__(cost=np.array([position_cost] * 3 + [orientation_cost] * 3), lm_damping=lm_damping)
         self.target = pin.SE3(target)
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
@@ -114,8 +118,9 @@ def make_tasks(hand: Hand, options: IkOptions, point_targets: np.ndarray, wrist_
     Returns:
         Point, wrist (unless free), rest and damping task.
     """
-    tasks: list[mink.Task] = [PointTask(point_targets, options.point_weight / LENGTH_UNIT * np.sqrt(hand.point_weights))]
+    lm_damping = options.error_damping
+    tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options), lm_damping)]
     if wrist_target is not None:
-        position, orientation = options.wrist_position_weight / LENGTH_UNIT, options.wrist_orientation_weight / ANGLE_UNIT
-        tasks.append(WristTask(wrist_target, position, orientation))
+        position, orientation = wrist_costs(options)
+        tasks.append(WristTask(wrist_target, position, orientation, lm_damping))
     return [*tasks, RestTask(hand, options.rest_weight), DampingTask(hand.model.nv, options.damping)]

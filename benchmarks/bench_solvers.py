@@ -1,0 +1,207 @@
+"""Every QP solver on the same problems: time, failures, distance to the exact answer, violation, and what a warm start gains.
+
+Two sets of box-constrained problems. *Recorded*: those of a headset recording mapped to the Allegro hand, in their order, where a
+warm start can help. *Hard*: random ones, with targets out of reach, joints at and outside their limits, stretched-out singular
+postures, short and long time steps.
+
+    python benchmarks/bench_solvers.py --picture solvers.png --json solvers.json
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import common
+import numpy as np
+import pinocchio as pin
+import synthetic
+
+from handmap_qp import HandMapper, IkOptions, load_hand
+from handmap_qp.hand import Hand
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver
+from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.transform import affine
+
+_HARD = 5000
+_ROBOTS = ("allegro_right", "three_finger")
+
+
+class Problem(NamedTuple):
+    """`min 1/2 x' H x + c' x  s.t.  lower <= x <= upper`."""
+
+    H: np.ndarray
+    c: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class Recorder:
+    """A solver that keeps the problems it is given."""
+
+    def __init__(self, size: int) -> None:
+        self.problems: list[Problem] = []
+        self._solver = DaqpSolver(size)
+
+    def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
+        """As `BoxSolver.solve`."""
+        self.problems.append(Problem(H.copy(), c.copy(), lower.copy(), upper.copy()))
+        return self._solver.solve(H, c, lower, upper)
+
+
+def recorded_problems(motion: HumanMotion) -> list[Problem]:
+    """The problems that mapping a motion to the Allegro hand poses, in their order."""
+    mapper = HandMapper(motion.human, load_hand("allegro_right"))
+    recorder = Recorder(mapper.robot.model.nv)
+    mapper._ik._solver = recorder
+    for i in range(len(motion.time)):
+        mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
+    return recorder.problems
+
+
+def hard_problems(count: int, seed: int = 0) -> list[Problem]:
+    """Problems that no recording poses, for two hands in turn."""
+    rng = np.random.default_rng(seed)
+    iks = [PointIk(load_hand(name), IkOptions()) for name in _ROBOTS]
+    return [_hard_problem(iks[i % len(iks)], i // len(iks) % 4, rng) for i in range(count)]
+
+
+def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
+    hand: Hand = ik.hand
+    q = rng.uniform(hand.lower_limits, hand.upper_limits)
+    if kind == 1:  # half of the joints at a limit
+        q = np.where(rng.random(len(q)) < 0.5, np.where(rng.random(len(q)) < 0.5, hand.lower_limits, hand.upper_limits), q)
+    elif kind == 2:  # stretched out: singular
+        q = np.clip(np.zeros(len(q)), hand.lower_limits, hand.upper_limits)
+    elif kind == 3:  # outside the limits
+        q = q + rng.uniform(-0.5, 0.5, len(q))
+    ik.place(hand.configuration_vector(q))
+    targets = ik.configuration.points + rng.normal(scale=10.0 ** rng.uniform(-3.0, 0.0), size=ik.configuration.points.shape)
+    wrist = affine(pin.exp3(rng.normal(size=3)), rng.normal(scale=0.3, size=3))
+    return Problem(*ik.problem(targets, wrist, 10.0 ** rng.uniform(-3.0, -1.0)))
+
+
+def exact_answer(problem: Problem) -> np.ndarray:
+    """The minimiser to rounding: DAQP's active set, the other variables solved for directly, the KKT conditions checked."""
+    H, c, lower, upper = problem
+    start = DaqpSolver(len(c)).solve(*problem)
+    if start is None:
+        raise RuntimeError("the exact answer needs a solution to start from")
+    tolerance = 1e-9 * (1.0 + np.abs(start))
+    at_lower, at_upper = start <= lower + tolerance, start >= upper - tolerance
+    x = np.where(at_lower, lower, np.where(at_upper, upper, start))
+    free = ~(at_lower | at_upper)
+    if free.any():
+        x[free] = np.linalg.solve(H[np.ix_(free, free)], -c[free] - H[np.ix_(free, ~free)] @ x[~free])
+    slope, scale = H @ x + c, 1e-9 * np.abs(H).max()
+    ok = (x >= lower - 1e-12).all() and (x <= upper + 1e-12).all() and (np.abs(slope[free]) <= scale).all()
+    # On a bound that is hardly held, slope and distance are both zero and either side is right.
+    signs = (slope[at_lower & ~at_upper] >= -scale).all() and (slope[at_upper & ~at_lower] <= scale).all()
+    if not (ok and signs):
+        raise RuntimeError("the exact answer fails its own optimality conditions")
+    return x
+
+
+def measure(
+    make: Callable[[int], Any], problems: Sequence[Problem], answers: Sequence[np.ndarray], *, is_warm: bool
+) -> dict[str, Any]:
+    """One solver on one set of problems."""
+    solvers: dict[int, Any] = {}
+    times, distances, violations, failures = [], [], [], 0
+    for problem, answer in zip(problems, answers, strict=True):
+        size = len(problem.c)
+        if size not in solvers or not is_warm:
+            solvers[size] = make(size)
+        started = time.thread_time_ns()
+        try:
+            x = solvers[size].solve(*problem)
+        except Exception:
+            x = None  # a solver that raises has failed, whatever it raises
+        times.append(1e-3 * (time.thread_time_ns() - started))
+        if x is None or not np.isfinite(x).all():
+            failures += 1
+            continue
+        distances.append(np.abs(x - answer).max())
+        violations.append(max(0.0, (problem.lower - x).max(), (x - problem.upper).max()))
+    return {
+        "median_us": float(np.median(times)),
+        "p99_us": float(np.percentile(times, 99)),
+        "failures": failures,
+        "distance_max": float(max(distances, default=np.nan)),
+        "violation_max": float(max(violations, default=np.nan)),
+    }
+
+
+def solvers() -> list[tuple[str, Callable[[int], Any], bool]]:
+    """Name, constructor and warmth of every solver there is."""
+    import qpsolvers
+
+    rows: list[tuple[str, Callable[[int], Any], bool]] = [
+        ("daqp, native, warm", DaqpSolver, True),
+        ("daqp, native, cold", DaqpSolver, False),
+        ("proxqp, native, warm", ProxqpSolver, True),
+        ("proxqp, native, cold", ProxqpSolver, False),
+    ]
+    rows += [
+        (f"{name}, qpsolvers", lambda _, name=name: QpsolversSolver(name), False) for name in sorted(qpsolvers.available_solvers)
+    ]
+    return rows
+
+
+def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
+    """Time of every solver as bars, its distance to the exact answer and its failures beside them."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    for axes, (name, rows) in zip(figure.subplots(1, 2, sharey=True), results.items(), strict=True):
+        names, times = [row["solver"] for row in rows], [row["median_us"] for row in rows]
+        axes.barh(names, times, color=[common.PALETTE[0 if name.startswith("daqp, native") else 1] for name in names], height=0.6)
+        for i, row in enumerate(rows):
+            failed = f", {row['failures']} failed" if row["failures"] else ""
+            axes.text(
+                1.15 * row["median_us"],
+                i,
+                f"{row['median_us']:.0f} us, off by {row['distance_max']:.0e}{failed}",
+                va="center",
+                size=7.5,
+            )
+        axes.set(title=f"{name} problems", xscale="log", xlabel="median CPU time [us]", xlim=(1.0, 3e4))
+        axes.grid(axis="y", visible=False)
+    figure.axes[0].invert_yaxis()
+    return figure
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    parser = common.make_parser("Every QP solver on recorded and on hard problems.")
+    parser.add_argument("--hard", type=int, default=_HARD, help="number of hard problems")
+    arguments = common.parse_arguments(parser, words)
+    motion = synthetic.motion_or_synergies(arguments.recordings, "quest3_webxr_right")
+    if arguments.quick:
+        motion, arguments.hard = synthetic.shortened(motion, 20), 20
+    sets = {"recorded": recorded_problems(motion), "hard": hard_problems(arguments.hard)}
+    results: dict[str, list[dict[str, Any]]] = {}
+    for name, problems in sets.items():
+        answers = [exact_answer(problem) for problem in problems]
+        rows = []
+        with common.progress(f"{name} problems", len(solvers())) as advance, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what solvers warn of is counted as failure or distance
+            for label, make, is_warm in solvers():
+                rows.append({"solver": label, **measure(make, problems, answers, is_warm=is_warm)})
+                advance()
+        results[name] = rows
+        common.print_table(f"{len(problems)} {name} problems", rows, to_stderr=arguments.json == "-")
+    gain = {
+        solver: results["recorded"][i + 1]["median_us"] / results["recorded"][i]["median_us"]
+        for i, solver in ((0, "daqp"), (2, "proxqp"))
+    }
+    common.print_table("Warm start: cold time / warm time", [gain], to_stderr=arguments.json == "-")
+    common.write_json(arguments.json, "bench_solvers", {**results, "warm_start_gain": gain})
+    common.save_picture(arguments.picture, lambda: draw(results))
+
+
+if __name__ == "__main__":
+    main()

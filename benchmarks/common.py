@@ -1,0 +1,259 @@
+"""What all benchmarks share: arguments, progress, tables, JSON, facts about the machine, CPU time and the style of pictures.
+
+A benchmark is a script: `python benchmarks/bench_accuracy.py --json results.json --picture results.png`. Results go to stdout,
+progress and complaints to stderr; a mistake of the user's is one line and exit code 2.
+"""
+
+from __future__ import annotations
+
+import os
+
+# One thread, set before numpy is imported: our matrices are small, so that more threads only wait for each other.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import argparse
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[1]
+"""The checkout."""
+PACKAGES = ("handmap-qp", "pin", "daqp", "proxsuite", "osqp", "qpsolvers", "mink", "mujoco", "numpy", "scipy")
+"""Packages whose versions `facts` tells, where they are installed."""
+COLOURS = {"three_finger": "#c8452f", "allegro": "#3f6fb5"}
+"""Colours of the robots in every picture."""
+PALETTE = ("#c8452f", "#3f6fb5", "#2f7d6b", "#c48a1d", "#7a56a6", "#6b7280")
+"""Colours of anything else."""
+STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": "#8a929c",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e7eb",
+    "grid.linewidth": 0.8,
+    "xtick.color": "#8a929c",
+    "ytick.color": "#8a929c",
+    "xtick.labelcolor": "#222831",
+    "ytick.labelcolor": "#222831",
+    "text.color": "#222831",
+    "axes.labelcolor": "#222831",
+    "lines.linewidth": 1.8,
+    "legend.frameon": False,
+    "figure.dpi": 150,
+    "savefig.dpi": 150,
+    "figure.facecolor": "white",
+}
+"""matplotlib settings of every picture."""
+
+
+def make_parser(description: str) -> argparse.ArgumentParser:
+    """A parser with the arguments that every benchmark takes.
+
+    Args:
+        description: What the benchmark measures, in a sentence.
+
+    Returns:
+        The parser; a benchmark adds its own arguments.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -")
+    parser.add_argument("--picture", metavar="FILE", type=Path, help="draw the results into FILE (.png, .svg, .pdf)")
+    parser.add_argument(
+        "--recordings",
+        metavar="DIR",
+        type=Path,
+        default=Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings"),
+        help="folder of recordings of human hands; by default $HANDMAP_RECORDINGS, else ../shared/recordings",
+    )
+    parser.add_argument("--quick", action="store_true", help="few samples and settings: to see that it works, not to measure")
+    return parser
+
+
+def parse_arguments(parser: argparse.ArgumentParser, words: Sequence[str] | None = None) -> argparse.Namespace:
+    """Parse the command line and refuse files that could not be written, before any work is done.
+
+    Args:
+        parser: Of `make_parser`.
+        words: The command line; the process's own if omitted.
+
+    Returns:
+        The arguments.
+    """
+    arguments = parser.parse_args(words)
+    for option, file in (("--json", arguments.json), ("--picture", arguments.picture)):
+        if file not in (None, "-") and not Path(file).absolute().parent.is_dir():
+            stop(f"{option} {file}: there is no such folder")
+    return arguments
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """The recordings of a folder, by name; without any, one line and exit code 2."""
+    files = sorted(folder.glob("*.npz"))
+    if not files:
+        stop(f"no recordings (*.npz) in {folder}: name their folder by --recordings DIR or HANDMAP_RECORDINGS")
+    return files
+
+
+def stop(message: str) -> NoReturn:
+    """End the benchmark over a mistake of the user's."""
+    print(f"{Path(sys.argv[0]).name}: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+@contextmanager
+def progress(what: str, total: int | None) -> Iterator[Callable[[], None]]:
+    """A bar on stderr while the block runs; gives the function to call after each of `total` pieces of work."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+def print_table(title: str, rows: Sequence[dict[str, Any]], *, to_stderr: bool = False, caption: str | None = None) -> None:
+    """Print rows as a table, words flush left and numbers flush right.
+
+    Args:
+        title: Heading.
+        rows: Values by column, the same columns in each row; words are printed as they are. An empty row is a line.
+        to_stderr: Where stdout carries JSON.
+        caption: What a reader has to know.
+    """
+    columns = list(next(row for row in rows if row))
+    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
+    for column in columns:
+        is_text = any(isinstance(row[column], str) and row[column][:1].isalpha() for row in rows if row)
+        table.add_column(column, justify="left" if is_text else "right", no_wrap=True)
+    for row in rows:
+        if row:
+            table.add_row(*(_cell(row[column]) for column in columns))
+        else:
+            table.add_section()
+    # As wide as it is: a narrow terminal folds the lines, where rich would cut the numbers.
+    natural = Console(width=10_000).measure(table).maximum
+    Console(stderr=to_stderr, width=natural).print(table)
+
+
+def write_json(target: str | None, name: str, results: dict[str, Any]) -> None:
+    """Write the results with the facts about the machine, to a file or to stdout (`-`); NaN becomes null.
+
+    Args:
+        target: The argument `--json`; None writes nothing.
+        name: Name of the benchmark.
+        results: Numbers, words, lists and dictionaries of them.
+    """
+    if target is None:
+        return
+    text = json.dumps(_plain({"benchmark": name, "facts": facts(), **results}), indent=1, allow_nan=False)
+    if target == "-":
+        print(text)
+    else:
+        Path(target).write_text(text + "\n", encoding="utf-8")
+
+
+def facts() -> dict[str, Any]:
+    """What timings depend on: processor, cores, load, Python and the versions of the packages."""
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return {
+        "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "threads": os.environ["OMP_NUM_THREADS"],
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+        "versions": versions,
+    }
+
+
+def cpu_times(call: Callable[[int], Any], count: int) -> np.ndarray:
+    """CPU time of every single call in this thread, which other programs on the machine hardly touch.
+
+    Args:
+        call: What to measure; it is given the number of the call.
+        count: Number of calls.
+
+    Returns:
+        Times [s], shape (count,). Reading the clock adds some 0.3 us to each: measure what is quicker by `mean_cpu_time`.
+    """
+    times = np.empty(count)
+    for i in range(count):
+        started = time.thread_time_ns()
+        call(i)
+        times[i] = 1e-9 * (time.thread_time_ns() - started)
+    return times
+
+
+def mean_cpu_time(call: Callable[[], Any], count: int) -> float:
+    """Mean CPU time of a call over a batch [s], so that reading the clock does not count."""
+    started = time.thread_time_ns()
+    for _ in range(count):
+        call()
+    return 1e-9 * (time.thread_time_ns() - started) / count
+
+
+def save_picture(file: Path | None, draw: Callable[[], Any]) -> None:
+    """Draw the results in the benchmarks' style.
+
+    Args:
+        file: The argument `--picture`; None draws nothing.
+        draw: Makes the `matplotlib.figure.Figure`; called only where matplotlib is installed.
+    """
+    if file is None:
+        return
+    try:
+        import matplotlib
+    except ImportError:
+        stop("--picture needs matplotlib: pip install 'handmap-qp[plot]'")
+    with matplotlib.rc_context(STYLE):
+        draw().savefig(file)
+    print(f"wrote {file}", file=sys.stderr)
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """Plain Python values that JSON can hold."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

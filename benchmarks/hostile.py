@@ -1,0 +1,342 @@
+"""Random steps that no one would wish on a hand, and a tally of what came of them.
+
+`IkRun` drives the inverse kinematics alone, from postures inside, at and outside limits to targets near, far and absurd.
+`MapperRun` drives the whole mapping with samples of a human hand, some of which are no samples at all. Both count violated limits,
+numbers that are none, and exceptions that nothing documents.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp import HandmapError, HandMapper, IkOptions, MapStep, MissingExtraError, hand_names, load_hand
+from handmap_qp.hand import Hand
+from handmap_qp.hand_spec import Mount
+from handmap_qp.ik.qp import PointIk
+
+TOLERANCE = 1e-9
+"""By how much a limit may be passed [rad, m]."""
+MOST_OUTSIDE = 0.5
+"""How far outside its limits a joint may start [rad]."""
+FARTHEST = 1e9
+"""How far away things may be [m]."""
+MAPPINGS: tuple[dict[str, Any], ...] = (
+    {},
+    {"rigid_from": "wrist"},
+    {"rigid_from": "none"},
+    {"rigid_from": "wrist", "pivot": "palm", "residual_gain": 0.5},
+    {"alignment": "palm", "deformation_gain": 0.5, "scale": 2.0},
+    {"reference": "previous"},
+    {"reference": "previous", "rigid_from": "none", "ridge": 0.01},
+    {"pivot": "world", "ridge": 0.0},
+)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What came of the steps.
+
+    Attributes:
+        steps: Steps asked for.
+        position: Worst violation of a position limit [rad]; negative where none was even reached.
+        speed: Worst violation of a joint's speed limit, as a displacement [rad].
+        wrist_speed: Worst violation of a floating wrist's speed limits, as a displacement [m or rad].
+        not_finite: Answers that hold a NaN or an infinity.
+        statuses: Answers by their status.
+        refused: Documented errors by their kind.
+        undocumented: Other exceptions, and refusals that moved the hand, with where they happened: the first few of them.
+    """
+
+    steps: int = 0
+    position: float = -np.inf
+    speed: float = -np.inf
+    wrist_speed: float = -np.inf
+    not_finite: int = 0
+    statuses: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    undocumented: list[str] = field(default_factory=list)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether every limit held, every answer is made of numbers, and every exception is documented."""
+        worst = max(self.position, self.speed, self.wrist_speed)
+        return worst <= TOLERANCE and self.not_finite == 0 and not self.undocumented
+
+    def check_finite(self, *arrays: np.ndarray) -> None:
+        """Count an answer whose arrays are not all numbers."""
+        self.not_finite += not all(np.isfinite(array).all() for array in arrays)
+
+    def check_motion(self, hand: Hand, before: np.ndarray, after: np.ndarray, dt: float) -> None:
+        """Hold a motion between two of Pinocchio's configurations against the hand's limits."""
+        start, end, reach = before[hand.q_indices], after[hand.q_indices], hand.velocity_limits * dt
+        # What is outside has to come back as fast as it may.
+        above = np.maximum(start - hand.upper_limits - reach, 0.0)
+        below = np.maximum(hand.lower_limits - start - reach, 0.0)
+        excess = np.maximum(end - hand.upper_limits - above, hand.lower_limits - end - below)
+        self.position = max(self.position, float(excess.max()))
+        self.speed = max(self.speed, float((np.abs(end - start) - reach).max()))
+        if hand.is_floating:
+            twist = np.abs(pin.difference(hand.model, before, after)[:6])
+            wrist = hand.spec.wrist
+            allowed = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3) * dt
+            self.wrist_speed = max(self.wrist_speed, float((twist - allowed).max()))
+
+
+class IkRun:
+    """Steps of the inverse kinematics on one hand.
+
+    Args:
+        hand: The hand.
+        seed: Of the random numbers.
+    """
+
+    def __init__(self, hand: Hand, seed: int) -> None:
+        self.name = f"ik on {hand.name}, {hand.mount}, seed {seed}"
+        self._hand = hand
+        self._rng = np.random.default_rng(seed)
+        self._ik = PointIk(hand, IkOptions())
+        self._place()
+
+    def step(self, tally: Tally) -> None:
+        """One step into the tally."""
+        ik, rng = self._ik, self._rng
+        if rng.random() < 0.05:
+            self._place()
+        before = ik.configuration.q.copy()
+        dt = _time(rng)
+        try:
+            result = ik.solve(self._targets(), self._wrist_target(), dt)
+        except Exception as error:
+            _note(tally, self.name, error)
+            self._place()
+            return
+        tally.statuses[result.status] += 1
+        tally.check_finite(ik.configuration.q, ik.configuration.wrist.homogeneous, result.points, result.errors)
+        tally.check_motion(self._hand, before, ik.configuration.q, dt)
+
+    def _place(self) -> None:
+        hand, rng = self._hand, self._rng
+        q = rng.uniform(hand.lower_limits, hand.upper_limits)
+        kind = rng.integers(4)
+        if kind == 1:
+            q = np.where(rng.random(len(q)) < 0.5, hand.lower_limits, hand.upper_limits)
+        elif kind == 2:
+            q = np.zeros(len(q))
+        elif kind == 3:
+            q = rng.uniform(hand.lower_limits - MOST_OUTSIDE, hand.upper_limits + MOST_OUTSIDE)
+        self._ik.place(hand.configuration_vector(q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None))
+
+    def _targets(self) -> np.ndarray:
+        rng, points = self._rng, self._ik.configuration.points.copy()
+        kind = rng.integers(8)
+        if kind == 0:
+            return points
+        if kind == 1:
+            return np.tile(points.mean(axis=0), (len(points), 1))
+        if kind == 2:
+            return 2.0 * points.mean(axis=0) - points
+        size = 10.0 ** (rng.uniform(1, np.log10(FARTHEST)) if kind == 3 else rng.uniform(-4, 0))
+        return points + size * rng.normal(size=points.shape)
+
+    def _wrist_target(self) -> np.ndarray | None:
+        rng, wrist = self._rng, self._ik.configuration.wrist.homogeneous
+        kind = rng.integers(6)
+        if kind == 0:
+            return None
+        if kind == 1:
+            return wrist
+        if kind == 2:
+            # Half a turn: the logarithm has two answers.
+            return wrist @ np.diag([*rng.permutation([1.0, -1.0, -1.0]), 1.0])
+        if kind == 3:
+            return _pose(rng, 10.0 ** rng.uniform(0, 6))
+        return wrist @ pin.exp6(10.0 ** rng.uniform(-9, 0) * rng.normal(size=6)).homogeneous
+
+
+class MapperRun:
+    """Steps of the whole mapping.
+
+    Args:
+        human: The hand that leads.
+        robot: The hand that follows.
+        mapping: Choices of the mapping.
+        seed: Of the random numbers.
+    """
+
+    def __init__(self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int) -> None:
+        self.name = f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
+        self._rng = np.random.default_rng(seed)
+        self._mapper = HandMapper(human, robot, **mapping)
+        self._q, self._wrist = human.rest.copy(), np.eye(4)
+        self._last: np.ndarray | None = None
+
+    def step(self, tally: Tally) -> None:
+        """One step into the tally."""
+        mapper, rng = self._mapper, self._rng
+        before, dt = mapper._ik.configuration.q.copy(), _time(rng)
+        try:
+            if rng.random() < 0.03:
+                self._interrupt()
+            # Every hundredth sample is no sample.
+            step = self._ask_nonsense(dt) if rng.random() < 0.01 else self._ask(dt)
+        except HandmapError as error:
+            tally.refused[type(error).__name__] += 1
+            # A refused reference may have placed the hand anew, but nothing else moves it.
+            if self._last is not None and not np.array_equal(mapper._ik.configuration.q, before):
+                _note(tally, self.name, RuntimeError("moved by a refused sample"))
+            return
+        except Exception as error:
+            _note(tally, self.name, error)
+            self._last = None
+            return
+        tally.statuses[step.status] += 1
+        tally.check_finite(
+            step.command.q, step.command.wrist, step.motion, step.motion_rigid, step.motion_deformation, step.targets, step.points
+        )
+        tally.check_finite(step.residuals, step.stretches, step.point_error, step.wrist_target)
+        robot = mapper.robot
+        now = robot.configuration_vector(step.command.q, step.command.wrist if robot.is_floating else None)
+        if self._last is not None:
+            tally.check_motion(robot, self._last, now, dt)
+        self._last = now
+
+    def _interrupt(self) -> None:
+        mapper, rng = self._mapper, self._rng
+        kind = rng.integers(4)
+        if kind == 0:
+            mapper.clutch()
+        elif kind == 1:
+            mapper.release()
+        elif kind == 2:
+            self._last = None
+            mapper.reset(robot_q=rng.uniform(mapper.robot.lower_limits, mapper.robot.upper_limits))
+        else:
+            self._last = None
+            mapper.reset(self._q, self._wrist)
+
+    def _ask(self, dt: float) -> MapStep:
+        mapper, rng = self._mapper, self._rng
+        human = mapper.human
+        if rng.random() < 0.1:
+            self._q = rng.uniform(human.lower_limits, human.upper_limits)
+            self._wrist = _pose(rng, 10.0 ** rng.uniform(-2, 4))
+        else:
+            self._q = np.clip(self._q + 0.1 * rng.normal(size=len(self._q)), human.lower_limits - 0.2, human.upper_limits + 0.2)
+            self._wrist = self._wrist @ pin.exp6(0.05 * rng.normal(size=6)).homogeneous
+            self._wrist[:3, :3] = pin.Quaternion(self._wrist[:3, :3]).normalized().matrix()
+        if rng.random() < 0.8:
+            return mapper.map_step(self._q, self._wrist, dt=dt)
+        points = human.points(np.clip(self._q, human.lower_limits, human.upper_limits), self._wrist)
+        kind = rng.integers(4)
+        if kind == 0:
+            points = points + 0.01 * rng.normal(size=points.shape)
+        elif kind == 1:
+            points[:] = points[0]
+        elif kind == 2:
+            points = points[0] + np.outer(rng.normal(size=len(points)), rng.normal(size=3))
+        return mapper.map_points(points, self._wrist, dt=dt)
+
+    def _ask_nonsense(self, dt: float) -> MapStep:
+        mapper, rng = self._mapper, self._rng
+        q, wrist, points = self._q.copy(), self._wrist.copy(), mapper.human.points(mapper.human.rest)
+        kind = rng.integers(12)
+        if kind == 0:
+            q[rng.integers(len(q))] = rng.choice([np.nan, np.inf, -np.inf, 1e300])
+        elif kind == 1:
+            q = q[:-1]
+        elif kind == 2:
+            q = q + rng.choice([-1.0, 1.0]) * 4.0
+        elif kind == 3:
+            wrist[rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, FARTHEST])
+        elif kind == 4:
+            wrist[:3, :3] *= rng.choice([-1.0, 0.0, 1.01])
+        elif kind == 5:
+            return mapper.map_step("hand", wrist, dt=dt)  # type: ignore[arg-type]
+        elif kind == 6:
+            return mapper.map_step(q, wrist[:3], dt=dt)
+        elif kind == 7:
+            dt = rng.choice([0.0, -1.0, np.nan, np.inf])
+        elif kind == 8:
+            points[rng.integers(len(points))] = np.nan
+            return mapper.map_points(points, wrist, dt=dt)
+        elif kind == 9:
+            return mapper.map_points(points[:-1], wrist, dt=dt)
+        elif kind == 10:
+            return mapper.map_points(10.0 ** rng.uniform(3, np.log10(FARTHEST)) * points, wrist, dt=dt)
+        else:
+            return mapper.map_points(points, dt=dt)
+        return mapper.map_step(q, wrist, dt=dt)
+
+
+def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
+    """Runs over all hands of the package, wrists free and held, forever: the inverse kinematics and the mapping in turn."""
+    while True:
+        for i, (name, mount) in enumerate(_available_hands()):
+            robot = _hand(name, mount, (None, "fingertips_middle")[(seed + i) % 2])
+            yield IkRun(robot, seed)
+            mapping = dict(MAPPINGS[seed % len(MAPPINGS)])
+            if not robot.is_floating:
+                mapping["rigid_from"] = "none"
+            human = _hand("human_left" if robot.side == "left" else "human", "floating", "joints")
+            yield MapperRun(human, robot, mapping, seed)
+            seed += 1
+
+
+def drive(runs: Iterator[IkRun | MapperRun], steps: int, steps_per_run: int = 500) -> Iterator[Tally]:
+    """Take steps from the runs in turn.
+
+    Args:
+        runs: Of `hostile_runs`.
+        steps: How many in all.
+        steps_per_run: How many before the next run.
+
+    Yields:
+        The tally so far, after every run.
+    """
+    tally = Tally()
+    while tally.steps < steps:
+        run = next(runs)
+        for _ in range(min(steps_per_run, steps - tally.steps)):
+            run.step(tally)
+            tally.steps += 1
+        yield tally
+
+
+@cache
+def _available_hands() -> tuple[tuple[str, Mount], ...]:
+    found: list[tuple[str, Mount]] = []
+    for name in hand_names():
+        try:
+            load_hand(name)
+        except MissingExtraError:
+            continue
+        found.extend(((name, "floating"), (name, "fixed")))
+    return tuple(found)
+
+
+@cache
+def _hand(name: str, mount: Mount, points: str | None) -> Hand:
+    return load_hand(name, mount=mount, points=points)
+
+
+def _note(tally: Tally, name: str, error: Exception) -> None:
+    # A few are enough to go by.
+    if len(tally.undocumented) < 20:
+        tally.undocumented.append(f"{name}: {type(error).__name__}: {error}")
+
+
+def _time(rng: np.random.Generator) -> float:
+    """Time between samples [s]: mostly a millisecond to a tenth, sometimes absurd."""
+    return float(10.0 ** (rng.uniform(-9, 2) if rng.random() < 0.05 else rng.uniform(-3, -1)))
+
+
+def _pose(rng: np.random.Generator, distance: float) -> np.ndarray:
+    quat = rng.normal(size=4)
+    return pin.SE3(pin.Quaternion(quat / np.linalg.norm(quat)), distance * rng.normal(size=3)).homogeneous

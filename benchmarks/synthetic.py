@@ -1,0 +1,91 @@
+"""Motions and robots made to measure: for benchmarks that need no recording, or robots of any size."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import scenes
+
+from handmap_qp import Hand, HandSpec, PointSpec, load_hand, load_synergies
+from handmap_qp.hand_spec import PalmSpec, WristSpec
+from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.transform import affine
+
+_RATE = 90.0
+
+
+def synergy_motion(samples: int) -> HumanMotion:
+    """The human hand moving along its first three synergies while its wrist swings."""
+    human, synergies = load_hand("human"), load_synergies()
+    time = np.arange(samples) / _RATE
+    z = 0.6 * np.sin(2.0 * np.pi * np.outer(time, (0.5, 0.35, 0.2)))
+    q = np.clip([synergies.posture(row) for row in z], human.lower_limits, human.upper_limits)
+    wrist = np.array([affine(np.eye(3), np.array([0.2 * np.sin(t), 0.0, 0.1 * np.cos(t)])) for t in time])
+    error = np.zeros((samples, len(human.reference_points)))
+    return HumanMotion(human, time, np.full(samples, 1.0 / _RATE), q, wrist, np.ones(samples, dtype=bool), error)
+
+
+def motion_or_synergies(folder: Path, name: str) -> HumanMotion:
+    """A recording as the motion of the human's fingertips, its samples without a hand left out; synergies where it is missing."""
+    file = folder / f"{name}.npz"
+    if not file.is_file():
+        return synergy_motion(750)
+    motion = scenes.load_scene(file).motion
+    seen = {key: getattr(motion, key)[motion.valid] for key in _columns()}
+    return replace(motion, human=motion.human.with_points("fingertips"), **seen)
+
+
+def shortened(motion: HumanMotion, samples: int) -> HumanMotion:
+    """The first samples of a motion."""
+    return replace(motion, **{key: getattr(motion, key)[:samples] for key in _columns()})
+
+
+def allegro_with_points(count: int) -> Hand:
+    """The Allegro hand with reference points strewn over its links."""
+    links = [f"link_{i}.0" for i in range(16)]
+    rng = np.random.default_rng(count)
+    points = [PointSpec(f"p{i}", links[-1 - i % 16], tuple(rng.uniform(0.0, 0.03, 3).tolist())) for i in range(count)]
+    return load_hand("allegro_right", points=tuple(points))
+
+
+def comb_hand(fingers: int) -> Hand:
+    """A hand whose four-jointed fingers stand side by side like the teeth of a comb.
+
+    Args:
+        fingers: Number of fingers.
+
+    Returns:
+        A floating hand of `4 * fingers` joints, a reference point at every tip.
+    """
+    parts = ['<robot name="comb"><link name="palm"/>']
+    for finger in range(fingers):
+        parent, origin, axis = "palm", f"{0.02 * (finger - fingers / 2):.3f} 0.08 0", "0 0 1"
+        for joint in range(4):
+            child = f"f{finger}_{joint}"
+            parts.append(
+                f'<link name="{child}"/><joint name="{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+                f'<origin xyz="{origin}"/><axis xyz="{axis}"/><limit lower="-0.5" upper="1.6" velocity="8" effort="1"/></joint>'
+            )
+            parent, origin, axis = child, "0 0.03 0" if joint else "0 0 0", "-1 0 0"
+    joints = tuple(f"f{finger}_{joint}" for finger in range(fingers) for joint in range(4))
+    points = tuple(PointSpec(f"tip{finger}", f"f{finger}_3", (0.0, 0.03, 0.0)) for finger in range(fingers))
+    spec = HandSpec(
+        name=f"comb{fingers}",
+        urdf="",
+        side="right",
+        palm=PalmSpec("palm", distal=(0.0, 1.0, 0.0), dorsal=(0.0, 0.0, 1.0)),
+        wrist=WristSpec("palm"),
+        joints=joints,
+        rest={joint: 0.0 if joint.endswith("_0") else 0.5 for joint in joints},
+        points=points,
+        sets={"tips": tuple(point.name for point in points)},
+        reference="tips",
+    )
+    return Hand(spec, urdf_text="".join([*parts, "</robot>"]))
+
+
+def _columns() -> tuple[str, ...]:
+    """Fields of a motion that have one entry a sample."""
+    return tuple(field.name for field in fields(HumanMotion) if field.name != "human")

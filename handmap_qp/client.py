@@ -1,0 +1,387 @@
+"""Client of the mapping service (`handmap serve`): one file that needs numpy, msgspec and pyzmq, and may be copied anywhere.
+
+    with Client() as client:
+        client.open("allegro_right", rigid_from="wrist")
+        command = client.step(q=human_q, wrist=wrist_pose)    # every sample is answered
+        client.send(q=human_q, wrist=wrist_pose)              # or samples in and commands out, where the newest counts
+        command = client.latest(timeout=0.1)
+
+`AsyncClient` is the same with `await`. No call takes longer than the client's timeout: then it raises `ServiceTimeoutError`, and may
+simply be made again. A server that was restarted meanwhile gets the session anew, with the robot where the last command left it.
+`handmap serve --schema` describes all fields. SI and radians. A client is for one thread, or one event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time as clock
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any, NamedTuple, Self, TypeVar
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import zmq
+import zmq.asyncio
+
+PROTOCOL = 1
+"""Version of the messages."""
+ADDRESS = "tcp://127.0.0.1:5570"
+"""Where a server is by default."""
+
+_OPEN_FIELDS = frozenset(
+    "name input side hand_length lengths human_points robot_points mount ik restore max_dt time_from watchdog return_after "
+    "return_speed resume has_detail".split()
+)
+"""What `open` takes besides the robot, where it is, and the fields of MappingOptions."""
+
+Numbers = tuple[float, ...]
+Names = tuple[str, ...]
+
+
+class Pose(msgspec.Struct, frozen=True):
+    """A pose: origin [m] and unit quaternion, its scalar last."""
+
+    position: tuple[float, float, float]
+    quat_xyzw: tuple[float, float, float, float]
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """The same as (4, 4)."""
+        x, y, z, w = np.array(self.quat_xyzw) / np.linalg.norm(self.quat_xyzw)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        matrix = np.eye(4)
+        matrix[:3, :3] += 2.0 * (w * cross + cross @ cross)
+        matrix[:3, 3] = self.position
+        return matrix
+
+    @classmethod
+    def of(cls, pose: Pose | npt.ArrayLike) -> Pose:
+        """The pose of a (4, 4) matrix, or of seven numbers x y z qx qy qz qw."""
+        if isinstance(pose, Pose):
+            return pose
+        values = np.asarray(pose, dtype=float)
+        if values.shape == (7,):
+            return cls(tuple(values[:3].tolist()), tuple(values[3:].tolist()))
+        if values.shape != (4, 4):
+            raise ValueError(f"expected a pose (4, 4), or 7 numbers, got shape {values.shape}")
+        R, K = values[:3, :3], np.empty((4, 4))
+        # The quaternion is an eigenvector of this matrix (Bar-Itzhack 2000), which has no singular case.
+        K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
+        K[3, :3] = K[:3, 3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        K[3, 3] = np.trace(R)
+        return cls(tuple(values[:3, 3].tolist()), tuple(np.linalg.eigh(K)[1][:, 3].tolist()))
+
+
+class _Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
+    seq: int = 0
+
+
+class Opened(_Reply):
+    """An open session: its name, the robot's joints with limits, and where the robot is taken to be [rad]: compare it with the real one."""
+
+    name: str
+    joint_names: Names
+    lower: Numbers
+    upper: Numbers
+    speed: Numbers
+    q: Numbers
+    human_joint_names: Names
+    human_point_names: Names
+    is_floating: bool
+    stream_port: int = 0
+
+
+class Command(_Reply):
+    """What a robot's driver takes: `q` [rad] in the order of `joint_names`, the wrist's pose, and how they came about."""
+
+    name: str
+    time: float
+    server_time: float
+    joint_names: Names
+    q: Numbers
+    wrist: Pose | None
+    status: str
+    flags: Names = ()
+    point_error: Numbers = ()
+    residual: float = 0.0
+    at_limit: Names = ()
+    out_of_range: Names = ()
+    dt: float = 0.0
+    solve_time: float = 0.0
+    detail: dict[str, Any] | None = None
+
+
+class State(_Reply):
+    """How a session is, or the server."""
+
+    version: str
+    uptime: float
+    names: Names
+    mode: str = "serving"
+    counts: dict[str, int] = {}
+    robots: Names = ()
+    q: Numbers = ()
+
+
+class Done(_Reply):
+    """A request was carried out."""
+
+
+class Error(_Reply):
+    """A request was refused; the session goes on as it was."""
+
+    code: str
+    message: str
+    field: str = ""
+
+
+class ServiceError(RuntimeError):
+    """The server has refused a request: `error` says why, and names the field."""
+
+    def __init__(self, error: Error) -> None:
+        super().__init__(": ".join(part for part in (error.code, error.field, error.message) if part))
+        self.error = error
+
+
+class ServiceTimeoutError(TimeoutError):
+    """No answer came in time."""
+
+
+class CurveKeys(NamedTuple):
+    """Keys of an encrypted connection (Z85): the client's pair, and the server's public one."""
+
+    public: bytes
+    secret: bytes
+    server: bytes
+
+    @classmethod
+    def read(cls, secret_file: Path | str, server_file: Path | str) -> CurveKeys:
+        """Read what `handmap keys` made: this client's `NAME.key_secret`, and `server.key`."""
+        from zmq.auth import load_certificate
+
+        public, secret = load_certificate(secret_file)
+        if secret is None:
+            raise ValueError(f"{secret_file}: holds no secret key; expected a .key_secret file")
+        return cls(public, secret, load_certificate(server_file)[0])
+
+
+_Wait = tuple[zmq.Socket, int, float]
+"""A socket, what to wait for on it, and until when."""
+_R = TypeVar("_R", bound=_Reply)
+_Work = Generator[_Wait, bool, _R]
+"""What an exchange does, but for the waiting, which is the clients' part."""
+
+
+class _Connection:
+    """Sockets and messages: all that `Client` and `AsyncClient` share.
+
+    Args:
+        address: The server's `tcp://host:port`.
+        timeout: Most time that a call may take [s].
+        attempts: How often a request is sent in that time, each on a new connection; the server carries it out once.
+        keys: Keys of an encrypted connection.
+
+    Attributes:
+        opened: The open session; None before.
+        reopened: How often it was opened anew, because the server had lost it.
+    """
+
+    def __init__(self, address: str = ADDRESS, *, timeout: float = 2.0, attempts: int = 2, keys: CurveKeys | None = None) -> None:
+        self.address, self.timeout, self.attempts, self.keys = address, timeout, attempts, keys
+        self.opened: Opened | None = None
+        self.reopened = 0
+        self._context = zmq.Context.instance()
+        self._encode = msgspec.msgpack.Encoder().encode
+        self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
+        self._sockets: dict[str, zmq.Socket] = {}
+        self._seq = 0
+        self._request: dict[str, Any] = {}
+        self._last: Command | None = None
+
+    def _socket(self, use: str) -> zmq.Socket:
+        """The socket for `requests`, `samples` or the `stream`, made when it is first needed."""
+        if use in self._sockets:
+            return self._sockets[use]
+        address = self.address
+        socket = self._context.socket(zmq.SUB if use == "stream" else zmq.DEALER)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.RECONNECT_IVL, 50)
+        # A request waits here until there is a connection; of samples and commands, the newest one waits in the socket.
+        socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
+        if self.keys is not None:
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self.keys
+        if use == "stream":
+            opened = self._need_session()
+            address = f"{address.rpartition(':')[0]}:{opened.stream_port}"
+            socket.setsockopt(zmq.SUBSCRIBE, opened.name.encode() + b"\0")
+        socket.connect(address)
+        self._sockets[use] = socket
+        return socket
+
+    def _drop(self, *uses: str) -> None:
+        for use in uses:
+            if use in self._sockets:
+                self._sockets.pop(use).close(linger=0)
+
+    def _need_session(self) -> Opened:
+        if self.opened is None:
+            raise RuntimeError("open a session first")
+        return self.opened
+
+    def _message(self, kind: str, **fields: Any) -> dict[str, Any]:
+        self._seq += 1
+        head = {"type": kind, "protocol": PROTOCOL, "seq": self._seq, "session": self._request.get("session", "")}
+        return head | {name: value for name, value in fields.items() if value is not None}
+
+    def _sample(self, kind: str, wrist: Any, time: float | None, **human: Any) -> dict[str, Any]:
+        rows = {name: None if value is None else np.asarray(value, dtype=float).tolist() for name, value in human.items()}
+        pose = None if wrist is None else Pose.of(wrist)
+        return self._message(kind, time=clock.monotonic() if time is None else time, wrist=pose, **rows)
+
+    def _opening(self, robot: str, robot_q: Any, robot_wrist: Any, choices: dict[str, Any]) -> dict[str, Any]:
+        """The request to open a session: what is no field of it is taken for one of MappingOptions."""
+        mapping = choices.pop("mapping", {}) | {name: choices.pop(name) for name in tuple(choices) if name not in _OPEN_FIELDS}
+        q = None if robot_q is None else np.asarray(robot_q, dtype=float).tolist()
+        wrist = None if robot_wrist is None else Pose.of(robot_wrist)
+        request = self._message("open", robot=robot, mapping=mapping, robot_q=q, robot_wrist=wrist, **choices)
+        return request | {"session": secrets.token_urlsafe(24)}
+
+    def _exchange(self, request: dict[str, Any], kind: type[_R]) -> _Work[_R]:
+        """Ask, and once more in a new session if the server has lost the old one."""
+        deadline = clock.monotonic() + self.timeout
+        reply = yield from self._ask(request, deadline)
+        if isinstance(reply, Error) and reply.code == "no_session" and self._request and request["type"] not in ("open", "close"):
+            yield from self._reopen(deadline)
+            request = request | self._message(request["type"])
+            reply = yield from self._ask(request, deadline)
+        if isinstance(reply, Error):
+            raise ServiceError(reply)
+        if not isinstance(reply, kind):
+            raise ServiceError(Error(code="protocol", message=f"expected {kind.__name__}, got {type(reply).__name__}"))
+        if isinstance(reply, Opened):
+            self._enter(request, reply)
+            self._last = None
+        elif isinstance(reply, Command):
+            self._last = reply
+        return reply
+
+    def _reopen(self, deadline: float) -> _Work[_Reply]:
+        """The session anew; the robot is where the last command left it, which the server need not remember."""
+        start = {} if self._last is None else {"robot_q": self._last.q, "robot_wrist": self._last.wrist, "restore": False}
+        if not self._need_session().is_floating:
+            start.pop("robot_wrist", None)
+        again = self._request | self._message("open", **start) | {"session": secrets.token_urlsafe(24)}
+        reply = yield from self._ask(again, deadline)
+        if isinstance(reply, Error):
+            raise ServiceError(reply)
+        if isinstance(reply, Opened):
+            self._enter(self._request | {"session": again["session"]}, reply)
+            self.reopened += 1
+        return reply
+
+    def _enter(self, request: dict[str, Any], opened: Opened) -> None:
+        self._request, self.opened = request, opened
+        self._drop("stream")
+
+    def _ask(self, request: dict[str, Any], deadline: float) -> _Work[_Reply]:
+        """Send a request and wait for its answer, each time on a new connection."""
+        payload = self._encode(request)
+        for left in range(self.attempts, 0, -1):
+            now = clock.monotonic()
+            until = now + (deadline - now) / left
+            socket = self._socket("requests")
+            if (yield socket, zmq.POLLOUT, until):
+                socket.send(payload, zmq.NOBLOCK)
+                while (yield socket, zmq.POLLIN, until):
+                    reply = self._decode(socket.recv(zmq.NOBLOCK))
+                    # An answer to a request that was given up is of no use any more; 0 is a refusal to look at this one.
+                    if reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error)):
+                        return reply
+            self._drop("requests")
+        raise ServiceTimeoutError(f"{self.address}: no answer to {request['type']!r} within {self.timeout:g} s")
+
+    def _post(self, sample: dict[str, Any]) -> bool:
+        """Send a sample without waiting; False if the server has said that it does not know the session."""
+        socket = self._socket("samples")
+        if socket.poll(0):
+            reply = self._decode(socket.recv(zmq.NOBLOCK))
+            if isinstance(reply, Error) and reply.code == "no_session":
+                self._drop("samples")
+                return False
+        socket.send(self._encode(sample), zmq.NOBLOCK)
+        return True
+
+    def _take(self) -> Command | None:
+        """The newest message of the stream."""
+        reply = self._decode(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
+        if isinstance(reply, Error) and reply.code != "no_session":
+            raise ServiceError(reply)
+        if not isinstance(reply, Command):
+            return None
+        self._last = reply
+        return reply
+
+
+class Client(_Connection):
+    """A client that waits for answers. Arguments as of `_Connection`; a context manager that closes the session."""
+
+    __init__ = _Connection.__init__
+
+    def open(self, robot: str, *, robot_q: Any = None, robot_wrist: Any = None, **choices: Any) -> Opened:
+        """Open a session.
+
+        Args:
+            robot: Name of a robot hand.
+            robot_q: Joint angles where the robot is now [rad], shape (n,); at rest if omitted.
+            robot_wrist: Its wrist there: (4, 4), or x y z qx qy qz qw.
+            **choices: Other fields of `open` (`input`, `watchdog`, ...), and fields of MappingOptions (`rigid_from`, ...).
+
+        Returns:
+            What was opened.
+
+        Raises:
+            ServiceError: If the server refuses, as any other method.
+            ServiceTimeoutError: If no answer comes in time, as any other method.
+        """
+        return self._run(self._exchange(self._opening(robot, robot_q, robot_wrist, choices), Opened))
+
+    def step(self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None) -> Command:
+        """Map one sample: `q` (n,) [rad] with `wrist`, `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]."""
+        self._need_session()
+        return self._run(self._exchange(self._sample("step", wrist, time, q=q, landmarks=landmarks, points=points), Command))
+
+    def send(self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None) -> None:
+        """The same without waiting for an answer, which comes in the stream; the newest sample counts."""
+        self._need_session()
+        if not self._post(self._sample("sample", wrist, time, q=q, landmarks=landmarks, points=points)):
+            self._run(self._reopen(clock.monotonic() + self.timeout))
+            self._post(self._sample("sample", wrist, time, q=q, landmarks=landmarks, points=points))
+
+    def latest(self, timeout: float = 0.0) -> Command | None:
+        """The newest command of the stream; None if none has come since the last call, nor does within `timeout` [s]."""
+        has_one = self._wait(self._socket("stream"), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout))
+        return self._take() if has_one else None
+
+    def clutch(self) -> None:
+        """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
+        self._run(self._exchange(self._message("clutch"), Done))
+
+    def release(self) -> None:
+        """Let go: the robot holds still until `clutch`."""
+        self._run(self._exchange(self._message("release"), Done))
+
+    def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> None:
+        """Start anew, from where the robot is said to be; else it goes to rest, within its limits."""
+        q, wrist = None if robot_q is None else np.asarray(robot_q, dtype=float).tolist(), robot_wrist
+        pose = None if wrist is None else Pose.of(wrist)
+        self._run(self._exchange(self._message("reset", robot_q=q, robot_wrist=pose), Done))
+
+    def status(self) -> State:
+        """How the session is; the server, if none is open."""
+        return self._run(self._exchange(self._message("status"), State))
+
+    def close(self) -> None:
+        """End the session, if one is open and the server can be reached, and let go of the sockets."""

@@ -1,0 +1,168 @@
+"""The same QP from another library: the hand's URDF compiled for MuJoCo, with mink's own `FrameTask`s and limits.
+
+Kinematics, Jacobians, logarithms, tasks and limits are all MuJoCo's and mink's, so that agreement with `handmap_qp.ik.qp` is
+evidence for both. Two things differ between the libraries and are mapped here:
+
+- The tangent space. Pinocchio's free-flyer moves by a body twist, MuJoCo's free joint by a linear velocity in world axes and an
+  angular one in body axes; and each orders the joints its own way. `tangent_map` holds the (orthogonal) matrix.
+- A point task. mink has none, and the error of a `FrameTask` without orientation cost is a translation in the frame's own axes,
+  which turn with the frame: the derivative of its SE(3) logarithm is `J_point + 1/2 [e]x J_angular`, not `J_point`. The extra term
+  is of the order of the error e, so all right-hand sides are multiplied by the same small number (`SHRINK`): targets of points are
+  brought nearer, mink's gains, the limits' gain and the time do the rest. A QP's solution shrinks exactly with its right-hand
+  sides, so dividing by the same number gives the step, with the extra term `SHRINK` times smaller. (mink 1.3 drops the term of its
+  own accord where the rotation left is below 1e-5 rad, which happens to suit point tasks of any length; with the exact derivative
+  targets at full size are off by up to 0.05 rad, and shrunk ones by 2e-7. For the same reason a wrist whose orientation has
+  arrived before its position gets a slightly different step from mink.)
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import mink
+import mujoco
+import numpy as np
+import qpsolvers
+
+from handmap_qp.hand import Hand
+from handmap_qp.ik.costs import point_costs, wrist_costs
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.urdf_text import parse_urdf
+
+SHRINK = 3e-6
+"""By how much all right-hand sides are scaled. Smaller ones drown in rounding, larger ones let a point task's rotation show."""
+
+_MOUNT = "mujoco_mount"
+# Only kinematics are asked for; MuJoCo wants masses all the same. It would fuse links without joints into their parents.
+_COMPILER = {"fusestatic": "false", "boundmass": "1", "boundinertia": "1", "discardvisual": "true", "autolimits": "true"}
+
+
+class MujocoIk:
+    """Poses the QP of `handmap_qp.ik.qp.PointIk` with mink on MuJoCo.
+
+    Position and speed limits are mink's stacked rows, which contradict each other where a joint is outside its limits by more than
+    its speed allows to make good; there is no answer then.
+
+    Args:
+        hand: The hand.
+        options: Weights, as of `PointIk`.
+        shrink: See the module's text.
+
+    Attributes:
+        model: MuJoCo's model; its sites are the reference points.
+    """
+
+    def __init__(self, hand: Hand, options: IkOptions, *, shrink: float = SHRINK) -> None:
+        self.hand = hand
+        self.options = options
+        self.shrink = shrink
+        self.model = mujoco_model(hand)
+        self._configuration = mink.Configuration(self.model)
+        joints = [self.model.joint(name) for name in hand.joint_names]
+        self._q_indices = np.array([joint.qposadr[0] for joint in joints])
+        self._v_indices = np.array([joint.dofadr[0] for joint in joints])
+        # mink adds a task's lm_damping times its squared weighted error, which is shrunk here.
+        lm_damping = options.error_damping / shrink**2
+        self._points = [
+            mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0, lm_damping=lm_damping)
+            for point, cost in zip(hand.reference_points, point_costs(hand, options), strict=True)
+        ]
+        self._wrist = mink.FrameTask(hand.spec.wrist.link, "body", *wrist_costs(options), gain=shrink, lm_damping=lm_damping)
+        self._rest = mink.PostureTask(self.model, options.rest_weight, gain=shrink)
+        rest = self.model.qpos0.copy()
+        rest[self._q_indices] = hand.rest
+        self._rest.set_target(rest)
+        self._limits = self._make_limits()
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the model at a configuration.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+        """
+        self._configuration.update(self.qpos(q))
+
+    def qpos(self, q: np.ndarray) -> np.ndarray:
+        """MuJoCo's configuration for Pinocchio's, shape (model.nq,)."""
+        qpos = self.model.qpos0.copy()
+        if self.hand.is_floating:
+            qpos[:3] = q[:3]
+            qpos[3:7] = q[[6, 3, 4, 5]]
+        qpos[self._q_indices] = q[self.hand.q_indices]
+        return qpos
+
+    def tangent_map(self) -> np.ndarray:
+        """Matrix from Pinocchio's displacement to MuJoCo's at the present configuration, orthogonal, shape (nv, nv)."""
+        T = np.zeros((self.model.nv, self.model.nv))
+        if self.hand.is_floating:
+            T[:3, :3] = self._configuration.get_transform_frame_to_world(self._root, "body").rotation().as_matrix()
+            T[3:6, 3:6] = np.eye(3)
+        T[self._v_indices, self.hand.v_indices] = 1.0
+        return T
+
+    def problem(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> qpsolvers.Problem:
+        """The QP of one iteration at the present configuration, in MuJoCo's tangent space.
+
+        Args:
+            point_targets: Where the reference points shall be [m], shape (m, 3).
+            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+            dt: Time for the displacement [s].
+
+        Returns:
+            The problem, its right-hand sides at full size.
+        """
+        tasks: list[mink.Task] = [*self._points, self._rest]
+        for task, target in zip(self._points, point_targets, strict=True):
+            here = self._configuration.get_transform_frame_to_world(task.frame_name, "site")
+            near = here.translation() + self.shrink * (target - here.translation())
+            task.set_target(mink.SE3.from_rotation_and_translation(here.rotation(), near))
+        if wrist_target is not None:
+            self._wrist.set_target(mink.SE3.from_matrix(wrist_target))
+            tasks.append(self._wrist)
+        # Not mink's DampingTask: it spares the floating base.
+        damping = self.options.damping**2
+        problem = mink.build_ik(self._configuration, tasks, self.shrink * dt, damping=damping, limits=self._limits)
+        h = None if problem.h is None else problem.h / self.shrink
+        return qpsolvers.Problem(problem.P, problem.q / self.shrink, problem.G, h)
+
+    def displacement(self, dq: np.ndarray) -> np.ndarray:
+        """Pinocchio's displacement for MuJoCo's at the present configuration, shape (nv,)."""
+        return self.tangent_map().T @ dq
+
+    @property
+    def _root(self) -> str:
+        return self.model.body(int(self.model.jnt_bodyid[0])).name
+
+    def _make_limits(self) -> list[mink.Limit]:
+        limits: list[mink.Limit] = [mink.ConfigurationLimit(self.model, gain=self.shrink)]
+        if self.options.has_velocity_limits:
+            speeds = dict(zip(self.hand.joint_names, self.hand.velocity_limits, strict=True))
+            limits.append(mink.VelocityLimit(self.model, speeds))
+            if self.hand.is_floating:
+                wrist = self.hand.spec.wrist
+                limits.append(mink.FreeJointVelocityLimit(self.model, wrist.max_linear_speed, wrist.max_angular_speed))
+        return limits
+
+
+# mujoco's classes come from a binary module without type information.
+def mujoco_model(hand: Hand) -> mujoco.MjModel:  # type: ignore[name-defined]
+    """The hand's kinematics as a MuJoCo model.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        The compiled model: a free joint first where the wrist floats, then the URDF's joints in the file's order, the URDF's links
+        as bodies and the reference points as sites.
+    """
+    robot = parse_urdf(hand.urdf_text)
+    for link in robot.iterfind("link"):
+        for part in list(link):
+            link.remove(part)
+    ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", _COMPILER)
+    spec = mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))  # type: ignore[attr-defined]
+    if hand.is_floating:
+        spec.worldbody.first_body().add_freejoint()
+    for point in hand.reference_points:
+        spec.body(point.link).add_site(name=f"{_MOUNT}/{point.name}", pos=point.xyz)
+    return spec.compile()

@@ -1,0 +1,130 @@
+"""The QP as published: built by `mink.build_ik`, solved by `qpsolvers`.
+
+The slow way, which `handmap_qp.ik.qp` is tested against, and the one to extend: pass tasks and limits of your own.
+
+    problem = build_problem(hand, options, configuration, point_targets, wrist_target, dt)
+    dq = qpsolvers.solve_problem(problem, solver="daqp").x
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mink
+import numpy as np
+import qpsolvers
+from scipy.sparse import csc_matrix
+
+from handmap_qp.configuration import Configuration
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hand import Hand
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.tasks import make_tasks
+
+# What it takes for an answer nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6, and quadprog needs nothing.
+# Interior-point methods (clarabel, piqp) report failure when asked for more.
+EXACT: dict[str, dict[str, Any]] = {
+    "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
+    "daqp": {"primal_tol": 1e-12},
+    "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000, "raise_error": False},
+    "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "eps_duality_gap_abs": 1e-10, "eps_duality_gap_rel": 0.0},
+    "proxqp": {"eps_abs": 1e-11, "eps_rel": 0.0},
+}
+
+
+class BoxLimit(mink.Limit):
+    """Position, speed and acceleration limits as rows `[I; -I] dq <= [upper; -lower]`, infinite ones left out.
+
+    Args:
+        limits: The box.
+
+    Attributes:
+        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; None at rest.
+    """
+
+    def __init__(self, limits: BoxLimits) -> None:
+        self._limits = limits
+        self.previous_velocity: np.ndarray | None = None
+
+    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
+        """Rows of the box at this configuration, the upper bounds first."""
+        lower, upper = self._limits.bounds(configuration.q, dt, self.previous_velocity)
+        eye = np.eye(len(upper))
+        G, h = np.vstack([eye, -eye]), np.concatenate([upper, -lower])
+        finite = np.isfinite(h)
+        return mink.Constraint(G[finite], h[finite]) if finite.any() else mink.Constraint()
+
+
+class SelfCollisionLimit(mink.Limit):
+    """Self-collision avoidance as the rows of `CollisionLimit.feasible_rows`.
+
+    Args:
+        collision: The pairs to keep apart.
+        box: The limits that the rows must not contradict; the ones that go into the same problem.
+    """
+
+    def __init__(self, collision: CollisionLimit, box: BoxLimits) -> None:
+        self._collision = collision
+        self._box = box
+
+    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
+        """A row a pair."""
+        return mink.Constraint(*self._collision.feasible_rows(configuration, *self._box.bounds(configuration.q, dt)))
+
+
+def build_problem(
+    hand: Hand,
+    options: IkOptions,
+    configuration: Configuration,
+    point_targets: np.ndarray,
+    wrist_target: np.ndarray | None,
+    dt: float,
+    *,
+    extra_tasks: Sequence[mink.Task] = (),
+    limits: Sequence[mink.Limit] | None = None,
+) -> qpsolvers.Problem:
+    """The QP of one iteration at a configuration.
+
+    Args:
+        hand: The hand.
+        options: The weights.
+        configuration: Of the hand, updated to where it is.
+        point_targets: Where the reference points shall be [m], shape (m, 3).
+        wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+        dt: Time for the displacement [s].
+        extra_tasks: Further terms of the cost.
+        limits: In place of the box of position and speed limits.
+
+    Returns:
+        The problem in dq, shape (nv,).
+    """
+    tasks = [*make_tasks(hand, options, point_targets, wrist_target), *extra_tasks]
+    if limits is None:
+        limits = [BoxLimit(BoxLimits(hand, has_velocity_limits=options.has_velocity_limits))]
+    # Our configuration offers what build_ik and our tasks read of mink's own, which is one of MuJoCo.
+    return mink.build_ik(configuration, tasks, dt, damping=0.0, limits=limits)  # type: ignore[arg-type]
+
+
+def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:
+    """The minimiser, as exactly as the solver can.
+
+    Args:
+        problem: The QP.
+        solver: Any that `qpsolvers` finds.
+
+    Returns:
+        Displacement, shape (nv,); None where the solver found none.
+
+    Raises:
+        InvalidOptionsError: If no such solver is installed.
+    """
+    if solver not in qpsolvers.available_solvers:
+        raise InvalidOptionsError(f"solver: expected one of {', '.join(qpsolvers.available_solvers)}; got {solver!r}")
+    if solver not in qpsolvers.dense_solvers:
+        G = None if problem.G is None else csc_matrix(problem.G)
+        problem = qpsolvers.Problem(csc_matrix(problem.P), problem.q, G, problem.h)
+    solution = qpsolvers.solve_problem(problem, solver=solver, **EXACT.get(solver, {}))
+    return solution.x if solution.found else None

@@ -1,0 +1,137 @@
+"""`handmap serve` and `handmap keys`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+
+
+@dataclass(frozen=True)
+class Serve:
+    """Offer the mapper to trackers and robots as a service, over ZeroMQ and WebSocket.
+
+    Listens on loopback, prints one line of JSON with its ports when it is ready, and logs JSON lines on stderr. The messages are
+    described by `handmap serve --schema`; `handmap_qp/client.py` is a client in one file, to be copied anywhere.
+
+    Attributes:
+        host: Address to listen on; any but loopback needs --keys.
+        port: Port of requests and samples; 0 lets the system choose, as below.
+        stream_port: Port of the stream of commands.
+        health_port: Port of /metrics and /health, on loopback; -1 for none.
+        keys: Folder that `handmap keys` made: connections are encrypted, and only its clients come in.
+        web: Open the WebSocket door.
+        web_host: Its address; any but loopback needs --web-token-file, --web-certificate and --web-key.
+        web_port: Its port.
+        web_token_file: File with the token that WebSocket clients must present.
+        web_certificate: PEM file of the TLS certificate.
+        web_key: PEM file of its key.
+        web_origin: Further origins of pages that may connect.
+        state: File that keeps the postures last commanded, for sessions that ask to be restored after a restart.
+        hand: Further robot hands that clients may open: paths of hand.yaml files.
+        sessions: Sessions open at a time.
+        rate: Messages a second from one connection.
+        idle: Close a session that is not heard of for so long [s].
+        simulated_time: Let sessions count speed limits in their clients' time; not for real robots.
+        log_level: What to log.
+        schema: Print the description of all messages, and end.
+        json_schema: Print their JSON schema, and end.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 5570
+    stream_port: int = 5571
+    health_port: int = 5573
+    keys: Path | None = None
+    web: bool = False
+    web_host: str = "127.0.0.1"
+    web_port: int = 5572
+    web_token_file: Path | None = None
+    web_certificate: Path | None = None
+    web_key: Path | None = None
+    web_origin: tuple[str, ...] = ()
+    state: Path | None = None
+    hand: tuple[Path, ...] = ()
+    sessions: int = 64
+    rate: float = 2000.0
+    idle: float = 60.0
+    simulated_time: bool = False
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    schema: bool = False
+    json_schema: bool = False
+
+    def run(self) -> None:
+        """Serve until SIGINT or SIGTERM."""
+        if self.schema or self.json_schema:
+            from handmap_qp.service.schema import json_schema, schema_text
+
+            print(json_schema() if self.json_schema else schema_text())
+            return
+        try:
+            from handmap_qp.service.run import run_server
+            from handmap_qp.service.server import Settings
+            from handmap_qp.service.websocket import WebSettings
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(str(error.name), "service") from error
+        from handmap_qp.service.caps import Caps
+
+        if self.sessions < 1 or not (self.rate > 0.0 and self.idle > 0.0):
+            raise InvalidInputError("--sessions, --rate and --idle: expected numbers > 0")
+        web = None
+        if self.web:
+            token = None if self.web_token_file is None else _read_token(self.web_token_file)
+            web = WebSettings(self.web_host, self.web_port, token, self.web_certificate, self.web_key, self.web_origin)
+        settings = Settings(
+            host=self.host,
+            port=self.port,
+            stream_port=self.stream_port,
+            health_port=None if self.health_port < 0 else self.health_port,
+            keys=self.keys,
+            web=web,
+            state=self.state,
+            hands=self.hand,
+            caps=Caps(
+                sessions=self.sessions,
+                rate=self.rate,
+                total_rate=10.0 * self.rate,
+                idle=self.idle,
+                allows_client_time=self.simulated_time,
+            ),
+        )
+        run_server(settings, self.log_level)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Make the keys that `handmap serve --keys` needs; keys that are there stay.
+
+    Give each client its NAME.key_secret and server.key; take a client's right away by deleting clients/NAME.key.
+
+    Attributes:
+        folder: Where to put them.
+        client: Names of clients.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    client: tuple[str, ...] = field(default=("client",))
+
+    def run(self) -> None:
+        """Make them and say which."""
+        try:
+            from handmap_qp.service.keys import make_keys
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(str(error.name), "service") from error
+
+        for file in make_keys(self.folder, self.client):
+            print(f"wrote {file}")
+
+
+def _read_token(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"--web-token-file {file}: cannot be read: {error}") from error

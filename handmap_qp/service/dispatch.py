@@ -1,0 +1,283 @@
+"""From messages to sessions and back: decoding, rate limits, repeated requests, answers. It knows no sockets.
+
+A transport hands every message to `receive` with a way to answer, and hears of all that goes into streams through
+`sessions.publish`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable
+from importlib.metadata import version
+from logging import ERROR, INFO
+
+from handmap_qp.errors import RefusedError
+from handmap_qp.service.caps import Caps, RateLimit
+from handmap_qp.service.logs import Throttle
+from handmap_qp.service.messages import (
+    AnyReply,
+    AnyRequest,
+    Clutch,
+    Command,
+    Done,
+    Error,
+    Open,
+    Opened,
+    Release,
+    Reset,
+    Sample,
+    State,
+    Status,
+    Step,
+    Subscribe,
+    decode_request,
+    encode_reply,
+)
+from handmap_qp.service.metrics import Metrics
+from handmap_qp.service.opening import HandShelf
+from handmap_qp.service.session import Session
+from handmap_qp.service.sessions import Sessions
+from handmap_qp.service.store import PostureStore
+
+Answer = Callable[[bytes], None]
+"""How a transport takes an answer; it must not wait."""
+
+_MOST_REPEATS = 8
+
+
+class Dispatcher:
+    """Answers messages.
+
+    Args:
+        caps: What clients are allowed.
+        shelf: The hands there are.
+        metrics: Where to count.
+        store: Where to note what was commanded, if anywhere.
+        clock: Monotonic clock [s].
+
+    Attributes:
+        sessions: The open sessions.
+        stream_port: What `opened` tells clients.
+    """
+
+    def __init__(
+        self,
+        caps: Caps,
+        shelf: HandShelf,
+        metrics: Metrics,
+        *,
+        store: PostureStore | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.sessions = Sessions(caps, shelf, metrics, store, clock)
+        self.stream_port = 0
+        self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
+        self._version = version("handmap-qp")
+        self._started = clock()
+        self._rates = RateLimit(caps, self._started)
+        self._pending: dict[str, tuple[Sample, Answer, bool]] = {}
+        self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._refusals, self._bugs = Throttle(), Throttle()
+        metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
+        metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
+
+    def receive(
+        self,
+        payload: bytes,
+        peer: Hashable,
+        answer: Answer,
+        *,
+        is_json: bool = False,
+        subscribe: Callable[[str], None] | None = None,
+    ) -> None:
+        """Take a message; to be called from the event loop.
+
+        Args:
+            payload: What came over the wire.
+            peer: The connection that it came from.
+            answer: Called with the answer, now or later; not at all for a streamed sample that can be used.
+            is_json: Whether message and answer are JSON.
+            subscribe: How the connection takes streams; None where it does not.
+        """
+        now = self._clock()
+        self._metrics.counts["requests"] += 1
+        if not self._rates.take(peer, now):
+            self._metrics.refusals["rate"] += 1
+            if self._rates.may_tell(peer, now):
+                answer(encode_reply(Error(code="rate", message="too many messages"), is_json=is_json))
+            return
+        request = decode_request(payload, is_json=is_json)
+        if isinstance(request, Error):
+            self._count(request)
+            answer(encode_reply(request, is_json=is_json))
+        elif isinstance(request, Sample):
+            if not self._pending:
+                asyncio.get_running_loop().call_soon(self.flush)
+            elif request.session in self._pending:
+                self._metrics.counts["replaced"] += 1
+            self._pending[request.session] = request, answer, is_json
+        elif isinstance(request, Open):
+            self._receive_open(request, payload, answer, is_json)
+        elif isinstance(request, Subscribe):
+            answer(encode_reply(self._subscribe(request, subscribe), is_json=is_json))
+        elif isinstance(request, Status) and not request.session:
+            answer(encode_reply(self._server_state(request.seq, now), is_json=is_json))
+        else:
+            answer(self._answer(request, payload, now, is_json))
+
+    def flush(self) -> None:
+        """Map the newest of the streamed samples that have come since the last time, one a session."""
+        pending, self._pending = self._pending, {}
+        for sample, answer, is_json in pending.values():
+            try:
+                entry = self.sessions.find(sample.session)
+            except RefusedError as error:
+                answer(encode_reply(self._refusal(sample.seq, error), is_json=is_json))
+                continue
+            if sample.seq <= entry.seq:
+                entry.session.counts["stale"] += 1
+                continue
+            entry.seq, entry.payload = sample.seq, b""
+            reply = self._carry_out(entry.session, sample, self._clock())
+            if isinstance(reply, Error):
+                self.sessions.send(entry.session.name, encode_reply(reply))
+
+    def tick(self) -> None:
+        """Let time pass: watchdogs, and sessions that have been idle too long."""
+        now = self._clock()
+        for secret, entry in list(self.sessions.entries.items()):
+            session = entry.session
+            if now - session.last_request > self._caps.idle:
+                self.sessions.end(secret, "no_session", "closed, for nothing was heard of its client")
+                continue
+            trips = session.counts["watchdog"]
+            command = session.tick(now)
+            self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+            if command is not None:
+                self._send(session, command)
+
+    async def close(self) -> None:
+        """Close all sessions."""
+        for task in self._tasks:
+            task.cancel()
+        self.sessions.close()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    # -- requests -------------------------------------------------------------------------------------------------------
+
+    def _answer(self, request: AnyRequest, payload: bytes, now: float, is_json: bool) -> bytes:
+        """The answer to a request of an open session: a new one, or the last one again."""
+        try:
+            entry = self.sessions.find(request.session)
+        except RefusedError as error:
+            return encode_reply(self._refusal(request.seq, error), is_json=is_json)
+        if request.seq == entry.seq and payload == entry.payload:
+            return entry.answer
+        if request.seq <= entry.seq:
+            stale = RefusedError("stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq")
+            return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
+        entry.seq, entry.payload = request.seq, payload
+        entry.answer = encode_reply(self._carry_out(entry.session, request, now), is_json=is_json)
+        return entry.answer
+
+    def _carry_out(self, session: Session, request: AnyRequest, now: float) -> AnyReply:
+        session.last_request = now
+        try:
+            if isinstance(request, Step):
+                command = session.step(request, now)
+                self._metrics.observe_step(self._clock() - now)
+                self._send(session, command)
+                return command
+            if isinstance(request, Status):
+                return session.state(request.seq, self._version, now)
+            if isinstance(request, Reset):
+                session.reset(request)
+            elif isinstance(request, Clutch):
+                session.clutch()
+            elif isinstance(request, Release):
+                session.release()
+            else:
+                self.sessions.end(request.session, "no_session", "closed by its client")
+            return Done(seq=request.seq)
+        except RefusedError as error:
+            return self._refusal(request.seq, error)
+        except Exception as error:
+            return self._bug(request.seq, error)
+
+    def _receive_open(self, request: Open, payload: bytes, answer: Answer, is_json: bool) -> None:
+        """Open in a task; the same request, come again meanwhile or later, gets the same answer."""
+        entry = self.sessions.entries.get(request.session)
+        if entry is not None and payload == entry.payload:
+            answer(entry.answer)
+            return
+        waiting = self._opening.get(request.session)
+        if waiting is not None and payload == waiting[0] and len(waiting[1]) < _MOST_REPEATS:
+            waiting[1].append(answer)
+            return
+        if waiting is not None or len(self._opening) >= self._caps.sessions:
+            answer(encode_reply(self._refusal(request.seq, RefusedError("busy", "too many at once")), is_json=is_json))
+            return
+        self._opening[request.session] = payload, [answer]
+        task = asyncio.get_running_loop().create_task(self._open(request, payload, is_json))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _open(self, request: Open, payload: bytes, is_json: bool) -> None:
+        reply: AnyReply
+        try:
+            session = await self.sessions.open(request, payload)
+            reply = session.opened(request.seq, self.stream_port)
+        except RefusedError as error:
+            reply = self._refusal(request.seq, error)
+        except Exception as error:
+            reply = self._bug(request.seq, error)
+        encoded = encode_reply(reply, is_json=is_json)
+        if isinstance(reply, Opened):
+            self.sessions.entries[request.session].answer = encoded
+        for answer in self._opening.pop(request.session)[1]:
+            answer(encoded)
+
+    def _send(self, session: Session, command: Command) -> None:
+        """Note and publish a command."""
+        if self._store is not None:
+            self._store.note(session.name, session.robot.name, *session.posture)
+        self.sessions.send(session.name, encode_reply(command))
+
+    def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> AnyReply:
+        if subscribe is None:
+            error = RefusedError("invalid", "connect a SUB socket to the stream's port instead", field="type")
+            return self._refusal(request.seq, error)
+        if all(entry.session.name != request.name for entry in self.sessions.entries.values()):
+            return self._refusal(request.seq, RefusedError("invalid", f"no session {request.name!r}", field="name"))
+        subscribe(request.name)
+        return Done(seq=request.seq)
+
+    def _server_state(self, seq: int, now: float) -> State:
+        return State(
+            seq=seq,
+            version=self._version,
+            uptime=now - self._started,
+            names=tuple(entry.session.name for entry in self.sessions.entries.values()),
+            counts=dict(self._metrics.counts),
+            robots=self._shelf.robots,
+        )
+
+    # -- refusals ---------------------------------------------------------------------------------------------------------
+
+    def _refusal(self, seq: int, error: RefusedError) -> Error:
+        reply = Error(seq=seq, code=error.code, message=str(error), field=error.field)
+        self._count(reply)
+        return reply
+
+    def _bug(self, seq: int, error: Exception) -> Error:
+        """An exception that nobody foresaw: the log gets it whole, the client that it happened."""
+        self._bugs.report(ERROR, "failed", error=repr(error), exception=error)
+        reply = Error(seq=seq, code="internal", message="the server failed at this request; see its log")
+        self._count(reply)
+        return reply
+
+    def _count(self, error: Error) -> None:
+        self._metrics.refusals[error.code] += 1
+        self._refusals.report(INFO, "refused", code=error.code, field=error.field, message=error.message)

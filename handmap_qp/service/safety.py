@@ -1,0 +1,142 @@
+"""What stands between a mapping and a robot: no command goes faster than the robot's speed limits, whatever was asked.
+
+A mapper keeps to its limits between its own steps. It does not know how much time has really passed, that it was reset, that the
+session before left the robot elsewhere, or that a client switched speed limits off. So every command passes a `SpeedGuard`, which
+alone owns the posture last commanded, and `StepClock` says how much time the next one may account for.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hand import Hand
+
+SHORTEST_DT = 1e-6
+"""Time granted where none has passed [s]: the robot stands still, and the mapper wants a number > 0."""
+_ROUNDING = 1e-9
+
+
+class SpeedGuard:
+    """The robot's last commanded posture.
+
+    Between two commands, no joint goes farther than its speed limit times the time granted, and a floating wrist's displacement
+    (its twist in body axes, as in the QP) keeps the limits of `hand.yaml`.
+
+    Args:
+        robot: The robot hand.
+        q: Joint angles where it is now [rad], shape (n,).
+        wrist: Wrist pose there, shape (4, 4); None if it is not known yet. Ignored where the wrist is fixed.
+
+    Attributes:
+        q: Joint angles last commanded [rad], shape (n,).
+    """
+
+    def __init__(self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> None:
+        self._robot = robot
+        self._workspace = robot.configuration()
+        self._speed = robot.model.velocityLimit.copy()
+        if robot.is_floating:
+            self._speed[:3] = robot.spec.wrist.max_linear_speed
+            self._speed[3:6] = robot.spec.wrist.max_angular_speed
+        self.q = q.copy()
+        self._wrist = wrist.copy() if wrist is not None and robot.is_floating else None
+        self._last, self._wanted = np.empty(robot.model.nq), np.empty(robot.model.nq)
+
+    @property
+    def wrist(self) -> np.ndarray | None:
+        """Wrist pose last commanded, shape (4, 4); None if a floating wrist has not been placed yet."""
+        if self._robot.is_floating:
+            return self._wrist
+        self._robot.write_configuration(self._last, self.q, np.eye(4))
+        self._workspace.place(self._last)
+        return self._workspace.wrist.homogeneous
+
+    def advance(self, q: np.ndarray, wrist: np.ndarray | None, dt: float, share: float = 1.0) -> bool:
+        """Go towards a posture as far as the limits allow.
+
+        Args:
+            q: Joint angles wanted [rad], shape (n,).
+            wrist: Wrist pose wanted, shape (4, 4); None leaves it. The first one places it.
+            dt: Time since the last command [s].
+            share: Part of the speed limits to use.
+
+        Returns:
+            Whether it got there. Numbers that are not finite are not followed.
+        """
+        if not (np.isfinite(q).all() and (wrist is None or np.isfinite(wrist).all())):
+            return False
+        if self._robot.is_floating and self._wrist is None and wrist is not None:
+            self._wrist = wrist.copy()
+        start = np.eye(4) if self._wrist is None else self._wrist
+        goal = start if wrist is None else wrist
+        self._robot.write_configuration(self._last, self.q, start)
+        self._robot.write_configuration(self._wanted, q, goal)
+        change = pin.difference(self._robot.model, self._last, self._wanted)
+        limit = self._speed * (dt * share)
+        if (np.abs(change) <= limit * (1.0 + _ROUNDING) + _ROUNDING).all():
+            self.q = q.copy()
+            self._wrist = None if self._wrist is None else goal.copy()
+            return True
+        allowed = np.clip(change, -limit, limit)
+        if self._robot.is_floating:
+            # The wrist keeps to its way: all six coordinates are slowed down alike.
+            allowed[:6] = change[:6] * (limit[:6] / np.maximum(np.abs(change[:6]), 1e-300)).min(initial=1.0)
+        reached = pin.integrate(self._robot.model, self._last, allowed)
+        self.q = reached[self._robot.q_indices].copy()
+        if self._wrist is not None:
+            self._workspace.place(reached)
+            self._wrist = self._workspace.wrist.homogeneous.copy()
+        return False
+
+
+class StepClock:
+    """How much time a command may account for.
+
+    With `time_from="server"` that is the time since the last command on the server's monotonic clock, and at most `max_dt`: time
+    stamps are looked at and never believed, so that neither a jump of the client's clock nor a burst of samples nor a pause makes
+    the robot go faster than it may, measured where commands leave. With `"client"`, for simulated time, the time stamps count.
+
+    Args:
+        max_dt: Most time that one command may account for [s].
+        time_from: Whose clock counts.
+        now: The present [s].
+    """
+
+    def __init__(self, max_dt: float, time_from: Literal["server", "client"], now: float) -> None:
+        self._max_dt = max_dt
+        self._time_from = time_from
+        self._last = now
+        self._last_sample = now
+        self._stamp: float | None = None
+
+    def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
+        """Time for the command that answers a sample.
+
+        Args:
+            stamp: The sample's time stamp [s].
+            now: The present [s].
+
+        Returns:
+            Time [s], and flags: `time_backwards`, the stamp is not later than the last one's; `time_jump`, the two clocks differ by
+            more than a second since the last sample; `dt_clamped`, more time has passed than is granted.
+        """
+        elapsed, since_sample = now - self._last, now - self._last_sample
+        stamped = since_sample if self._stamp is None else stamp - self._stamp
+        flags = []
+        if stamped <= 0.0 and self._stamp is not None:
+            flags.append("time_backwards")
+        elif abs(stamped - since_sample) > 1.0 and self._time_from == "server":
+            flags.append("time_jump")
+        self._stamp, self._last_sample, self._last = stamp, now, now
+        wanted = elapsed if self._time_from == "server" else stamped
+        if wanted > self._max_dt:
+            flags.append("dt_clamped")
+        return min(max(wanted, SHORTEST_DT), self._max_dt), flags
+
+    def grant_tick(self, now: float) -> float:
+        """Time for a command that answers no sample: the watchdog's [s]."""
+        elapsed, self._last = now - self._last, now
+        return min(max(elapsed, SHORTEST_DT), self._max_dt)

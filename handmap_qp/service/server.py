@@ -1,0 +1,240 @@
+"""`Server`: the mapping service on its sockets. ZeroMQ here; WebSocket and HTTP are started from here.
+
+    ROUTER  requests, each answered; and samples, not answered, of which the newest counts
+    PUB     the stream: commands of every session under its name, to each reader the newest
+
+Off loopback, both speak CURVE and take only the clients whose public keys lie in the keys' folder.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from logging import ERROR, INFO, WARNING
+from pathlib import Path
+from typing import Any
+
+import zmq
+import zmq.asyncio
+from zmq.auth.asyncio import AsyncioAuthenticator
+
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.keys import read_server_keys
+from handmap_qp.service.logs import Throttle, report
+from handmap_qp.service.messages import TOPIC_END
+from handmap_qp.service.metrics import Metrics, is_loopback, serve_metrics
+from handmap_qp.service.opening import HandShelf
+from handmap_qp.service.store import PostureStore
+from handmap_qp.service.websocket import WebDoor, WebSettings
+
+TICK = 0.005
+"""Time between looks at the watchdogs [s]."""
+_BATCH = 64
+"""Messages taken before others get their turn."""
+_QUEUE = 200
+"""Messages kept of a client that sends too fast, and of replies for one that reads too slowly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Where a server listens and what it takes.
+
+    Attributes:
+        host: Address to listen on; off loopback only with `keys`.
+        port: Port of requests and samples; 0 lets the system choose, here and below.
+        stream_port: Port of the stream.
+        health_port: Port of `/metrics` and `/health`, always on loopback; None for neither.
+        keys: Folder that `handmap keys` made; CURVE is spoken if given.
+        web: The WebSocket door; None for none.
+        state: File that keeps the postures last commanded; None for none.
+        hands: Further robot hands: paths of `hand.yaml` files.
+        caps: What clients are allowed.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 5570
+    stream_port: int = 5571
+    health_port: int | None = 5573
+    keys: Path | None = None
+    web: WebSettings | None = None
+    state: Path | None = None
+    hands: tuple[Path, ...] = ()
+    caps: Caps = field(default_factory=Caps)
+
+    def __post_init__(self) -> None:
+        """Refuse to be reached from elsewhere without keys.
+
+        Raises:
+            InvalidOptionsError: Saying what is missing.
+        """
+        if not is_loopback(self.host) and self.keys is None:
+            raise InvalidOptionsError(
+                f"host {self.host}: others could move the robot; off loopback, give keys (handmap keys FOLDER makes them)"
+            )
+
+
+class Server:
+    """The service.
+
+    Args:
+        settings: Where it listens and what it takes.
+
+    Attributes:
+        dispatcher: What answers messages.
+        metrics: What it counts.
+        ports: The ports in use by name, once started.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.metrics = Metrics()
+        self.ports: dict[str, int] = {}
+        self._closing = contextlib.AsyncExitStack()
+        store = None if settings.state is None else self._closing.enter_context(PostureStore(settings.state))
+        self.dispatcher = Dispatcher(settings.caps, HandShelf(settings.hands), self.metrics, store=store)
+        self._tasks: list[asyncio.Task[None]] = []
+        self._bugs = Throttle()
+        self._lag = self._worst_lag = 0.0
+        self.metrics.gauges["lag_seconds"] = lambda: max(self._lag, self._worst_lag)
+
+    async def start(self) -> None:
+        """Open all doors.
+
+        Raises:
+            InvalidInputError: If an address or file cannot be used.
+        """
+        settings, context = self.settings, zmq.asyncio.Context()
+        self._closing.callback(context.destroy, 100)
+        if settings.keys is not None:
+            self._authenticate(context, settings.keys)
+        router, stream = self._socket(context, zmq.ROUTER), self._socket(context, zmq.PUB)
+        self.ports["requests"] = _bind(router, settings.host, settings.port)
+        self.ports["stream"] = self.dispatcher.stream_port = _bind(stream, settings.host, settings.stream_port)
+        # The plain face of the same sockets: sending never waits, and a drained queue costs no task switch.
+        self._router, self._stream = zmq.Socket.shadow(router), zmq.Socket.shadow(stream)
+        self.dispatcher.sessions.publish.append(self._publish)
+        self._closing.push_async_callback(self.dispatcher.close)
+        if settings.web is not None:
+            door = WebDoor(settings.web, self.dispatcher, settings.caps)
+            self.ports["web"] = await self._closing.enter_async_context(door)
+        if settings.health_port is not None:
+            try:
+                health = await serve_metrics("127.0.0.1", settings.health_port, self.metrics, self.health)
+            except OSError as error:
+                raise InvalidInputError(f"health port {settings.health_port}: {error.strerror}") from error
+            self._closing.callback(health.close)
+            self.ports["health"] = health.sockets[0].getsockname()[1]
+        self._tasks = [asyncio.create_task(self._serve(router)), asyncio.create_task(self._tick())]
+        report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
+
+    async def stop(self) -> None:
+        """Close all sessions and doors."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._closing.aclose()
+        report(INFO, "stopped")
+
+    def health(self) -> dict[str, Any]:
+        """What the health check says."""
+        is_alive = bool(self._tasks) and not any(task.done() for task in self._tasks)
+        return {
+            "status": "ok" if is_alive else "stopped",
+            "sessions": len(self.dispatcher.sessions.entries),
+            "lag_seconds": max(self._lag, self._worst_lag),
+        }
+
+    def _socket(self, context: zmq.asyncio.Context, kind: int) -> zmq.asyncio.Socket:
+        socket = context.socket(kind)
+        socket.linger = 0
+        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.caps.message_size)
+        socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
+        socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
+        socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
+        socket.setsockopt(zmq.RCVHWM, _QUEUE)
+        socket.setsockopt(zmq.SNDHWM, _QUEUE)
+        socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
+        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader.
+        socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
+        if self.settings.keys is not None:
+            keys = read_server_keys(self.settings.keys)
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_server = keys.public, keys.secret, True
+        return socket
+
+    def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
+        """Let in only clients whose public keys lie in the folder."""
+        if not read_server_keys(folder).has_clients:
+            raise InvalidInputError(f"{folder / 'clients'}: holds no client's key (*.key), so that nobody could come in")
+        authenticator = AsyncioAuthenticator(context)
+        authenticator.start()
+        self._closing.callback(authenticator.stop)
+        authenticator.configure_curve(domain="*", location=str(folder / "clients"))
+
+    async def _serve(self, router: zmq.asyncio.Socket) -> None:
+        while True:
+            frames = await router.recv_multipart()
+            for _ in range(_BATCH):
+                self._receive(frames)
+                try:
+                    frames = self._router.recv_multipart(zmq.NOBLOCK)
+                except zmq.Again:
+                    break
+            else:
+                self._receive(frames)
+            # Samples that wait are mapped, and others get their turn.
+            await asyncio.sleep(0)
+
+    def _receive(self, frames: Sequence[bytes]) -> None:
+        """One message: a DEALER's payload, or a REQ's after an empty frame."""
+        *envelope, payload = frames
+        if len(envelope) > 2 or (len(envelope) == 2 and envelope[1]):
+            self.metrics.refusals["frames"] += 1
+            return
+        try:
+            self.dispatcher.receive(payload, envelope[0], partial(self._reply, envelope))
+        except Exception as error:
+            self._bugs.report(ERROR, "failed", error=repr(error), exception=error)
+
+    def _reply(self, envelope: list[bytes], payload: bytes) -> None:
+        try:
+            self._router.send_multipart([*envelope, payload], zmq.NOBLOCK)
+        except zmq.ZMQError:
+            self.metrics.counts["dropped"] += 1
+
+    def _publish(self, name: str, payload: bytes) -> None:
+        with contextlib.suppress(zmq.Again):
+            self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
+
+    async def _tick(self) -> None:
+        """The watchdogs' clock; also measures how late the event loop is."""
+        second = time.monotonic()
+        while True:
+            wanted = time.monotonic() + TICK
+            await asyncio.sleep(TICK)
+            now = time.monotonic()
+            self._worst_lag = max(self._worst_lag, now - wanted)
+            if now - second > 1.0:
+                if self._worst_lag > 0.1:
+                    report(WARNING, "late", seconds=round(self._worst_lag, 4))
+                second, self._lag, self._worst_lag = now, self._worst_lag, 0.0
+            try:
+                self.dispatcher.tick()
+            except Exception as error:
+                self._bugs.report(ERROR, "failed", error=repr(error), exception=error)
+
+
+def _bind(socket: zmq.asyncio.Socket, host: str, port: int) -> int:
+    """Listen; the port in use."""
+    host = "127.0.0.1" if host == "localhost" else host
+    address = f"tcp://[{host}]" if ":" in host else f"tcp://{host}"
+    try:
+        socket.bind(f"{address}:{port or '*'}")
+    except zmq.ZMQError as error:
+        raise InvalidInputError(f"{address}:{port}: {error.strerror}") from error
+    return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])

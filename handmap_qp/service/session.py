@@ -1,0 +1,348 @@
+"""One session: a human hand that leads and a robot hand that follows, without sockets or clocks of its own.
+
+    waiting -> following <-> released     what the client asked for: by samples, `release`, `clutch`
+    hold -> returning -> hold             what the watchdog makes of it while samples stay away, until the next one
+
+Every posture that leaves goes through the `SpeedGuard`. Where mapper and guard come apart for good (a return to rest, a failure
+inside the mapper), the mapper is seated where the guard is before the next sample, which is then the reference.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, Literal
+
+import numpy as np
+
+from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.hand import Hand
+from handmap_qp.samples import MapStep
+from handmap_qp.service.convert import name_joints, to_detail, to_matrix, to_pose, to_row
+from handmap_qp.service.messages import Command, Open, Opened, Reset, State, Step
+from handmap_qp.service.opening import Calibration, Hands, refused
+from handmap_qp.service.safety import SpeedGuard, StepClock
+
+HEARTBEAT = 0.1
+"""Time between commands that repeat a hold [s]."""
+RETURN_PERIOD = 1.0 / 60.0
+"""Time between commands on the way back to rest [s]."""
+START_TOLERANCE = 0.1
+"""How far outside its limits a robot may say it is [rad]: encoders do not read exactly what was commanded."""
+
+Posture = tuple[np.ndarray, np.ndarray | None]
+"""Joint angles (n,) [rad] and the wrist's pose (4, 4), None where it is not known."""
+Mode = Literal["waiting", "following", "released", "calibrating", "hold", "returning"]
+
+
+class Session:
+    """A session, driven by whoever reads messages and clocks.
+
+    Args:
+        request: What the client opened it with.
+        hands: Made of it by `prepare_hands`.
+        name: Public name.
+        now: The present on a monotonic clock [s].
+        calibration: Measures the human hand where `hands` says that it needs it.
+        start: Where the robot is; what the request says if omitted.
+
+    Attributes:
+        request: What the client opened it with.
+        name: Public name.
+        robot: The robot hand.
+        counts: How often things happened.
+        last_request: When the client was last heard of [s].
+
+    Raises:
+        RefusedError: If the robot cannot be where the request says.
+    """
+
+    def __init__(
+        self,
+        request: Open,
+        hands: Hands,
+        name: str,
+        now: float,
+        *,
+        calibration: Calibration | None = None,
+        start: Posture | None = None,
+    ) -> None:
+        self.request = request
+        self.name = name
+        self.robot = hands.mapper.robot
+        self.counts: Counter[str] = Counter()
+        self.last_request = now
+        self._hands = hands
+        self._calibration = calibration if hands.needs_measuring else None
+        q, wrist = start or (_start_angles(self.robot, request.robot_q), to_matrix(request.robot_wrist))
+        _check_wrist(self.robot, request.robot_wrist)
+        self._guard = SpeedGuard(self.robot, q, wrist)
+        self._clock = StepClock(request.max_dt, request.time_from, now)
+        self._engaged: Literal["waiting", "following", "released"] = "waiting"
+        self._watch: Literal["hold", "returning"] | None = None
+        self._is_apart = self._needs_reference = False
+        self._flags: list[str] = []
+        self._opened_at = self._last_sample = self._last_output = self._held_since = now
+        self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
+        self._seat()
+
+    @property
+    def posture(self) -> Posture:
+        """What was commanded last."""
+        return self._guard.q, self._guard.wrist
+
+    @property
+    def mode(self) -> Mode:
+        """What the robot is doing."""
+        if self._watch is not None:
+            return self._watch
+        return "calibrating" if self._calibration is not None and self._engaged == "following" else self._engaged
+
+    def opened(self, seq: int, stream_port: int) -> Opened:
+        """The answer to `open`."""
+        robot, human = self.robot, self._hands.mapper.human
+        return Opened(
+            seq=seq,
+            name=self.name,
+            joint_names=robot.joint_names,
+            lower=to_row(robot.lower_limits),
+            upper=to_row(robot.upper_limits),
+            speed=to_row(robot.velocity_limits),
+            q=to_row(self._guard.q),
+            human_joint_names=human.joint_names,
+            human_point_names=tuple(point.name for point in human.reference_points),
+            stream_port=stream_port,
+        )
+
+    def state(self, seq: int, version: str, now: float) -> State:
+        """The answer to `status`."""
+        return State(
+            seq=seq,
+            version=version,
+            uptime=now - self._opened_at,
+            names=(self.name,),
+            mode=self.mode,
+            counts=dict(self.counts),
+            q=to_row(self._guard.q),
+        )
+
+    def step(self, sample: Step, now: float) -> Command:
+        """Map one sample.
+
+        Args:
+            sample: The sample; its numbers are finite.
+            now: The present [s].
+
+        Returns:
+            The command.
+
+        Raises:
+            RefusedError: If the sample cannot be used. For robot and watchdog it is then as if it had not come.
+        """
+        try:
+            self._check_kind(sample)
+            if self._calibration is not None:
+                return self._calibrate(self._calibration, sample, now)
+            self._make_ready()
+            step, human, flags = self._map(sample, now)
+        except HandmapError as error:
+            self.counts["refused"] += 1
+            raise refused(error) from error
+        except Exception:
+            # A bug, or a number that no check foresaw: the robot stays where it is, and the mapper starts afresh from there.
+            self._is_apart = self._needs_reference = True
+            raise
+        flags = self._note(sample, now) + flags
+        if self._engaged == "following":
+            self._is_apart = not self._guard.advance(step.command.q, step.command.wrist, self._dt)
+        if self._is_apart and self._engaged == "following":
+            flags.append("slewing")
+        if step.is_clamped:
+            flags.append("stretch_clamped")
+        self.counts["steps"] += 1
+        return self._command(step.status, flags, **self._told(step, human))
+
+    def tick(self, now: float) -> Command | None:
+        """Let time pass: the watchdog.
+
+        Args:
+            now: The present [s].
+
+        Returns:
+            A command to send out, flagged `watchdog`; None where there is nothing to say.
+        """
+        if self._engaged == "waiting":
+            return None
+        if self._watch is None:
+            if now - self._last_sample <= self.request.watchdog:
+                return None
+            self._watch, self._held_since, self._last_output = "hold", now, -np.inf
+            self.counts["watchdog"] += 1
+        is_at_rest = bool((self._guard.q == self.robot.rest).all())
+        after = self.request.return_after
+        wants_return = after is not None and self._engaged == "following" and now - self._held_since >= after
+        if self._watch == "hold" and wants_return and not is_at_rest:
+            self._watch, self._last_output = "returning", now
+            self._is_apart = self._needs_reference = True
+            self._clock.grant_tick(now)
+        if now - self._last_output < (RETURN_PERIOD if self._watch == "returning" else HEARTBEAT):
+            return None
+        self._last_output, self._dt = now, 0.0
+        if self._watch == "returning":
+            self._dt = self._clock.grant_tick(now)
+            is_at_rest = self._guard.advance(self.robot.rest, None, self._dt, self.request.return_speed)
+        command = self._command(self._watch, ["watchdog", "at_rest"] if is_at_rest else ["watchdog"])
+        if is_at_rest:
+            self._watch = "hold"
+        return command
+
+    def release(self) -> None:
+        """Let the robot hold still until `clutch`."""
+        self._hands.mapper.release()
+        self._engaged = "released"
+        self._watch = "hold" if self._watch is not None else None
+
+    def clutch(self) -> None:
+        """Let the next sample be the reference; the robot goes on from where it is."""
+        if self._is_apart:
+            self._seat()
+        else:
+            self._hands.mapper.clutch()
+        self._engaged = "waiting" if self._engaged == "waiting" else "following"
+
+    def reset(self, request: Reset) -> None:
+        """Start anew.
+
+        Args:
+            request: Where the robot is now; where it does not say, the robot goes from where it is to rest, within its limits.
+
+        Raises:
+            RefusedError: If the robot cannot be there.
+        """
+        if request.robot_q is None and request.robot_wrist is None:
+            self._seat(self.robot.rest)
+            self._is_apart = True
+        else:
+            _check_wrist(self.robot, request.robot_wrist)
+            q = self._guard.q if request.robot_q is None else _start_angles(self.robot, request.robot_q)
+            wrist = self._guard.wrist if request.robot_wrist is None else to_matrix(request.robot_wrist)
+            self._guard = SpeedGuard(self.robot, q, wrist)
+            self._seat()
+            self._flags.append("restarted")
+        self._engaged = "waiting" if self._engaged == "waiting" else "following"
+
+    # -- the way of one sample ------------------------------------------------------------------------------------------
+
+    def _check_kind(self, sample: Step) -> None:
+        """Refuse samples of another kind than the session was opened for."""
+        wanted = self.request.input
+        for kind in ("q", "landmarks", "points"):
+            is_given = getattr(sample, kind) is not None
+            if is_given != (kind == wanted):
+                message = f"this session was opened for {wanted}" if is_given else "missing; this session was opened for it"
+                raise RefusedError("invalid", message, field=kind)
+        if wanted == "q" and sample.wrist is None:
+            raise RefusedError("invalid", "missing; it must come with q", field="wrist")
+        if wanted == "landmarks" and sample.wrist is not None:
+            raise RefusedError("invalid", "it follows from the landmarks; leave it out", field="wrist")
+
+    def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
+        """Gather landmarks until the human hand has been measured; the robot holds still meanwhile."""
+        landmarks = np.array(sample.landmarks)
+        if landmarks.shape != (21, 3):
+            raise RefusedError("invalid", f"expected 21 points, got {len(landmarks)}", field="landmarks")
+        hands = calibration.add(landmarks)
+        flags = self._note(sample, now)
+        self._dt, _ = self._clock.grant(sample.time, now)
+        command = self._command("calibrating", flags)
+        if hands is not None:
+            is_released = self._engaged == "released"
+            self._hands, self._calibration = hands, None
+            self._seat()
+            if is_released:
+                hands.mapper.release()
+        return command
+
+    def _make_ready(self) -> None:
+        """Seat the mapper where it has to start anew: after a failure or a return to rest, or a hold if so asked."""
+        wants_clutch = self._watch is not None and self.request.resume == "clutch"
+        if self._engaged != "released" and (self._needs_reference or wants_clutch):
+            self._seat()
+
+    def _map(self, sample: Step, now: float) -> tuple[MapStep, Posture, list[str]]:
+        """The mapper's answer, the human's joint angles (empty if unknown) and wrist, and the clock's flags."""
+        mapper, fitter = self._hands.mapper, self._hands.fitter
+        q, wrist = np.array(sample.q or (), dtype=float), to_matrix(sample.wrist)
+        if fitter is not None:
+            q, wrist, _ = fitter.fit(np.array(sample.landmarks))
+        self._dt, flags = self._clock.grant(sample.time, now)
+        if sample.points is not None:
+            step = mapper.map_points(sample.points, wrist, dt=self._dt)
+        else:
+            step = mapper.map_step(q, np.eye(4) if wrist is None else wrist, dt=self._dt)
+        return step, (q, wrist), flags
+
+    def _note(self, sample: Step, now: float) -> list[str]:
+        """A sample that can be used has come: end what the watchdog did. Flags for its command."""
+        flags, self._flags = self._flags, []
+        if self._watch is not None:
+            flags.append("resumed")
+        self._watch = None
+        self._engaged = "following" if self._engaged == "waiting" else self._engaged
+        self._last_sample = self._last_output = now
+        self._stamp, self._seq = sample.time, sample.seq
+        return flags
+
+    def _seat(self, q: np.ndarray | None = None) -> None:
+        """Put the mapper where the guard is (its joints elsewhere, if given); the next sample is the reference."""
+        robot = self.robot
+        angles = np.clip(self._guard.q if q is None else q, robot.lower_limits, robot.upper_limits)
+        self._hands.mapper.reset(robot_q=angles, robot_wrist=self._guard.wrist if robot.is_floating else None)
+        self._is_apart = self._needs_reference = False
+
+    def _told(self, step: MapStep, human: Posture) -> dict[str, Any]:
+        """What a command says about the mapping."""
+        residuals = step.residuals
+        return {
+            "point_error": to_row(step.point_error),
+            "residual": float(np.sqrt(residuals.dot(residuals) / len(residuals))),
+            "at_limit": name_joints(self.robot, step.at_limit),
+            "out_of_range": step.out_of_range,
+            "solve_time": step.duration,
+            "detail": to_detail(step, human[0] if len(human[0]) else None, human[1]) if self.request.has_detail else None,
+        }
+
+    def _command(self, status: str, flags: list[str], **told: Any) -> Command:
+        return Command(
+            seq=self._seq,
+            name=self.name,
+            time=self._stamp,
+            server_time=self._last_output,
+            joint_names=self.robot.joint_names,
+            q=to_row(self._guard.q),
+            wrist=to_pose(self._guard.wrist),
+            status=status,
+            flags=tuple(flags),
+            dt=self._dt,
+            **told,
+        )
+
+
+def _start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
+    """Where the robot says it is, or rest."""
+    if robot_q is None:
+        return robot.rest.copy()
+    if len(robot_q) != len(robot.joint_names):
+        raise RefusedError("invalid", f"expected {len(robot.joint_names)} angles, got {len(robot_q)}", field="robot_q")
+    q = np.array(robot_q)
+    outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
+    worst = int(np.argmax(outside))
+    if outside[worst] > START_TOLERANCE:
+        limits = f"[{robot.lower_limits[worst]:.6g}, {robot.upper_limits[worst]:.6g}]"
+        message = f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, expected within {START_TOLERANCE:g} rad of {limits}"
+        raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
+    return q
+
+
+def _check_wrist(robot: Hand, wrist: Any) -> None:
+    if wrist is not None and not robot.is_floating:
+        raise RefusedError("invalid", f"{robot.name} has a fixed wrist, which stays where it is", field="robot_wrist")

@@ -1,0 +1,175 @@
+"""The open sessions of a server: opening, finding and ending them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from logging import INFO
+
+from handmap_qp.errors import RefusedError
+from handmap_qp.service.caps import Bucket, Caps
+from handmap_qp.service.logs import report
+from handmap_qp.service.messages import Error, Open, encode_reply
+from handmap_qp.service.metrics import Metrics
+from handmap_qp.service.opening import Calibration, HandShelf, prepare_hands
+from handmap_qp.service.session import Posture, Session
+from handmap_qp.service.store import PostureStore
+
+_SHORTEST_SECRET = 16
+_REMEMBERED = 1024
+
+Publish = Callable[[str, bytes], None]
+"""Takes a session's name and a message of its stream (msgpack)."""
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """A session, and the request answered last with its answer, which is repeated when the same request comes again.
+
+    Attributes:
+        session: The session.
+        seq: Number of the request.
+        payload: The request itself.
+        answer: Its answer.
+    """
+
+    session: Session
+    seq: int
+    payload: bytes
+    answer: bytes = b""
+
+
+class Sessions:
+    """The open sessions.
+
+    Args:
+        caps: What clients are allowed.
+        shelf: The hands there are.
+        metrics: Where to count.
+        store: Where the postures of former sessions are, if they are kept.
+        clock: Monotonic clock [s].
+
+    Attributes:
+        entries: Sessions by their secrets.
+        publish: Who hears of what goes into streams.
+    """
+
+    def __init__(
+        self, caps: Caps, shelf: HandShelf, metrics: Metrics, store: PostureStore | None, clock: Callable[[], float]
+    ) -> None:
+        self.entries: dict[str, Entry] = {}
+        self.publish: list[Publish] = []
+        self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
+        # One thread: what is slow shall be slow for those who open sessions, and not take the processor from those who have one.
+        self._executor = ThreadPoolExecutor(1, "handmap-open")
+        self._opens = Bucket(caps.opens, clock())
+        self._names_opening: set[str] = set()
+        self._ended: OrderedDict[str, str] = OrderedDict()
+        self._last_name = 0
+
+    def find(self, secret: str) -> Entry:
+        """An open session.
+
+        Raises:
+            RefusedError: `no_session` if there is none, `taken` if another client has taken it over.
+        """
+        entry = self.entries.get(secret)
+        if entry is not None:
+            return entry
+        if self._ended.get(secret) == "taken":
+            raise RefusedError("taken", "another client has taken this session over", field="session")
+        raise RefusedError("no_session", "no such session; open one", field="session")
+
+    async def open(self, request: Open, payload: bytes) -> Session:
+        """Open a session.
+
+        Raises:
+            RefusedError: Naming the field at fault, or `busy`, `rate`, `denied`.
+        """
+        self._check(request)
+        name = request.name or self._new_name()
+        self._names_opening.add(name)
+        try:
+            loop = asyncio.get_running_loop()
+            hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._shelf)
+            robot = hands.mapper.robot
+            start = self._former(request, name, robot.name, len(robot.joint_names))
+            calibration = Calibration(request, self._shelf, self._executor.submit)
+            session = Session(request, hands, name, self._clock(), calibration=calibration, start=start)
+        finally:
+            self._names_opening.discard(name)
+        for secret in [secret for secret, entry in self.entries.items() if entry.session.name == name]:
+            self.end(secret, "taken", "another client has taken this session over")
+        self.entries[request.session] = Entry(session, request.seq, payload)
+        self._metrics.counts["opened"] += 1
+        report(INFO, "opened", session=name, robot=robot.name, input=request.input, restored=start is not None)
+        return session
+
+    def end(self, secret: str, code: str, reason: str) -> None:
+        """Close a session.
+
+        Args:
+            secret: The session's.
+            code: What those who go on using it are told.
+            reason: The same in words, for stream and log.
+        """
+        session = self.entries.pop(secret).session
+        self._ended[secret] = code
+        if len(self._ended) > _REMEMBERED:
+            self._ended.popitem(last=False)
+        self.send(session.name, encode_reply(Error(code=code, message=reason)))
+        report(INFO, "closed", session=session.name, reason=reason, counts=dict(session.counts))
+
+    def send(self, name: str, payload: bytes) -> None:
+        """Put a message into a session's stream."""
+        for publish in self.publish:
+            publish(name, payload)
+
+    def close(self) -> None:
+        """Close all sessions."""
+        for secret in list(self.entries):
+            self.end(secret, "no_session", "the server ends")
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _check(self, request: Open) -> None:
+        """Refuse what can be refused before hands are loaded."""
+        if len(request.session) < _SHORTEST_SECRET:
+            raise RefusedError("invalid", f"expected at least {_SHORTEST_SECRET} random characters", field="session")
+        if request.session in self.entries:
+            raise RefusedError("invalid", "there is such a session already; choose another secret", field="session")
+        if len(self.entries) + len(self._names_opening) >= self._caps.sessions:
+            raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
+        if not self._opens.take(self._clock()):
+            raise RefusedError("rate", f"more than {self._caps.opens:g} sessions opened a second; try again later")
+        if request.time_from == "client" and not self._caps.allows_client_time:
+            raise RefusedError("denied", "the server takes its own clock (see handmap serve --simulated-time)", field="time_from")
+        is_used = any(entry.session.name == request.name for entry in self.entries.values())
+        if request.name in self._names_opening or (is_used and not request.restore):
+            raise RefusedError("invalid", f"there is a session {request.name!r}; restore=true takes it over", field="name")
+        if request.restore and request.name is None:
+            raise RefusedError("invalid", "missing; restore needs to know whose session", field="name")
+
+    def _former(self, request: Open, name: str, robot: str, joints: int) -> Posture | None:
+        """Where the session of this name left the robot, if the request asks for it."""
+        if not request.restore:
+            return None
+        for entry in self.entries.values():
+            if entry.session.name == name and entry.session.robot.name == robot:
+                return entry.session.posture
+        found = None if self._store is None else self._store.find(name, robot, joints)
+        if found is None and request.robot_q is None:
+            message = f"nothing is known of a session {name!r}; say where the robot is in robot_q"
+            raise RefusedError("invalid", message, field="restore")
+        return found
+
+    def _new_name(self) -> str:
+        """A name that nobody has: `session-1` and so on."""
+        taken = self._names_opening | {entry.session.name for entry in self.entries.values()}
+        while True:
+            self._last_name += 1
+            name = f"session-{self._last_name}"
+            if name not in taken:
+                return name

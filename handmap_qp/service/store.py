@@ -1,0 +1,145 @@
+"""The postures last commanded, in a file that outlives the server: for sessions that ask to be restored.
+
+The file is mapped into memory, so that noting a command costs microseconds and survives a kill of the process (a power cut may
+lose the last ones). Each session has a slot with two copies, written in turn, each with a checksum: a kill in the middle of a
+write leaves the copy before it whole.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError, RefusedError
+
+_HEAD = struct.Struct("<IIQ")
+"""Length and CRC-32 of a record, and the number of the write."""
+_COPY = 4096
+_SLOTS = 128
+_SIZE = 2 * _SLOTS * _COPY
+
+
+class _Record(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    robot: str
+    q: tuple[float, ...]
+    wrist: tuple[float, ...] | None
+
+
+class PostureStore:
+    """Postures by session name.
+
+    Args:
+        path: The file; made if it does not exist. One server at a time.
+
+    Raises:
+        InvalidInputError: If the file cannot be used, is no such file, or another server has it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise InvalidInputError(f"{path}: cannot be used: {error.strerror}") from error
+        try:
+            size = os.fstat(self._file).st_size
+            if size not in (0, _SIZE):
+                raise InvalidInputError(f"{path}: is no state file of handmap: expected {_SIZE} bytes, got {size}")
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(self._file, _SIZE)
+            self._memory = mmap.mmap(self._file, _SIZE)
+        except OSError as error:
+            os.close(self._file)
+            reason = "another server uses it" if isinstance(error, BlockingIOError) else error.strerror
+            raise InvalidInputError(f"{path}: {reason}") from error
+        except InvalidInputError:
+            os.close(self._file)
+            raise
+        self._encode, self._decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(_Record).decode
+        self._records: dict[str, _Record] = {}
+        self._slots: dict[str, int] = {}
+        self._written = [0] * _SLOTS
+        self._writes = 0
+        for slot in range(_SLOTS):
+            self._load(slot)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def note(self, name: str, robot: str, q: np.ndarray, wrist: np.ndarray | None) -> None:
+        """Note what was commanded.
+
+        Args:
+            name: The session's name.
+            robot: The robot hand's.
+            q: Joint angles [rad], shape (n,).
+            wrist: Wrist pose, shape (4, 4), or None.
+        """
+        record = _Record(name, robot, tuple(q.tolist()), None if wrist is None else tuple(wrist.ravel().tolist()))
+        payload = self._encode(record)
+        if len(payload) > _COPY - _HEAD.size:
+            return
+        self._records[name] = record
+        slot = self._slots.get(name)
+        if slot is None:
+            slot = self._free_slot()
+            self._slots[name] = slot
+        self._writes += 1
+        self._written[slot] = self._writes
+        first, second = (_HEAD.unpack_from(self._memory, (2 * slot + copy) * _COPY)[2] for copy in (0, 1))
+        start = (2 * slot + (second < first)) * _COPY
+        self._memory[start + _HEAD.size : start + _HEAD.size + len(payload)] = payload
+        _HEAD.pack_into(self._memory, start, len(payload), zlib.crc32(payload), self._writes)
+
+    def find(self, name: str, robot: str, joints: int) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """Where the session of a name left its robot: joint angles (n,) [rad] and wrist pose (4, 4); None if nothing is known.
+
+        Raises:
+            RefusedError: If it was another robot.
+        """
+        record = self._records.get(name)
+        if record is None:
+            return None
+        if record.robot != robot or len(record.q) != joints:
+            raise RefusedError("invalid", f"the last session {name!r} moved {record.robot}, not {robot}", field="restore")
+        return np.array(record.q), None if record.wrist is None else np.array(record.wrist).reshape(4, 4)
+
+    def close(self) -> None:
+        """Write the file out and let go of it."""
+        self._memory.flush()
+        self._memory.close()
+        os.close(self._file)
+
+    def _free_slot(self) -> int:
+        """An unused slot, or that of the name not heard of for the longest time."""
+        slot = min(range(_SLOTS), key=lambda i: self._written[i])
+        for name in [name for name, used in self._slots.items() if used == slot]:
+            del self._slots[name]
+            self._records.pop(name, None)
+        return slot
+
+    def _load(self, slot: int) -> None:
+        for copy in (2 * slot, 2 * slot + 1):
+            length, checksum, write = _HEAD.unpack_from(self._memory, copy * _COPY)
+            start = copy * _COPY + _HEAD.size
+            payload = self._memory[start : start + min(length, _COPY)]
+            if length == 0 or write <= self._written[slot] or zlib.crc32(payload) != checksum:
+                continue
+            try:
+                record = self._decode(payload)
+            except msgspec.MsgspecError:
+                continue
+            self._written[slot] = write
+            self._writes = max(self._writes, write)
+            self._slots[record.name], self._records[record.name] = slot, record

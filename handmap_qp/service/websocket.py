@@ -1,0 +1,215 @@
+"""The second door: the same messages over WebSocket, for browsers and headsets. Binary frames are msgpack, text frames JSON.
+
+A page that some web site has put into the user's browser could reach a socket on loopback, so browsers must come from loopback or
+from an origin that was named, unless a token is asked for. Off loopback, a token and TLS are.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import http
+import re
+import ssl
+from collections import deque
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import msgspec
+from websockets.asyncio.server import Server as WebServer
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.metrics import is_loopback
+
+SUBPROTOCOL = "handmap.v1"
+"""What a browser names besides `bearer.TOKEN`, since it cannot set headers."""
+_LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d+)?")
+_SEND_TIMEOUT = 5.0
+_CONNECTIONS_PER_SESSION = 2
+
+
+@dataclass(frozen=True, slots=True)
+class WebSettings:
+    """Where the WebSocket door is and who may come in.
+
+    Attributes:
+        host: Address to listen on; off loopback only with `token`, `certificate` and `key`.
+        port: Port; 0 lets the system choose.
+        token: What clients must present; None asks for none.
+        certificate: PEM file of the TLS certificate.
+        key: PEM file of its key.
+        origins: Origins of pages that may connect, besides those on loopback.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 5572
+    token: str | None = field(default=None, repr=False)
+    certificate: Path | None = None
+    key: Path | None = None
+    origins: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse to be reached from elsewhere without token and TLS.
+
+        Raises:
+            InvalidOptionsError: Saying what is missing.
+        """
+        if (self.certificate is None) != (self.key is None):
+            raise InvalidOptionsError("web: certificate and key go together; give both or neither")
+        if self.token is not None and not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", self.token):
+            raise InvalidOptionsError("web token: expected 16 to 256 letters, digits, - and _")
+        if not is_loopback(self.host) and (self.token is None or self.certificate is None):
+            raise InvalidOptionsError(
+                f"web host {self.host}: others could move the robot; off loopback, give a token, a certificate and its key"
+            )
+
+
+class WebDoor:
+    """The listening WebSocket; an asynchronous context manager that gives the port in use.
+
+    Args:
+        settings: Where it is and who may come in.
+        dispatcher: What answers messages.
+        caps: What clients are allowed.
+    """
+
+    def __init__(self, settings: WebSettings, dispatcher: Dispatcher, caps: Caps) -> None:
+        self._settings, self._dispatcher, self._caps = settings, dispatcher, caps
+        self._connections: set[_Outbox] = set()
+        self._server: WebServer | None = None
+
+    async def __aenter__(self) -> int:
+        settings, tls = self._settings, None
+        try:
+            if settings.certificate is not None:
+                tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+                tls.load_cert_chain(settings.certificate, settings.key)
+            self._server = await serve(
+                self._handle,
+                settings.host,
+                settings.port,
+                ssl=tls,
+                process_request=self._check,
+                subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
+                compression=None,
+                max_size=self._caps.message_size,
+                max_queue=16,
+                open_timeout=5.0,
+                close_timeout=1.0,
+            )
+        except (OSError, ssl.SSLError) as error:
+            raise InvalidInputError(f"web {settings.host}:{settings.port}: {error.strerror or error}") from error
+        self._dispatcher.sessions.publish.append(self._publish)
+        return next(iter(self._server.sockets)).getsockname()[1]
+
+    async def __aexit__(self, *_: object) -> None:
+        self._dispatcher.sessions.publish.remove(self._publish)
+        if self._server is not None:
+            self._server.close()
+            await self._server.wait_closed()
+
+    def _check(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Let a handshake pass, or answer it with what is wrong."""
+        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "all connections are taken\n")
+        settings = self._settings
+        if settings.token is not None:
+            if not _has_token(request, settings.token):
+                return connection.respond(http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n")
+            return None
+        origins = request.headers.get_all("Origin")
+        if all(_LOOPBACK_ORIGIN.fullmatch(origin) or origin in settings.origins for origin in origins):
+            return None
+        return connection.respond(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n")
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        outbox = _Outbox(connection)
+        self._connections.add(outbox)
+        writer = asyncio.create_task(outbox.write())
+        try:
+            async for message in connection:
+                is_json = isinstance(message, str)
+                payload = message.encode() if isinstance(message, str) else message
+                self._dispatcher.receive(
+                    payload,
+                    ("web", connection.id),
+                    partial(outbox.answer, is_json=is_json),
+                    is_json=is_json,
+                    subscribe=partial(outbox.subscribe, is_json=is_json),
+                )
+                # Who does not read the answers is not read from either.
+                await outbox.answered()
+        except ConnectionClosed:
+            pass
+        finally:
+            self._connections.discard(outbox)
+            writer.cancel()
+
+    def _publish(self, name: str, payload: bytes) -> None:
+        for outbox in self._connections:
+            outbox.offer(name, payload)
+
+
+class _Outbox:
+    """What is on its way to one connection: answers in their order, and of each stream the newest message."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self._connection = connection
+        self._answers: deque[bytes | str] = deque()
+        self._streams: dict[str, bool] = {}
+        self._newest: dict[str, bytes] = {}
+        self._has_work, self._is_idle = asyncio.Event(), asyncio.Event()
+        self._is_idle.set()
+
+    def answer(self, payload: bytes, *, is_json: bool) -> None:
+        self._answers.append(payload.decode() if is_json else payload)
+        self._is_idle.clear()
+        self._has_work.set()
+
+    def subscribe(self, name: str, *, is_json: bool) -> None:
+        self._streams[name] = is_json
+
+    def offer(self, name: str, payload: bytes) -> None:
+        if name in self._streams:
+            self._newest[name] = payload
+            self._has_work.set()
+
+    async def answered(self) -> None:
+        await self._is_idle.wait()
+
+    async def write(self) -> None:
+        """Send what there is, until the connection closes or does not take anything for too long."""
+        try:
+            while True:
+                await self._has_work.wait()
+                self._has_work.clear()
+                while self._answers:
+                    await self._send(self._answers.popleft())
+                self._is_idle.set()
+                newest, self._newest = self._newest, {}
+                for name, payload in newest.items():
+                    await self._send(_as_json(payload) if self._streams.get(name) else payload)
+        except (ConnectionClosed, TimeoutError):
+            self._connection.transport.abort()
+            self._is_idle.set()
+
+    async def _send(self, message: bytes | str) -> None:
+        async with asyncio.timeout(_SEND_TIMEOUT):
+            await self._connection.send(message)
+
+
+def _has_token(request: Request, token: str) -> bool:
+    given = [value.removeprefix("Bearer ") for value in request.headers.get_all("Authorization")]
+    for value in request.headers.get_all("Sec-WebSocket-Protocol"):
+        given += [part.strip().removeprefix("bearer.") for part in value.split(",") if part.strip().startswith("bearer.")]
+    return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
+
+
+def _as_json(payload: bytes) -> str:
+    return msgspec.json.encode(msgspec.msgpack.decode(payload)).decode()

@@ -1,0 +1,336 @@
+"""Both hands side by side in a viser scene: `HandScene.draw` shows one sample.
+
+The scene's axes are those of the human's palm at the first sample: +y distal, which is up, +z dorsal. Each hand's world hangs in
+it as a node of its own, so that everything below takes coordinates of that world as they are; the robot's is turned by the
+mapping's alignment, so that equal motions look equal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from handmap_qp.decomposition import polar
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hand import Hand
+from handmap_qp.options import MappingOptions
+from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
+from handmap_qp.urdf_text import parse_urdf
+from handmap_qp.viewer.samples import ViewSample
+
+if TYPE_CHECKING:
+    import viser
+
+Follow = Literal["hands", "world"]
+DeformationShape = Literal["ellipsoid", "cube", "off"]
+
+_TARGET_COLOUR = (0.98, 0.66, 0.10)
+_DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
+# Part of the hand's size: as large as fingertips, to be seen at all. Targets are a little larger, so that a point which has arrived
+# does not hide its target.
+_HUMAN_POINT_SIZE, _ROBOT_POINT_SIZE, _TARGET_SIZE = 0.08, 0.1, 0.115
+_GAP = 0.05
+_FIELD_OF_VIEW = np.radians(35.0)
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
+
+
+@contextlib.contextmanager
+def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServer]:
+    """A viser server for as long as the block runs, without its banner.
+
+    Args:
+        host: Address to listen on.
+        port: Port; the next free one where it is taken, any free one for 0.
+
+    Yields:
+        The server, running in a thread of its own.
+
+    Raises:
+        InvalidInputError: If there is no such address on this machine.
+        MissingExtraError: If viser is not installed.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingExtraError("viser", "view") from error
+    # viser takes every refusal for a port in use, and would try the next thousand without a word.
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            probe.bind((host, 0))
+    except OSError as error:
+        raise InvalidInputError(f"--host {host}: cannot be served on: {error.strerror or error}", value=host) from error
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="handmap view", verbose=False)
+    server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
+    try:
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+@dataclass
+class _World:
+    """One hand's world in the scene.
+
+    Attributes:
+        hand: The hand.
+        model: Its shapes, by viser.
+        order: Where each of the model's joints is in the order of `hand.joint_names`.
+        root: URDF root link.
+        frame: Node of the world.
+        body: Node of the root link.
+        label: Node of the hand's name.
+        axes: From the world's axes to the scene's, shape (3, 3).
+        focus: The hand's middle in its wrist frame [m], shape (3,).
+        radius: Distance of its farthest part from there [m].
+        anchor: Where the view holds the middle, in the scene [m], shape (3,).
+    """
+
+    hand: Hand
+    model: Any
+    order: list[int]
+    root: str
+    frame: Any
+    body: Any
+    label: Any
+    axes: np.ndarray
+    focus: np.ndarray
+    radius: float
+    anchor: np.ndarray
+
+
+class HandScene:
+    """A human hand and a robot hand, their points, targets and deformation.
+
+    Args:
+        server: A running viser server.
+        human: The human hand.
+        robot: The robot hand.
+        first: The sample at which the view starts; its palm gives the scene's axes.
+        options: The mapping's choices, for the alignment of the two worlds.
+        aspect: Width by height of the room that the hands are to fill.
+
+    Attributes:
+        follow: Whether the picture goes along with each hand, or stays with the worlds.
+        deformation_shape: How T_def is shown.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        human: Hand,
+        robot: Hand,
+        first: ViewSample,
+        options: MappingOptions,
+        *,
+        aspect: float = 0.78,
+    ) -> None:
+        self.server = server
+        self.follow: Follow = "hands"
+        self.deformation_shape: DeformationShape = "ellipsoid"
+        self._first = first
+        self._set_up_stage()
+        self._human = self._add_hand("human", human, first.human_q)
+        self._robot = self._add_hand("robot", robot, first.robot_q)
+        half = 0.5 * (self._human.radius + self._robot.radius + _GAP)
+        # Seen from the palm, +x is on the left.
+        self._human.anchor, self._robot.anchor = np.array([half, 0.0, 0.0]), np.array([-half, 0.0, 0.0])
+        self.align(options)
+        self._set_up_camera(aspect)
+        self._human_points = self._add_spheres(self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR)
+        self._robot_points = self._add_spheres(self._robot, "points", first.robot_points, _ROBOT_POINT_SIZE, ROBOT_COLOUR)
+        self._targets = self._add_spheres(self._robot, "targets", first.robot_points, _TARGET_SIZE, _TARGET_COLOUR, opacity=0.5)
+        spread = first.human_points - first.human_points.mean(axis=0)
+        self._ball = float(np.sqrt((spread**2).sum(axis=1).mean()))
+        self._ellipsoid = server.scene.add_icosphere(
+            "/human/ellipsoid", self._ball, _bytes(_DEFORMATION_COLOUR), subdivisions=4, opacity=0.2, cast_shadow=False
+        )
+        self._reference_ball = server.scene.add_icosphere(
+            "/human/ball", self._ball, (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15, cast_shadow=False
+        )
+        self._cube = server.scene.add_line_segments(
+            "/human/cube", np.zeros((len(_EDGES), 2, 3)), _bytes(_DEFORMATION_COLOUR), thickness=2.5, thickness_units="screen"
+        )
+        self._caption = server.scene.add_label(
+            "/caption", "", position=(0.0, self._low - 0.035, 0.0), anchor="top-center", font_screen_scale=1.1
+        )
+
+    def align(self, options: MappingOptions) -> None:
+        """Turn both worlds so that the human's palm stands upright at the first sample and equal motions look equal.
+
+        Args:
+            options: The mapping's choices; only `alignment` matters.
+        """
+        first = self._first
+        human_palm = (first.human_wrist @ self._human.hand.wrist_to_palm)[:3, :3]
+        robot_palm = (first.robot_wrist @ self._robot.hand.wrist_to_palm)[:3, :3]
+        self._human.axes = human_palm.T
+        if options.alignment == "world":
+            self._robot.axes = human_palm.T
+        elif options.alignment == "palm":
+            self._robot.axes = robot_palm.T
+        else:
+            self._robot.axes = human_palm.T @ np.array(options.alignment).T
+        for world in (self._human, self._robot):
+            world.frame.wxyz = quat_wxyz_from_rotation(world.axes)
+
+    def draw(self, sample: ViewSample) -> None:
+        """Show one sample.
+
+        Args:
+            sample: What to show.
+        """
+        with self.server.atomic():
+            self._place(self._human, sample.human_q, sample.human_wrist, self._first.human_wrist)
+            self._place(self._robot, sample.robot_q, sample.robot_wrist, self._first.robot_wrist)
+            _move(self._human_points, sample.human_points)
+            _move(self._robot_points, sample.robot_points)
+            _move(self._targets, sample.targets)
+            self._draw_deformation(sample)
+            self._caption.text = caption(sample)
+
+    def _draw_deformation(self, sample: ViewSample) -> None:
+        """What T_def makes of a ball, or of a cube, about the pivot."""
+        shape = self.deformation_shape if sample.deformation is not None else "off"
+        self._reference_ball.visible = shape == "ellipsoid"
+        self._ellipsoid.visible, self._cube.visible = shape == "ellipsoid", shape == "cube"
+        if sample.deformation is None or sample.pivot is None:
+            return
+        if shape == "ellipsoid":
+            # A ball has no direction of its own, so the rotation that a T_def with a measured wrist may hold cannot be seen.
+            factors = polar(sample.deformation)
+            scales = np.maximum(np.abs(factors.stretches), 1e-3)
+            self._ellipsoid.scale = (float(scales[0]), float(scales[1]), float(scales[2]))
+            self._reference_ball.position = sample.pivot
+            axes = factors.axes * (1.0, 1.0, np.sign(np.linalg.det(factors.axes)))
+            self._ellipsoid.wxyz, self._ellipsoid.position = quat_wxyz_from_rotation(axes), sample.pivot
+        elif shape == "cube":
+            corners = (self._ball / np.sqrt(3.0) * _CORNERS) @ sample.deformation.T
+            self._cube.position, self._cube.points = sample.pivot, corners[_EDGES].astype(np.float32)
+
+    def _place(self, world: _World, q: np.ndarray, wrist: np.ndarray, first_wrist: np.ndarray) -> None:
+        """Put a hand into its world, and its world into the scene."""
+        hand = world.hand
+        pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
+        world.model.update_cfg(q[world.order])
+        world.body.wxyz, world.body.position = quat_wxyz_from_rotation(pose[:3, :3]), pose[:3, 3]
+        middle, first_middle = (world.axes @ transform_points(held, world.focus[None])[0] for held in (wrist, first_wrist))
+        world.frame.position = world.anchor - (middle if self.follow == "hands" else first_middle)
+        world.label.position = world.frame.position + middle + (0.0, self._low, 0.0)
+
+    @property
+    def _low(self) -> float:
+        """Height of the labels, below both hands."""
+        return -max(self._human.radius, self._robot.radius) - 0.02
+
+    def _add_hand(self, node: str, hand: Hand, q: np.ndarray) -> _World:
+        from viser.extras import ViserUrdf
+
+        scene = self.server.scene
+        urdf = _load_urdf(hand)
+        frame = scene.add_frame(f"/{node}", show_axes=False)
+        body = scene.add_frame(f"/{node}/body", show_axes=False)
+        model = ViserUrdf(self.server, urdf, root_node_name=f"/{node}/body")
+        order = [hand.joint_names.index(name) for name in model.get_actuated_joint_names()]
+        label = scene.add_label(f"/{node}_name", hand.name, anchor="top-center", font_screen_scale=1.3)
+        model.update_cfg(q[order])
+        low, high = urdf.scene.bounds
+        in_wrist = inverse_pose(hand.frame_pose("wrist", q)) @ hand.link_poses([urdf.base_link], q)[0]
+        focus = transform_points(in_wrist, 0.5 * (low + high)[None])[0]
+        radius = 0.45 * float(np.linalg.norm(high - low))
+        return _World(hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius, np.zeros(3))
+
+    def _add_spheres(
+        self,
+        world: _World,
+        name: str,
+        points: np.ndarray,
+        size: float,
+        colour: tuple[float, float, float],
+        *,
+        opacity: float | None = None,
+    ) -> list[Any]:
+        """A node for each point: a browser that is short of time moves nodes all at once, where a batch of points would lag."""
+        return [
+            self.server.scene.add_icosphere(
+                f"{world.frame.name}/{name}/{i}",
+                size * world.radius,
+                _bytes(colour),
+                opacity=opacity,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for i in range(len(points))
+        ]
+
+    def _set_up_stage(self) -> None:
+        scene = self.server.scene
+        scene.set_up_direction("+y")
+        scene.world_axes.visible = False
+        scene.add_grid(
+            "/floor",
+            plane="xz",
+            infinite_grid=True,
+            cell_size=0.05,
+            section_size=0.25,
+            cell_color=(225, 228, 232),
+            section_color=(205, 210, 216),
+            cell_thickness=0.6,
+            section_thickness=0.8,
+            fade_distance=3.0,
+            position=(0.0, -0.22, 0.0),
+        )
+
+    def _set_up_camera(self, aspect: float) -> None:
+        """Both hands in the middle of the picture, from the palm's side and a little from above."""
+        width = 2.0 * (self._human.radius + self._robot.radius) + _GAP
+        distance = 0.5 * width / (aspect * np.tan(0.5 * _FIELD_OF_VIEW))
+        direction = np.array([0.0, 0.3, -1.0])
+        camera = self.server.initial_camera
+        camera.position = distance * direction / np.linalg.norm(direction)
+        camera.look_at, camera.fov = np.zeros(3), float(_FIELD_OF_VIEW)
+
+
+def _move(nodes: list[Any], points: np.ndarray | None) -> None:
+    """Put nodes at points, or out of sight where there are none."""
+    for i, node in enumerate(nodes):
+        node.visible = points is not None
+        if points is not None:
+            node.position = points[i]
+
+
+def caption(sample: ViewSample) -> str:
+    """The line below both hands: time, point error and what is out of the ordinary."""
+    parts = [f"{sample.time:.2f} s"]
+    if sample.targets is not None:
+        parts.append(f"point error {1e3 * sample.point_error.mean():.1f} mm")
+    parts.append("no hand seen, held" if not sample.is_seen else sample.status)
+    return " · ".join(parts)
+
+
+def _load_urdf(hand: Hand) -> Any:
+    """The hand's URDF with its meshes, as `ViserUrdf` wants it."""
+    from yourdfpy import URDF
+
+    robot = parse_urdf(hand.urdf_text)
+    # ViserUrdf names its nodes after links and shapes alike, so a shape that bears a link's name would take the link's place.
+    for link in robot.iterfind("link"):
+        for i, visual in enumerate(link.iterfind("visual")):
+            visual.set("name", f"{link.get('name')}_shape_{i}")
+    text = io.BytesIO(ET.tostring(robot))
+    return URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+
+
+def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue

@@ -1,0 +1,154 @@
+"""Chromium without a window, spoken to in its DevTools protocol over a WebSocket: what the tests of the view need of it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--remote-debugging-port=0",
+)
+
+
+def find_chromium() -> str | None:
+    """The browser that `HANDMAP_CHROMIUM` names, or one on the path."""
+    named = os.environ.get("HANDMAP_CHROMIUM")
+    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+class Browser:
+    """One page of a headless Chromium; a context manager.
+
+    Args:
+        program: The browser's executable.
+        size: Width and height of the page [px].
+    """
+
+    def __init__(self, program: str, size: tuple[int, int] = (1400, 900)) -> None:
+        self._program = program
+        self._size = size
+
+    def __enter__(self) -> Browser:
+        """Start it."""
+        from websockets.sync.client import connect
+
+        self._folder = tempfile.mkdtemp(prefix="chromium-")
+        size = f"--window-size={self._size[0]},{self._size[1]}"
+        words = [self._program, *FLAGS, size, f"--user-data-dir={self._folder}", "about:blank"]
+        self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        port_file = Path(self._folder) / "DevToolsActivePort"
+        try:
+            self._wait(lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1, 30.0, "Chromium does not start")
+            port, path = port_file.read_text().split("\n")[:2]
+            self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
+        except BaseException:
+            self._end()
+            raise
+        self._number = 0
+        self.errors: list[str] = []
+        target = self._call("Target.createTarget", url="about:blank")
+        attached = self._call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        self._session = attached["sessionId"]
+        self.call("Runtime.enable")
+        self.call("Page.enable")
+        self.call("Network.enable")
+        width, height = self._size
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        """End it, and remove its files."""
+        self._socket.close()
+        self._end()
+
+    def open(self, address: str, *, offline: bool = False) -> None:
+        """Load a page."""
+        self.call("Network.emulateNetworkConditions", offline=offline, latency=0, downloadThroughput=-1, uploadThroughput=-1)
+        self.call("Page.navigate", url=address)
+
+    def evaluate(self, code: str) -> Any:
+        """The value of a JavaScript expression in the page."""
+        answer = self.call("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(answer["exceptionDetails"].get("exception", {}).get("description", "exception in the page"))
+        return answer["result"].get("value")
+
+    def wait_for(self, code: str, seconds: float = 30.0) -> None:
+        """Wait until a JavaScript expression is true."""
+        self._wait(lambda: bool(self.evaluate(code)), seconds, f"the page does not come to {code}")
+
+    def press(self, key: str, code: int) -> None:
+        """Press and release a key in the element that has the focus."""
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def click(self, x: float, y: float) -> None:
+        """Click with the left button."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def screenshot(self) -> tuple[bytes, np.ndarray]:
+        """The page as the bytes of a PNG file and as pixels, shape (height, width, 3)."""
+        from PIL import Image
+
+        png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        return png, np.asarray(Image.open(BytesIO(png)).convert("RGB"))
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One command of the DevTools protocol to the page."""
+        return self._call(method, self._session, **parameters)
+
+    def _call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if session is not None:
+            message["sessionId"] = session
+        self._socket.send(json.dumps(message))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60.0))
+            if answer.get("method") == "Runtime.exceptionThrown":
+                self.errors.append(json.dumps(answer["params"])[:500])
+            if answer.get("id") == self._number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return answer["result"]
+
+    def _wait(self, is_done: Callable[[], bool], seconds: float, complaint: str) -> None:
+        end = time.monotonic() + seconds
+        while not is_done():
+            if time.monotonic() > end or self._process.poll() is not None:
+                raise TimeoutError(complaint)
+            time.sleep(0.1)
+
+    def _end(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)

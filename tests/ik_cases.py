@@ -1,0 +1,126 @@
+"""Hands, postures and targets for the tests of the inverse kinematics."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import MissingExtraError, hand_names, load_hand
+from handmap_qp.hand import Hand, read_urdf
+from handmap_qp.hand_spec import WristSpec, read_hand_spec
+from handmap_qp.paths import urdf_directory
+from handmap_qp.urdf_text import parse_urdf
+
+ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
+_ARM = """
+<robot name="arm">
+  <link name="base"/><link name="turret"/><link name="upper"/><link name="flange"/>
+  <joint name="arm_turn" type="revolute"><parent link="base"/><child link="turret"/><origin xyz="0 0 0.2"/>
+    <axis xyz="0 0 1"/><limit lower="-2.5" upper="2.5" effort="10" velocity="3"/></joint>
+  <joint name="arm_lift" type="revolute"><parent link="turret"/><child link="upper"/><origin xyz="0.05 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-1.5" upper="1.5" effort="10" velocity="3"/></joint>
+  <joint name="arm_roll" type="revolute"><parent link="upper"/><child link="flange"/><origin xyz="0.3 0 0"/>
+    <axis xyz="1 0 0"/><limit lower="-2" upper="2" effort="10" velocity="5"/></joint>
+  <joint name="mount" type="fixed"><parent link="flange"/><child link="palm"/><origin xyz="0.05 0 0" rpy="0 1.5708 0"/></joint>
+</robot>
+"""
+
+# Every hand of the repository with its wrist free and held, and a hand on an arm; each with two sets of points.
+HANDS = (
+    *((name, mount, points) for name in hand_names() for mount in ("floating", "fixed") for points in (None, "fingertips_middle")),
+    ("arm", "fixed", None),
+    ("arm", "fixed", "fingertips_middle"),
+)
+each_hand = pytest.mark.parametrize("which", HANDS, ids=lambda which: "-".join(filter(None, which)))
+
+
+def arm_hand(points: str | None = None) -> Hand:
+    """The three-fingered hand at the end of an arm with three joints."""
+    spec = read_hand_spec(urdf_directory() / "three_finger" / "hand.yaml")
+    robot = parse_urdf(read_urdf(spec))
+    robot.extend(list(parse_urdf(_ARM)))
+    on_arm = msgspec.structs.replace(
+        spec,
+        name="arm",
+        joints=(*ARM_JOINTS, *spec.joints),
+        rest={"arm_turn": 0.3, "arm_lift": -0.2, "arm_roll": 0.1, **spec.rest},
+        wrist=WristSpec(link="palm", mount="fixed"),
+    )
+    return Hand(on_arm, points=points, urdf_text=ET.tostring(robot, encoding="unicode"))
+
+
+@cache
+def hand_of(which: tuple[str, str, str | None]) -> Hand:
+    """One of `HANDS`; skips the test where its URDF is not installed."""
+    name, mount, points = which
+    if name == "arm":
+        return arm_hand(points)
+    try:
+        return load_hand(name, mount="floating" if mount == "floating" else "fixed", points=points)
+    except MissingExtraError:
+        pytest.skip("example-robot-data is not installed")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A posture and what is asked of it."""
+
+    q: np.ndarray
+    point_targets: np.ndarray
+    wrist_target: np.ndarray | None
+    dt: float
+
+
+def random_cases(hand: Hand, count: int, *, seed: int = 0, is_inside: bool = False) -> Iterator[Case]:
+    """Postures inside, at and outside limits and stretched out; targets near and far, or none for the wrist; short and long times.
+
+    Args:
+        hand: The hand.
+        count: How many.
+        seed: Of the random numbers.
+        is_inside: Whether to leave out postures outside the limits.
+    """
+    rng = np.random.default_rng(seed)
+    configuration = hand.configuration()
+    for i in range(count):
+        vector = hand.configuration_vector(_posture(hand, i % 4, rng, is_inside), _pose(rng) if hand.is_floating else None)
+        configuration.update(vector)
+        reach = 10.0 ** rng.uniform(-4, 0)
+        targets = configuration.points + reach * rng.normal(size=(len(hand.reference_points), 3))
+        # At least 1e-3 rad: nearer ones are mink's on MuJoCo to round off (see handmap_qp.ik.mujoco).
+        offset = pin.exp6(np.concatenate([reach * rng.normal(size=3), 10.0 ** rng.uniform(-3, 0.3) * _direction(rng)]))
+        wrist = None if i % 5 == 0 else (configuration.wrist * offset).homogeneous
+        yield Case(vector, targets, wrist, 10.0 ** rng.uniform(-3, -1))
+
+
+def _posture(hand: Hand, kind: int, rng: np.random.Generator, is_inside: bool) -> np.ndarray:
+    q = rng.uniform(hand.lower_limits, hand.upper_limits)
+    if kind == 1:
+        side = rng.integers(0, 3, len(q))
+        q = np.select([side == 0, side == 1], [hand.lower_limits, hand.upper_limits], q)
+    elif kind == 2:
+        q = np.zeros(len(q))
+    elif kind == 3:
+        q = q + rng.uniform(-0.5, 0.5, len(q))
+    return np.clip(q, hand.lower_limits, hand.upper_limits) if is_inside else q
+
+
+def _pose(rng: np.random.Generator) -> np.ndarray:
+    return (pin.SE3(pin.Quaternion(_unit(rng)), rng.normal(size=3))).homogeneous
+
+
+def _unit(rng: np.random.Generator) -> np.ndarray:
+    quat = rng.normal(size=4)
+    return quat / np.linalg.norm(quat)
+
+
+def _direction(rng: np.random.Generator) -> np.ndarray:
+    axis = rng.normal(size=3)
+    return axis / np.linalg.norm(axis)

@@ -1,0 +1,281 @@
+"""The live view: what it draws, what its controls do, the page it writes; and the same in a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from viewer_cases import COUNT, GAP, closing_motion, make_replay
+
+from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, MappingOptions, load_hand
+from handmap_qp.trajectory import map_motion
+from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.samples import Replay
+from handmap_qp.viewer.scene import HandScene, caption, serving
+
+QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    with serving() as running:
+        yield running
+
+
+@pytest.fixture
+def viewer(server: Any) -> ReplayViewer:
+    """A viewer that stands still at its first sample."""
+    shown = ReplayViewer(server, make_replay())
+    shown.play_bar.toggle()
+    return shown
+
+
+def pose_in_scene(server: Any, node: str) -> np.ndarray:
+    """Where a node is in the scene, from the poses of all nodes above it."""
+    pose, path = np.eye(4), ""
+    for part in node.strip("/").split("/"):
+        path += f"/{part}"
+        handle = server.scene.get_handle_by_name(path)
+        pose = pose @ affine(rotation_from_quat_wxyz(handle.wxyz), np.array(handle.position))
+    return pose
+
+
+def in_scene(server: Any, node: str, points: np.ndarray) -> np.ndarray:
+    return transform_points(pose_in_scene(server, node), points)
+
+
+def seek(viewer: ReplayViewer, index: int) -> None:
+    viewer.play_bar.slider.value = float(viewer.replay.time[index])
+    viewer.tick(0.0)
+
+
+def press(button: Any) -> None:
+    """What the browser does when a button is clicked."""
+    button.value = True
+
+
+# -- what is mapped -----------------------------------------------------------------------------------------------------
+
+
+def test_replay_gives_the_commands_of_map_motion() -> None:
+    replay, motion = make_replay(), closing_motion()
+    expected = map_motion(HandMapper(motion.human, replay.robot), motion)
+    np.testing.assert_array_equal([sample.robot_q for sample in replay.samples], expected.q)
+    np.testing.assert_array_equal([sample.is_seen for sample in replay.samples], motion.valid)
+
+
+def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
+    valid = np.arange(COUNT) >= 7
+    motion = replace(closing_motion(), valid=valid)
+    replay = Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
+    for sample in replay.samples[:7]:
+        np.testing.assert_array_equal(sample.robot_q, replay.samples[7].robot_q)
+    assert [sample.is_seen for sample in replay.samples] == valid.tolist()
+
+
+def test_replay_refuses_a_motion_without_a_hand() -> None:
+    motion = replace(closing_motion(), valid=np.zeros(COUNT, dtype=bool))
+    with pytest.raises(InvalidInputError, match="no sample is valid"):
+        Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
+
+
+def test_options_that_cannot_be_used_leave_the_replay_as_it_was() -> None:
+    replay = make_replay()
+    before = replay.samples
+    with pytest.raises(InvalidOptionsError, match="abacus"):
+        replay.remap(MappingOptions(ridge=0.3), IkOptions(solver="abacus"))
+    assert replay.samples is before
+    assert replay.mapping == MappingOptions()
+
+
+# -- what is drawn ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", ["three_finger", "allegro_right"])
+@pytest.mark.parametrize("alignment", ["world", "palm"])
+def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(server: Any, robot: str, alignment: str) -> None:
+    replay = make_replay(robot, alignment=alignment)
+    sample = replay.samples[-1]
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.draw(sample)
+    nodes = [handle.name for handle in server.scene._handle_from_node_name.values()]
+    for side, hand, points in (("human", replay.human, sample.human_points), ("robot", replay.robot, sample.robot_points)):
+        for i, point in enumerate(hand.reference_points):
+            (link,) = (name for name in nodes if name.startswith(f"/{side}/body/") and name.endswith(f"/{point.link}"))
+            drawn = in_scene(server, link, np.array([point.xyz]))[0]
+            sphere = pose_in_scene(server, f"/{side}/points/{i}")[:3, 3]
+            # The joints' nodes are placed by yourdfpy, the spheres by Pinocchio.
+            np.testing.assert_allclose(drawn, sphere, atol=1e-9)
+            np.testing.assert_allclose(in_scene(server, f"/{side}", points[[i]])[0], sphere, atol=1e-9)
+
+
+def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
+    replay = make_replay(alignment="palm")
+    first = replay.samples[0]
+    HandScene(server, replay.human, replay.robot, first, replay.mapping).draw(first)
+    for side, hand, wrist in (("human", replay.human, first.human_wrist), ("robot", replay.robot, first.robot_wrist)):
+        palm = pose_in_scene(server, f"/{side}") @ wrist @ hand.wrist_to_palm
+        np.testing.assert_allclose(palm[:3, :3], np.eye(3), atol=1e-9)
+
+
+def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> None:
+    replay = make_replay()
+    sample = replay.samples[-1]
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.draw(sample)
+    handle = server.scene.get_handle_by_name("/human/ellipsoid")
+    assert sample.deformation is not None
+    axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
+    # Two maps make the same body of a ball if they agree in A A^T.
+    np.testing.assert_allclose(axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9)
+    np.testing.assert_allclose(handle.position, sample.pivot)
+    assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
+
+
+def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
+    replay = make_replay(rigid_from="wrist")
+    sample = replay.samples[-1]
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.deformation_shape = "cube"
+    scene.draw(sample)
+    cube = server.scene.get_handle_by_name("/human/cube")
+    assert cube.visible
+    assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
+    assert sample.deformation is not None
+    corners = np.linalg.solve(sample.deformation, cube.points.reshape(-1, 3).T).T
+    # Points travel as floats of 32 bits.
+    np.testing.assert_allclose(np.abs(corners), np.abs(corners).max(), rtol=1e-4)
+    assert len(np.unique(np.sign(corners), axis=0)) == 8
+
+
+@pytest.mark.parametrize("follow", ["hands", "world"])
+def test_hands_stay_in_place_or_travel_as_asked(server: Any, follow: Literal["hands", "world"]) -> None:
+    replay = make_replay()
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.follow = follow
+    places = []
+    for sample in (replay.samples[0], replay.samples[-1]):
+        scene.draw(sample)
+        places.append(server.scene.get_handle_by_name("/human_name").position.copy())
+    moved = float(np.linalg.norm(places[1] - places[0]))
+    assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
+
+
+def test_caption_says_that_the_hand_was_not_seen() -> None:
+    samples = make_replay().samples
+    assert "no hand seen" in caption(samples[GAP.start])
+    assert "no hand seen" not in caption(samples[0])
+
+
+# -- what the controls do -----------------------------------------------------------------------------------------------
+
+
+def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
+    seek(viewer, COUNT - 1)
+    before, drawn = viewer.sample.robot_q, pose_in_scene(viewer.server, "/robot/points/0")
+    viewer.controls.handles["deformation_gain"].value = 0.0
+    viewer.tick(0.0)
+    assert viewer.replay.mapping == MappingOptions(deformation_gain=0.0)
+    assert np.abs(viewer.sample.robot_q - before).max() > 0.05
+    assert np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3]) > 1e-3
+
+
+def test_every_control_reaches_its_option(viewer: ReplayViewer) -> None:
+    for name, handle in viewer.controls.handles.items():
+        before, value = viewer.controls.options(), handle.value
+        options = getattr(handle, "options", ())
+        if options:
+            handle.value = next(option for option in options if option != value)
+        elif isinstance(value, bool):
+            handle.value = not value
+        else:
+            handle.value = value + handle.step if value + handle.step <= handle.max else value - handle.step
+        changed = [
+            field
+            for old, new in zip(before, viewer.controls.options(), strict=True)
+            for field in type(old).__slots__
+            if getattr(old, field) != getattr(new, field)
+        ]
+        assert changed == [name]
+        handle.value = value
+
+
+def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
+    given = MappingOptions(ridge=7.0, stretch_max=np.inf, pivot="point", pivot_point=(0.0, 1.0, 0.0), alignment=QUARTER_TURN)
+    replay = make_replay()
+    replay.remap(given, IkOptions())
+    viewer = ReplayViewer(server, replay)
+    assert viewer.controls.options() == (given, IkOptions())
+    viewer.controls.handles["pivot"].value = "palm"
+    assert viewer.controls.options()[0] == replace(given, pivot="palm", pivot_point=None)
+
+
+def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -> None:
+    replay = make_replay()
+    replay.human = replay.human.with_points(("thumb_tip", "index_tip", "middle_tip"))
+    replay.remap(MappingOptions(), IkOptions())
+    viewer = ReplayViewer(server, replay)
+    samples = replay.samples
+    viewer.controls.handles["ridge"].value = 0.0
+    viewer.tick(0.0)
+    assert replay.samples is samples
+    assert viewer.message.visible
+    assert "ridge=0 needs 4" in viewer.message.content
+    viewer.controls.handles["ridge"].value = 0.2
+    viewer.tick(0.0)
+    assert replay.mapping == MappingOptions(ridge=0.2)
+    assert not viewer.message.visible
+
+
+def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayViewer) -> None:
+    seek(viewer, 30)
+    press(viewer.clutch)
+    viewer.tick(0.0)
+    assert viewer.clutch.label == "Clutch"
+    seek(viewer, 45)
+    press(viewer.clutch)
+    viewer.tick(0.0)
+    samples = viewer.replay.samples
+    held = np.array([sample.robot_q for sample in samples[29:45]])
+    np.testing.assert_array_equal(held, np.tile(held[0], (16, 1)))
+    assert {sample.status for sample in samples[30:45]} == {"released"}
+    # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
+    np.testing.assert_allclose(samples[45].targets, samples[44].robot_points, atol=1e-9)
+    assert viewer.clutch.label == "Release"
+    press(viewer.reset)
+    viewer.tick(0.0)
+    assert not viewer.replay.switches
+    assert viewer.replay.samples[40].status != "released"
+
+
+def test_time_runs_at_the_chosen_speed_and_starts_over(viewer: ReplayViewer) -> None:
+    viewer.tick(0.5)
+    assert viewer.index == 0, "paused"
+    press(viewer.play_bar.button)
+    viewer.tick(0.5)
+    assert viewer.sample.time == pytest.approx(0.5, abs=1 / 30)
+    viewer.play_bar.speed.value = "2"
+    viewer.tick(0.5)
+    assert viewer.sample.time == pytest.approx(1.5, abs=1 / 30)
+    viewer.tick(0.5)
+    assert viewer.index == 0
+
+
+def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
+    seek(viewer, 40)
+    samples = viewer.replay.samples
+    error = viewer.gauges.error.data
+    np.testing.assert_allclose(error[1], [1e3 * sample.point_error.mean() for sample in samples])
+    assert np.flatnonzero(np.isfinite(error[-1])).tolist() == [40]
+    np.testing.assert_allclose(viewer.gauges.timing.data[1], [1e6 * sample.duration for sample in samples])
+    bars = viewer.gauges.joints.content
+    for name, q in zip(viewer.replay.robot.joint_names, samples[40].robot_q, strict=True):
+        assert name in bars
+        assert f"{np.degrees(q):.0f}°" in bars

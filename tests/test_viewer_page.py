@@ -1,0 +1,181 @@
+"""The view as people meet it: the command, the page it writes, and both in a headless Chromium."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from browser import Browser, find_chromium
+from viewer_cases import make_replay, write_recording
+
+from handmap_qp import HandError, HandmapError, InvalidInputError, MissingExtraError, RecordingError
+from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.cli import View
+from handmap_qp.viewer.page import write_page
+from handmap_qp.viewer.scene import serving
+
+# What the page asks in the pictures: this much of a 1400 x 900 page is drawn by a hand, at the least.
+FEWEST_PIXELS = 4000
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return write_recording(tmp_path / "closing.npz")
+
+
+def test_the_command_writes_one_page_that_needs_no_network(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.html"
+    View(recording, robot="three_finger", html=page).run()
+    assert capsys.readouterr().out == f"wrote {page}\n"
+    text = page.read_text(encoding="utf-8")
+    assert "__VISER_EMBED_DATA__" in text
+    for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):
+        assert attribute not in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["closing.npz", "page.html"]
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
+    "no recording": ({"recording": Path("absent.npz")}, RecordingError),
+    "no such robot": ({"robot": "tentacle"}, HandError),
+    "page is no html": ({"html": Path("page.txt")}, InvalidInputError),
+    "page in no folder": ({"html": Path("nowhere/page.html")}, InvalidInputError),
+    "no such port": ({"port": 70000}, InvalidInputError),
+    "not our address": ({"host": "192.0.2.1"}, InvalidInputError),
+}
+
+
+@pytest.mark.parametrize(("changes", "error"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_a_mistake_is_said_before_anything_is_shown(recording: Path, changes: dict[str, Any], error: type[HandmapError]) -> None:
+    words: dict[str, Any] = {"recording": recording, "robot": "three_finger", **changes}
+    with pytest.raises(error):
+        View(**words).run()
+
+
+def test_without_viser_the_command_names_the_extra(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"handmap-qp\[view\]"):
+        View(recording, robot="three_finger").run()
+
+
+def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> None:
+    assert View(recording, robot="three_finger").host == "127.0.0.1"
+    with serving() as server:
+        assert server.get_host() == "127.0.0.1"
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "taken.html"
+    folder.mkdir()
+    with serving() as server, pytest.raises(InvalidInputError, match=r"taken\.html"):
+        write_page(folder, server, make_replay())
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+# -- in a browser -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium: install one (on Debian: chromium), or name one in HANDMAP_CHROMIUM")
+    with Browser(program) as page:
+        yield page
+
+
+@pytest.fixture
+def viewer() -> Iterator[ReplayViewer]:
+    """A viewer that stands still, kept going by a thread."""
+    with serving() as server:
+        shown = ReplayViewer(server, make_replay())
+        shown.play_bar.toggle()
+        shown.play_bar.slider.value = 1.6
+        is_over = threading.Event()
+
+        def keep_going() -> None:
+            while not is_over.wait(0.05):
+                shown.tick(0.05)
+
+        thread = threading.Thread(target=keep_going)
+        thread.start()
+        yield shown
+        is_over.set()
+        thread.join()
+
+
+def skin(pixels: np.ndarray) -> int:
+    """Pixels in the colour of the human hand's skin, in light and shade."""
+    red, green, blue = pixels.astype(int).transpose(2, 0, 1)
+    return int(((red - blue > 25) & (red > green) & (green > blue) & (red - green < 80) & (red > 110)).sum())
+
+
+def reference_points(pixels: np.ndarray) -> int:
+    """Pixels in the colour of the robot's reference points."""
+    red, green, blue = pixels.astype(int).transpose(2, 0, 1)
+    return int(((red > 110) & (green < 0.45 * red) & (blue < 0.45 * red)).sum())
+
+
+def settled_picture(browser: Browser) -> np.ndarray:
+    """The middle of the page, once two pictures of it are the same."""
+    before = browser.screenshot()[1]
+    for _ in range(20):
+        time.sleep(0.5)
+        now = browser.screenshot()[1]
+        middle = np.s_[160:, 340:1060]
+        if skin(now[middle]) > FEWEST_PIXELS and np.array_equal(before[middle], now[middle]):
+            return now[middle]
+        before = now
+    raise AssertionError("the picture does not settle, or shows no hand")
+
+
+def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser, viewer: ReplayViewer) -> None:
+    browser.open(f"http://127.0.0.1:{viewer.server.get_port()}")
+    browser.wait_for("!!document.querySelector('canvas')")
+    before = settled_picture(browser)
+    half = before.shape[1] // 2
+    assert skin(before[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
+    assert reference_points(before[:, half:]) > 300, "the robot's points, on the right"
+    assert browser.evaluate("document.body.innerText.includes('deformation gain')")
+    # As a user does: focus the slider, and use the keyboard.
+    labels = "[...document.querySelectorAll('label')]"
+    browser.evaluate(
+        f"{labels}.find(e => e.innerText.trim() == 'deformation gain')"
+        ".closest('.mantine-Flex-root, .mantine-Box-root, div').parentElement.querySelector('[role=slider]').focus()"
+    )
+    robot_q = viewer.sample.robot_q
+    browser.press("Home", 36)
+    end = time.monotonic() + 10.0
+    while viewer.replay.mapping.deformation_gain != 0.0 and time.monotonic() < end:
+        time.sleep(0.05)
+    assert viewer.replay.mapping.deformation_gain == 0.0
+    assert np.abs(viewer.sample.robot_q - robot_q).max() > 0.05
+    after = settled_picture(browser)
+    changed = np.abs(after.astype(int) - before).max(axis=2) > 30
+    assert changed[:, half:].sum() > 1000, "the robot has moved"
+    assert not browser.errors
+
+
+def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    with serving() as server:
+        write_page(page, server, make_replay())
+    browser.open(page.as_uri(), offline=True)
+    browser.wait_for("!!document.querySelector('canvas')")
+    pictures = []
+    for _ in range(6):
+        time.sleep(0.7)
+        pictures.append(browser.screenshot()[1][:, 320:])
+    assert max(skin(picture) for picture in pictures) > FEWEST_PIXELS
+    changes = [np.abs(a.astype(int) - b).max(axis=2)[:650] > 30 for a, b in zip(pictures[2:], pictures[3:], strict=False)]
+    assert max(int(change.sum()) for change in changes) > 1000, "the hands move by themselves"
+    assert not browser.errors
