@@ -7,18 +7,16 @@ the person did: does the palm follow the human's, and does every finger stretch 
 
 from __future__ import annotations
 
-import common  # first: it sets the number of threads before numpy is loaded
-
-# isort: split
 import multiprocessing
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import common
 import numpy as np
 from scenes import ROBOTS, Scene, load_scenes, robot_for
 
@@ -79,6 +77,12 @@ FACTORS = (
     Factor("error_damping", (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)),
     Factor("rest_weight", (0.0, 0.1, 0.2, 0.5, 1.0)),
     # In the table only.
+    Factor(
+        "human_points",
+        ("fingertips", "fingertips_middle", "joints"),
+        tuple({**follow, "residual_gain": gain} for gain in (0.5, 1.0) for follow in (FOLLOW_POINTS, FOLLOW_WRIST)),
+    ),
+    Factor("deformation_gain", (0.0, 0.5, 1.0), ({"human_points": "joints", **FOLLOW_WRIST, "residual_gain": 1.0},)),
     Factor("robot_points", ("fingertips", "fingertips_middle")),
     Factor("reference", ("initial", "previous"), ({}, PAPER)),
 )
@@ -272,12 +276,12 @@ def _words(variant: dict[str, Any]) -> str:
     return "\n".join(f"{name} {value}" for name, value in variant.items())
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
     """Measure, print, write, draw."""
     parser = common.make_parser(" ".join(str(__doc__).split("\n\n")[0].split()))
     parser.add_argument("--every", type=int, default=1, metavar="N", help="map every N-th sample only (default: all)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
-    arguments = common.parse_arguments(parser)
+    arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)[: 2 if arguments.quick else None]
     arguments.jobs = 1 if arguments.quick else max(1, arguments.jobs)
     factors = QUICK_FACTORS if arguments.quick else FACTORS

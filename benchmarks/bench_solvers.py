@@ -22,7 +22,7 @@ import synthetic
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.hand import Hand
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver
+from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver, Rows
 from handmap_qp.trackers.landmarks import HumanMotion
 from handmap_qp.transform import affine
 
@@ -46,10 +46,12 @@ class Recorder:
         self.problems: list[Problem] = []
         self._solver = DaqpSolver(size)
 
-    def solve(self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
-        """As `BoxSolver.solve`."""
+    def solve(
+        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray | None:
+        """As `QpSolver.solve`."""
         self.problems.append(Problem(H.copy(), c.copy(), lower.copy(), upper.copy()))
-        return self._solver.solve(H, c, lower, upper)
+        return self._solver.solve(H, c, lower, upper, rows)
 
 
 def recorded_problems(motion: HumanMotion) -> list[Problem]:

@@ -4,6 +4,7 @@ A benchmark is a script: `python benchmarks/bench_accuracy.py --json results.jso
 progress and complaints to stderr; a mistake of the user's is one line and exit code 2.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 import os
@@ -36,7 +37,7 @@ COLOURS = {"three_finger": "#c8452f", "allegro": "#3f6fb5"}
 """Colours of the robots in every picture."""
 PALETTE = ("#c8452f", "#3f6fb5", "#2f7d6b", "#c48a1d", "#7a56a6", "#6b7280")
 """Colours of anything else."""
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,

@@ -20,6 +20,7 @@ from handmap_qp import HandmapError, HandMapper, IkOptions, MapStep, MissingExtr
 from handmap_qp.hand import Hand
 from handmap_qp.hand_spec import Mount
 from handmap_qp.ik.qp import PointIk
+from handmap_qp.transform import nearest_rotation
 
 TOLERANCE = 1e-9
 """By how much a limit may be passed [rad, m]."""
@@ -230,7 +231,7 @@ class MapperRun:
         else:
             self._q = np.clip(self._q + 0.1 * rng.normal(size=len(self._q)), human.lower_limits - 0.2, human.upper_limits + 0.2)
             self._wrist = self._wrist @ pin.exp6(0.05 * rng.normal(size=6)).homogeneous
-            self._wrist[:3, :3] = pin.Quaternion(self._wrist[:3, :3]).normalized().matrix()
+            self._wrist[:3, :3] = nearest_rotation(self._wrist[:3, :3])
         if rng.random() < 0.8:
             return mapper.map_step(self._q, self._wrist, dt=dt)
         points = human.points(np.clip(self._q, human.lower_limits, human.upper_limits), self._wrist)

@@ -18,7 +18,7 @@ import secrets
 import time as clock
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypedDict, TypeVar, Unpack
 
 import msgspec
 import numpy as np
@@ -32,10 +32,10 @@ ADDRESS = "tcp://127.0.0.1:5570"
 """Where a server is by default."""
 
 _OPEN_FIELDS = frozenset(
-    "name input side hand_length lengths human_points robot_points mount ik restore max_dt time_from watchdog return_after "
+    "robot_q robot_wrist name input side hand_length lengths human_points robot_points mount ik restore max_dt time_from watchdog return_after "
     "return_speed resume has_detail".split()
 )
-"""What `open` takes besides the robot, where it is, and the fields of MappingOptions."""
+"""What `open` takes besides the robot and the fields of MappingOptions."""
 
 Numbers = tuple[float, ...]
 Names = tuple[str, ...]
@@ -138,6 +138,16 @@ class Error(_Reply):
     field: str = ""
 
 
+class HumanSample(TypedDict, total=False):
+    """One sample: `q` (n,) [rad] with `wrist` (4, 4), or `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s] if not now."""
+
+    q: npt.ArrayLike
+    landmarks: npt.ArrayLike
+    points: npt.ArrayLike
+    wrist: Pose | npt.ArrayLike
+    time: float
+
+
 class ServiceError(RuntimeError):
     """The server has refused a request: `error` says why, and names the field."""
 
@@ -170,7 +180,7 @@ class CurveKeys(NamedTuple):
 
 _Wait = tuple[zmq.Socket, int, float]
 """A socket, what to wait for on it, and until when."""
-_R = TypeVar("_R", bound=_Reply)
+_R = TypeVar("_R")
 _Work = Generator[_Wait, bool, _R]
 """What an exchange does, but for the waiting, which is the clients' part."""
 
@@ -236,18 +246,53 @@ class _Connection:
         head = {"type": kind, "protocol": PROTOCOL, "seq": self._seq, "session": self._request.get("session", "")}
         return head | {name: value for name, value in fields.items() if value is not None}
 
-    def _sample(self, kind: str, wrist: Any, time: float | None, **human: Any) -> dict[str, Any]:
-        rows = {name: None if value is None else np.asarray(value, dtype=float).tolist() for name, value in human.items()}
-        pose = None if wrist is None else Pose.of(wrist)
-        return self._message(kind, time=clock.monotonic() if time is None else time, wrist=pose, **rows)
+    def _sample(self, kind: str, sample: HumanSample) -> dict[str, Any]:
+        self._need_session()
+        return self._message(kind, **({"time": clock.monotonic()} | {name: _plain(name, value) for name, value in sample.items()}))
 
-    def _opening(self, robot: str, robot_q: Any, robot_wrist: Any, choices: dict[str, Any]) -> dict[str, Any]:
-        """The request to open a session: what is no field of it is taken for one of MappingOptions."""
+    def _open(self, robot: str, choices: dict[str, Any]) -> _Work[Opened]:
+        """Open a session: what is no field of the request is taken for one of MappingOptions."""
         mapping = choices.pop("mapping", {}) | {name: choices.pop(name) for name in tuple(choices) if name not in _OPEN_FIELDS}
-        q = None if robot_q is None else np.asarray(robot_q, dtype=float).tolist()
-        wrist = None if robot_wrist is None else Pose.of(robot_wrist)
-        request = self._message("open", robot=robot, mapping=mapping, robot_q=q, robot_wrist=wrist, **choices)
-        return request | {"session": secrets.token_urlsafe(24)}
+        fields = {name: _plain(name, value) for name, value in choices.items()}
+        request = self._message("open", robot=robot, mapping=mapping, **fields) | {"session": secrets.token_urlsafe(24)}
+        return self._exchange(request, Opened)
+
+    def _reset(self, robot_q: Any, robot_wrist: Any) -> _Work[Done]:
+        fields = {"robot_q": _plain("robot_q", robot_q), "robot_wrist": _plain("robot_wrist", robot_wrist)}
+        return self._exchange(self._message("reset", **fields), Done)
+
+    def _send(self, sample: HumanSample) -> _Work[None]:
+        """Send a sample; in a new session if the server has said that it does not know the old one."""
+        socket = self._socket("samples")
+        if socket.poll(0):
+            reply = self._decode(socket.recv(zmq.NOBLOCK))
+            if isinstance(reply, Error) and reply.code == "no_session":
+                yield from self._reopen(clock.monotonic() + self.timeout)
+        socket.send(self._encode(self._sample("sample", sample)), zmq.NOBLOCK)
+
+    def _latest(self, timeout: float) -> _Work[Command | None]:
+        """The newest message of the stream."""
+        socket = self._socket("stream")
+        if not (yield socket, zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
+            return None
+        reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
+        if isinstance(reply, Error) and reply.code != "no_session":
+            raise ServiceError(reply)
+        if not isinstance(reply, Command):
+            return None
+        self._last = reply
+        return reply
+
+    def _close(self) -> _Work[None]:
+        """End the session if there is one and the server can be reached."""
+        try:
+            if self.opened is not None:
+                yield from self._exchange(self._message("close"), Done)
+        except (ServiceError, ServiceTimeoutError):
+            pass
+        finally:
+            self.opened, self._request, self._last = None, {}, None
+            self._drop(*tuple(self._sockets))
 
     def _exchange(self, request: dict[str, Any], kind: type[_R]) -> _Work[_R]:
         """Ask, and once more in a new session if the server has lost the old one."""
@@ -303,67 +348,41 @@ class _Connection:
             self._drop("requests")
         raise ServiceTimeoutError(f"{self.address}: no answer to {request['type']!r} within {self.timeout:g} s")
 
-    def _post(self, sample: dict[str, Any]) -> bool:
-        """Send a sample without waiting; False if the server has said that it does not know the session."""
-        socket = self._socket("samples")
-        if socket.poll(0):
-            reply = self._decode(socket.recv(zmq.NOBLOCK))
-            if isinstance(reply, Error) and reply.code == "no_session":
-                self._drop("samples")
-                return False
-        socket.send(self._encode(sample), zmq.NOBLOCK)
-        return True
 
-    def _take(self) -> Command | None:
-        """The newest message of the stream."""
-        reply = self._decode(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
-        if isinstance(reply, Error) and reply.code != "no_session":
-            raise ServiceError(reply)
-        if not isinstance(reply, Command):
-            return None
-        self._last = reply
-        return reply
+def _plain(name: str, value: Any) -> Any:
+    """A choice or part of a sample as it goes over the wire."""
+    if value is not None and name in ("wrist", "robot_wrist"):
+        return Pose.of(value)
+    return np.asarray(value, dtype=float).tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 class Client(_Connection):
-    """A client that waits for answers. Arguments as of `_Connection`; a context manager that closes the session."""
+    """A client that waits for answers; also a context manager. Any method may raise `ServiceError` or `ServiceTimeoutError`."""
 
-    __init__ = _Connection.__init__
+    def _run(self, work: _Work[_R]) -> _R:
+        try:
+            socket, event, until = next(work)
+            while True:
+                is_ready = socket.poll(max(0.0, 1e3 * (until - clock.monotonic())), event) != 0
+                socket, event, until = work.send(is_ready)
+        except StopIteration as end:
+            return end.value
 
-    def open(self, robot: str, *, robot_q: Any = None, robot_wrist: Any = None, **choices: Any) -> Opened:
-        """Open a session.
+    def open(self, robot: str, **choices: Any) -> Opened:
+        """Open a session; choices are fields of `open` (`input`, `robot_q`, ...) and of MappingOptions (`rigid_from`, ...)."""
+        return self._run(self._open(robot, choices))
 
-        Args:
-            robot: Name of a robot hand.
-            robot_q: Joint angles where the robot is now [rad], shape (n,); at rest if omitted.
-            robot_wrist: Its wrist there: (4, 4), or x y z qx qy qz qw.
-            **choices: Other fields of `open` (`input`, `watchdog`, ...), and fields of MappingOptions (`rigid_from`, ...).
+    def step(self, **sample: Unpack[HumanSample]) -> Command:
+        """Map one sample."""
+        return self._run(self._exchange(self._sample("step", sample), Command))
 
-        Returns:
-            What was opened.
-
-        Raises:
-            ServiceError: If the server refuses, as any other method.
-            ServiceTimeoutError: If no answer comes in time, as any other method.
-        """
-        return self._run(self._exchange(self._opening(robot, robot_q, robot_wrist, choices), Opened))
-
-    def step(self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None) -> Command:
-        """Map one sample: `q` (n,) [rad] with `wrist`, `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]."""
-        self._need_session()
-        return self._run(self._exchange(self._sample("step", wrist, time, q=q, landmarks=landmarks, points=points), Command))
-
-    def send(self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None) -> None:
-        """The same without waiting for an answer, which comes in the stream; the newest sample counts."""
-        self._need_session()
-        if not self._post(self._sample("sample", wrist, time, q=q, landmarks=landmarks, points=points)):
-            self._run(self._reopen(clock.monotonic() + self.timeout))
-            self._post(self._sample("sample", wrist, time, q=q, landmarks=landmarks, points=points))
+    def send(self, **sample: Unpack[HumanSample]) -> None:
+        """Send a sample and do not wait for its command, which comes in the stream; the newest counts."""
+        self._run(self._send(sample))
 
     def latest(self, timeout: float = 0.0) -> Command | None:
-        """The newest command of the stream; None if none has come since the last call, nor does within `timeout` [s]."""
-        has_one = self._wait(self._socket("stream"), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout))
-        return self._take() if has_one else None
+        """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
+        return self._run(self._latest(timeout))
 
     def clutch(self) -> None:
         """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
@@ -374,14 +393,80 @@ class Client(_Connection):
         self._run(self._exchange(self._message("release"), Done))
 
     def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> None:
-        """Start anew, from where the robot is said to be; else it goes to rest, within its limits."""
-        q, wrist = None if robot_q is None else np.asarray(robot_q, dtype=float).tolist(), robot_wrist
-        pose = None if wrist is None else Pose.of(wrist)
-        self._run(self._exchange(self._message("reset", robot_q=q, robot_wrist=pose), Done))
+        """Start anew where the robot is said to be; otherwise it goes to rest, within its limits."""
+        self._run(self._reset(robot_q, robot_wrist))
 
     def status(self) -> State:
         """How the session is; the server, if none is open."""
         return self._run(self._exchange(self._message("status"), State))
 
     def close(self) -> None:
-        """End the session, if one is open and the server can be reached, and let go of the sockets."""
+        """End the session, and let go of the sockets."""
+        self._run(self._close())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class AsyncClient(_Connection):
+    """The same for asyncio; calls of several tasks take turns."""
+
+    _turn: asyncio.Lock | None = None
+
+    async def _run(self, work: _Work[_R]) -> _R:
+        self._turn = self._turn or asyncio.Lock()
+        async with self._turn:
+            try:
+                socket, event, until = next(work)
+                while True:
+                    ready = zmq.asyncio.Poller()
+                    ready.register(socket, event)
+                    is_ready = bool(await ready.poll(max(0.0, 1e3 * (until - clock.monotonic()))))
+                    socket, event, until = work.send(is_ready)
+            except StopIteration as end:
+                return end.value
+
+    async def open(self, robot: str, **choices: Any) -> Opened:
+        """As of `Client`."""
+        return await self._run(self._open(robot, choices))
+
+    async def step(self, **sample: Unpack[HumanSample]) -> Command:
+        """As of `Client`."""
+        return await self._run(self._exchange(self._sample("step", sample), Command))
+
+    async def send(self, **sample: Unpack[HumanSample]) -> None:
+        """As of `Client`."""
+        await self._run(self._send(sample))
+
+    async def latest(self, timeout: float = 0.0) -> Command | None:
+        """As of `Client`."""
+        return await self._run(self._latest(timeout))
+
+    async def clutch(self) -> None:
+        """As of `Client`."""
+        await self._run(self._exchange(self._message("clutch"), Done))
+
+    async def release(self) -> None:
+        """As of `Client`."""
+        await self._run(self._exchange(self._message("release"), Done))
+
+    async def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> None:
+        """As of `Client`."""
+        await self._run(self._reset(robot_q, robot_wrist))
+
+    async def status(self) -> State:
+        """As of `Client`."""
+        return await self._run(self._exchange(self._message("status"), State))
+
+    async def close(self) -> None:
+        """As of `Client`."""
+        await self._run(self._close())
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()

@@ -11,6 +11,7 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp_statics import QuasiStatic, Stiffness, finite_array, grasp_matrix, quasistatic
@@ -194,7 +195,19 @@ def contact_jacobian(
     """
     if not contacts:
         raise InvalidInputError("contacts: expected at least one", value=contacts)
-    return hand.with_points(_point_specs(contacts)).point_jacobian(q, wrist_pose)
+    places = contact_points(hand, contacts, q, wrist_pose)
+    data = hand.model.createData()
+    pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q, wrist_pose))
+    pin.updateFramePlacements(hand.model, data)
+    rows = []
+    for contact, place in zip(contacts, places, strict=True):
+        frame = hand.model.getFrameId(contact.link, pin.FrameType.BODY)
+        velocity = pin.getFrameJacobian(hand.model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        # The link's own velocity, and what its rotation adds at the contact.
+        rows.append(velocity[:3] + np.cross(velocity[3:], place - data.oMf[frame].translation, axisa=0, axisc=0))
+    J = np.vstack(rows)
+    # Where joints follow others, what they add belongs to their leaders.
+    return (J if hand.expansion is None else J @ hand.expansion.matrix)[:, hand.joint_columns]
 
 
 def _point_specs(contacts: tuple[Contact, ...]) -> tuple[PointSpec, ...]:

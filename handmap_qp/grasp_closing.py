@@ -6,7 +6,7 @@ that link stop, and the others go on, until each has stopped or is at its limit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp import Contact, Grasp
-from handmap_qp.grasp_reference import REFERENCE_HANDS, read_cube_figures
+from handmap_qp.grasp_preshape import Closing, default_closing, finger_names
 from handmap_qp.grasp_statics import finite_array
 from handmap_qp.hand import Hand, package_share
 from handmap_qp.shapes import Box, Cylinder, Shape, Sphere
@@ -24,84 +24,15 @@ from handmap_qp.transform import PoseLike, check_pose, inverse_pose, transform_p
 STEP = 0.02
 """Largest step of a closing joint between two looks at the object [rad]."""
 MARGIN = 1e-4
-"""A link touches the object when it is this near [m]. Distances are good to about a micrometre, so a link that touches does not
-reach in, and the direction between the two is still well defined."""
+"""A link touches the object when it is this near [m]: so near that it makes no difference, and still far enough for the direction
+from the one to the other to be well defined."""
 
+# Coal's own tolerance, well below what a microradian moves a fingertip.
+_DISTANCE_TOLERANCE = 1e-8
 # Joint angles at which a link touches are found this exactly [rad].
 _ANGLE_TOLERANCE = 1e-6
 # Neighbouring links share the skin round the joint between them; contacts of the two that are this near are one [m].
 _SAME_CONTACT = 1e-3
-# Joints whose axes are this parallel bend a finger in one plane.
-_PARALLEL = 0.99
-# A hand that has no figures of its own starts this far from the sphere round the object [m].
-_CLEARANCE = 0.02
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Closing:
-    """How a hand closes.
-
-    Attributes:
-        start: Joint angles to begin with [rad], shape (n,).
-        direction: Sense in which each joint closes, 1 or -1; 0 for one that keeps its angle. Shape (n,).
-        clearance: Where a planner puts the hand: gap between the middle of the palm and the sphere round the object [m].
-    """
-
-    start: np.ndarray
-    direction: np.ndarray
-    clearance: float
-
-
-def default_closing(hand: Hand) -> Closing:
-    """How a hand closes unless the caller says otherwise.
-
-    The hands of the paper have the toolbox's preshape and closing joints (`grasp_cube50.json`), a left human hand the right one's.
-    For any other hand the geometry tells: the outermost joint of each finger closes, and so do the joints before it that turn about
-    the same direction; they start stretched and close towards the farther limit. All others (abduction, spread, opposition) rest.
-
-    Args:
-        hand: The hand.
-
-    Returns:
-        Its closing.
-    """
-    name = "human" if hand.name == "human_left" else hand.name
-    if name in REFERENCE_HANDS:
-        figures = read_cube_figures(name)["closing"]
-        start = np.array([figures["start"].get(joint, 0.0) for joint in hand.joint_names])
-        direction = np.array([float(joint in figures["joints"]) for joint in hand.joint_names])
-        return Closing(start, direction, figures["clearance"])
-    direction = np.zeros(len(hand.joint_names))
-    axes, _ = _joint_axes(hand, hand.rest)
-    for finger in _fingers(hand):
-        for joint in reversed(finger):
-            if abs(axes[joint] @ axes[finger[-1]]) < _PARALLEL:
-                break
-            direction[joint] = 1.0 if hand.upper_limits[joint] + hand.lower_limits[joint] >= 0.0 else -1.0
-    stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
-    return Closing(np.where(direction == 0.0, hand.rest, stretched), direction, _CLEARANCE)
-
-
-def palm_centre(hand: Hand, closing: Closing | None = None) -> np.ndarray:
-    """The middle of the palm: the mean place of the innermost closing joint of each finger.
-
-    Args:
-        hand: The hand.
-        closing: How it closes; `default_closing` if omitted.
-
-    Returns:
-        Point in the palm frame [m], shape (3,).
-
-    Raises:
-        InvalidInputError: If no joint closes.
-    """
-    how = closing or default_closing(hand)
-    _, origins = _joint_axes(hand, how.start)
-    innermost = [next((joint for joint in finger if how.direction[joint]), None) for finger in _fingers(hand)]
-    places = np.array([origins[joint] for joint in innermost if joint is not None])
-    if len(places) == 0:
-        raise InvalidInputError(f"{hand.name}: no joint closes")
-    return transform_points(inverse_pose(hand.frame_pose("palm", how.start)), places).mean(axis=0)
 
 
 class HandCloser:
@@ -119,6 +50,7 @@ class HandCloser:
     Attributes:
         hand: The hand.
         closing: How it closes.
+        links: The link of each collision shape, k of them.
 
     Raises:
         InvalidInputError: On a closing that does not fit the hand, or a step or margin that is not > 0.
@@ -147,17 +79,23 @@ class HandCloser:
         self._margin = margin
         self._end = np.where(self.closing.direction > 0.0, hand.upper_limits, hand.lower_limits)
         self._geometry = _collision_shapes(hand)
-        joints = [hand.model.getJointId(name) for name in hand.joint_names]
-        parents = [part.parentJoint for part in self._geometry.geometryObjects]
-        # Which links each joint carries, shape (joints, shapes).
-        self._carries = np.array([[joint in hand.model.supports[parent] for parent in parents] for joint in joints])
+        parts = list(self._geometry.geometryObjects)
+        self.links = tuple(hand.model.frames[part.parentFrame].name for part in parts)
+        self._carries = _carried_parts(hand, [part.parentJoint for part in parts])
         solid = pin.GeometryObject("object", 0, pin.SE3(self._object_pose), _solid(shape))
         held = self._geometry.addGeometryObject(solid)
-        for link in range(len(parents)):
-            self._geometry.addCollisionPair(pin.CollisionPair(link, held))
+        for part in range(len(parts)):
+            self._geometry.addCollisionPair(pin.CollisionPair(part, held))
         self._data = hand.model.createData()
         self._geometry_data = self._geometry.createData()
-        self._fingers = _fingers(hand)
+        with warnings.catch_warnings():
+            # Coal is about to rename this switch; until then it says so at every touch.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            for request in self._geometry_data.distanceRequests:
+                # Without a warm start a distance depends on the posture alone, not on those looked at before.
+                request.enable_cached_gjk_guess = False
+                request.gjk_tolerance = request.epa_tolerance = _DISTANCE_TOLERANCE
+        self._groups = _groups(np.flatnonzero(self.closing.direction).tolist(), self._carries)
 
     def distances(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Distance of each of the hand's collision shapes from the object; below 0 where it reaches in.
@@ -167,7 +105,7 @@ class HandCloser:
             wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
 
         Returns:
-            Distances [m], in the order of the URDF's collision shapes as Pinocchio reads them, shape (k,).
+            Distances [m] in the order of `links`, shape (k,).
         """
         vector = self.hand.configuration_vector(q, wrist_pose)
         pin.computeDistances(self.hand.model, self._data, self._geometry, self._geometry_data, vector)
@@ -194,11 +132,11 @@ class HandCloser:
         if not self.starts_clear(wrist_pose):
             raise InvalidInputError(f"wrist_pose: the open {self.hand.name} hand touches the object there", value=wrist_pose)
         q = self.closing.start.copy()
-        for finger in self._fingers:
-            q = self._close_finger(q, [joint for joint in finger if self.closing.direction[joint]], wrist_pose)
+        for joints in self._groups:
+            q = self._close_joints(q, joints, wrist_pose)
         return Grasp(self.hand, q, self._object_pose, self._contacts(q, wrist_pose), wrist_pose, self._shape)
 
-    def _close_finger(self, q: np.ndarray, joints: list[int], wrist_pose: np.ndarray | None) -> np.ndarray:
+    def _close_joints(self, q: np.ndarray, joints: list[int], wrist_pose: np.ndarray | None) -> np.ndarray:
         free = joints
         while free:
             ahead = q.copy()
@@ -228,22 +166,22 @@ class HandCloser:
 
     def _contacts(self, q: np.ndarray, wrist_pose: np.ndarray | None) -> tuple[Contact, ...]:
         near = np.flatnonzero(self.distances(q, wrist_pose) <= self._margin).tolist()
-        results, shapes, frames = self._geometry_data.distanceResults, self._geometry.geometryObjects, self.hand.model.frames
+        results, parts = self._geometry_data.distanceResults, self._geometry.geometryObjects
         # From the palm outwards, finger by finger in the order of the joints.
-        order = sorted(near, key=lambda link: np.flatnonzero(self._carries[:, link])[-1:].tolist())
-        names = [frames[shapes[link].parentFrame].name for link in order]
+        order = sorted(near, key=lambda part: np.flatnonzero(self._carries[:, part])[-1:].tolist())
+        names = [self.links[part] for part in order]
         links = self.hand.link_poses(names, q, wrist_pose)
-        finger_of = _finger_names(self.hand)
+        finger_of = finger_names(self.hand)
         contacts: list[Contact] = []
         places: list[np.ndarray] = []
-        for link, name, pose in zip(order, names, links, strict=True):
-            place = np.array(results[link].getNearestPoint1())
+        for part, name, pose in zip(order, names, links, strict=True):
+            place = np.array(results[part].getNearestPoint1())
             if any(np.linalg.norm(place - other) < _SAME_CONTACT for other in places):
                 continue
             places.append(place)
             x, y, z = transform_points(inverse_pose(pose), place)
-            a, b, c = np.array(results[link].normal) @ pose[:3, :3]
-            contacts.append(Contact(name, (x, y, z), (a, b, c), finger_of.get(shapes[link].parentJoint)))
+            a, b, c = np.array(results[part].normal) @ pose[:3, :3]
+            contacts.append(Contact(name, (x, y, z), (a, b, c), finger_of.get(parts[part].parentJoint)))
         return tuple(contacts)
 
 
@@ -301,31 +239,22 @@ def _collision_shapes(hand: Hand) -> pin.GeometryModel:
     return geometry
 
 
-def _fingers(hand: Hand) -> list[list[int]]:
-    """Joints of each finger, outwards, as places in `joint_names`; a finger is all that hangs from one joint of the palm."""
-    fingers: dict[int, list[int]] = {}
-    supports = [list(hand.model.supports[hand.model.getJointId(name)]) for name in hand.joint_names]
-    for joint, support in enumerate(supports):
-        fingers.setdefault(support[1 + hand.is_floating], []).append(joint)
-    return [sorted(finger, key=lambda joint: len(supports[joint])) for finger in fingers.values()]
+def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
+    """Which collision shapes each joint moves, itself or by followers, shape (joints, shapes)."""
+    carried = np.zeros((len(hand.joint_names), len(parents)), dtype=bool)
+    here = hand.configuration_vector(hand.rest)
+    for joint, row in enumerate(carried):
+        there = hand.configuration_vector(hand.rest + np.eye(len(carried))[joint])
+        moved = {j for j in range(1, hand.model.njoints) if here[hand.model.joints[j].idx_q] != there[hand.model.joints[j].idx_q]}
+        row[:] = [not moved.isdisjoint(hand.model.supports[parent]) for parent in parents]
+    return carried
 
 
-def _finger_names(hand: Hand) -> dict[int, str]:
-    """Anatomical name of the finger that each joint of the model is part of, as far as the hand's points tell."""
-    names: dict[int, str] = {}
-    for point in hand.spec.points:
-        joint = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)].parentJoint
-        if point.finger is not None and joint > hand.is_floating:
-            root = hand.model.supports[joint][1 + hand.is_floating]
-            names.update({j: point.finger for j in range(1, hand.model.njoints) if root in list(hand.model.supports[j])})
-    return names
-
-
-def _joint_axes(hand: Hand, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes and origins of the joints with the wrist at the identity, in the order of `joint_names`, shapes (n, 3)."""
-    data = hand.model.createData()
-    pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q))
-    joints = [hand.model.getJointId(name) for name in hand.joint_names]
-    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    columns = [pin.getJointJacobian(hand.model, data, j, frame)[:, hand.model.joints[j].idx_v] for j in joints]
-    return np.array(columns)[:, 3:], np.array([data.oMi[j].translation for j in joints])
+def _groups(joints: list[int], carries: np.ndarray) -> list[list[int]]:
+    """Closing joints put together where they move a shape in common: a finger each, or fingers that are coupled."""
+    groups: list[list[int]] = []
+    for joint in joints:
+        coupled = [group for group in groups if (carries[group] & carries[joint]).any()]
+        joined = [member for group in coupled for member in group]
+        groups = [group for group in groups if group not in coupled] + [sorted([*joined, joint])]
+    return groups

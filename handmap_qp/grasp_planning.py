@@ -10,14 +10,15 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp import Grasp
-from handmap_qp.grasp_closing import MARGIN, STEP, Closing, HandCloser, palm_centre
+from handmap_qp.grasp_closing import MARGIN, STEP, HandCloser
+from handmap_qp.grasp_preshape import Closing, palm_centre
 from handmap_qp.grasp_quality import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
 from handmap_qp.hand import Hand
 from handmap_qp.shapes import Shape
 from handmap_qp.transform import PoseLike, affine, check_pose, inverse_pose
 
-# A hand that touches the object in this many poses for each one wanted does not fit round it.
-_MOST_DRAWS = 100
+# A hand that would start in the object is moved back in steps of this length [m].
+_RETREAT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +55,8 @@ def plan_grasps(
     The poses are drawn as the toolbox of the paper draws them: the palm looks at the object's centre, its middle (`palm_centre`) at
     a distance of the radius of the sphere round the object plus `closing.clearance`, and its orientation is `Rx(a) Ry(b) Rz(c)`
     with a, b, c uniform over the circle, +z out of the back of the hand. (This is not uniform over rotations.) There fingers are
-    lines and always start clear of the object; ours have thickness, so a pose where the open hand touches is drawn again.
+    lines and always start clear of the object; ours have thickness, and a hand that would touch the object when open is moved back,
+    out along the palm's +z, until it does not.
 
     Args:
         hand: The hand; its wrist must be free.
@@ -73,7 +75,7 @@ def plan_grasps(
         The grasps, best first; equals in the order of their trials.
 
     Raises:
-        InvalidInputError: If the wrist is fixed, an argument is out of range, or the open hand finds no place round the object.
+        InvalidInputError: If the wrist is fixed or an argument is out of range.
         HandError: If the hand has no collision shapes.
     """
     if not hand.is_floating:
@@ -88,17 +90,15 @@ def plan_grasps(
     centre = palm_centre(hand, closer.closing)
     generator = np.random.default_rng(seed)
     planned: list[PlannedGrasp] = []
-    draws = 0
-    while len(planned) < samples:
-        if draws >= _MOST_DRAWS * samples:
-            message = f"{hand.name} touches the object in nearly every pose: {len(planned)} of {draws} are clear; more clearance?"
-            raise InvalidInputError(message, value=closer.closing.clearance)
-        draws += 1
-        wrist = wrist_towards(hand, pose[:3, 3], distance, centre, generator.uniform(0.0, 2.0 * np.pi, 3))
-        if not closer.starts_clear(wrist):
-            continue
+    for trial in range(samples):
+        angles = generator.uniform(0.0, 2.0 * np.pi, 3)
+        wrist = wrist_towards(hand, pose[:3, 3], distance, centre, angles)
+        retreat = 0.0
+        while not closer.starts_clear(wrist):
+            retreat += _RETREAT
+            wrist = wrist_towards(hand, pose[:3, 3], distance + retreat, centre, angles)
         grasp = closer.close(wrist)
-        planned.append(PlannedGrasp(len(planned), grasp, grasp_quality(grasp, quality, friction=friction)))
+        planned.append(PlannedGrasp(trial, grasp, grasp_quality(grasp, quality, friction=friction)))
         if progress is not None:
             progress(len(planned))
     sign = 1.0 if quality in SMALLER_IS_BETTER else -1.0

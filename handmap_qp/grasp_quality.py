@@ -95,8 +95,7 @@ def ferrari_canny(points: np.ndarray, normals: np.ndarray, friction: float, *, e
         edges: Edges of the pyramid in place of a friction cone.
 
     Returns:
-        The radius: > 0 for force closure. Below 0 where some wrench cannot be resisted: minus the distance of the origin from the
-        farthest face that does not have it inside. 0 where the wrenches do not span all six directions.
+        The radius; 0 without force closure, where the origin is not inside.
 
     Raises:
         InvalidInputError: If friction < 0.
@@ -109,7 +108,7 @@ def ferrari_canny(points: np.ndarray, normals: np.ndarray, friction: float, *, e
         hull = ConvexHull(wrenches)
     except QhullError:
         return 0.0
-    return float(-hull.equations[:, -1].max())
+    return max(0.0, float(-hull.equations[:, -1].max()))
 
 
 def cone_wrenches(points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES) -> np.ndarray:

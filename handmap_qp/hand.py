@@ -7,20 +7,23 @@ sorts sibling joints by name, and only this file knows both orders.
 
 from __future__ import annotations
 
-import importlib.metadata
+import warnings
 from collections.abc import Sequence
-from pathlib import Path
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.configuration import Configuration
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hand_spec import HandSpec, Mount, PointSpec
+from handmap_qp.mimic import Expansion, MimicRule, expansion_matrix, read_mimic_rules, tighten_model
+from handmap_qp.mounting import compose_urdf
 from handmap_qp.transform import affine
-from handmap_qp.urdf_text import mirrored_urdf
+from handmap_qp.urdf_files import package_share as package_share
+from handmap_qp.urdf_files import read_urdf as read_urdf
+from handmap_qp.urdf_files import urdf_path as urdf_path
+from handmap_qp.urdf_text import parse_urdf
 
 _ROOT = "wrist_mount"
 
@@ -43,11 +46,21 @@ class Hand:
         urdf_text: The URDF as it was built, after scaling and mirroring.
         model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints in Pinocchio's order, and the
             reference points as its last frames.
-        joint_names: Movable joints, in the order of every `q`; n of them.
-        lower_limits: Lower position limits [rad], shape (n,).
-        upper_limits: Upper position limits [rad], shape (n,).
-        velocity_limits: Speed limits [rad/s], shape (n,).
-        rest: Rest posture [rad], shape (n,).
+        joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of them. Followers of other joints
+            (mimic) are none of them.
+        q_indices: Where they are in a configuration, shape (n,).
+        v_indices: Where they are in the model's tangent space, shape (n,).
+        lower_limits: Lower position limits, those of the joints' followers considered [rad, or m of a prismatic joint], shape (n,).
+        upper_limits: Upper position limits [rad or m], shape (n,).
+        velocity_limits: Speed limits [rad/s or m/s], shape (n,).
+        rest: Rest posture [rad or m], shape (n,).
+        expansion: From the active tangent coordinates (wrist and `joint_names`, in the model's order; k of them) to all of the
+            model's: S, shape (nv, k), and the followers' offsets, shape (nv,). None without followers: all are active.
+        active_columns: Where the active coordinates are in the model's tangent space, shape (k,).
+        joint_columns: Where the joints are in the active coordinates, in the order of `joint_names`, shape (n,).
+        all_joint_names: Every movable joint of the URDF: `joint_names`, then followers, then locked joints.
+        all_joint_roles: What each is: `active`, `follower` or `locked`.
+        notes: What was found odd while building the hand, a sentence each.
         reference_points: The points in use; m of them.
         point_weights: Their weights, shape (m,).
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
@@ -68,18 +81,33 @@ class Hand:
         self.spec = spec
         self.name = spec.name
         self.side = spec.side
-        self.mount: Mount = mount or spec.wrist.mount
-        text = read_urdf(spec) if urdf_text is None else urdf_text
-        self.urdf_text = mirrored_urdf(text) if spec.mirror else text
-        self.model = _build_model(spec, self.urdf_text, self.mount)
-        self.joint_names = spec.joints
+        self.mount: Mount = _mount(spec, mount)
+        self._file_text = read_urdf(spec) if urdf_text is None else urdf_text
+        self.urdf_text, locked = compose_urdf(spec, self._file_text, None if spec.arm is None else read_urdf(spec.arm))
+        rules = self._mimic_rules()
+        followers = tuple(rule.follower for rule in rules)
+        self.model = _build_model(spec, self.urdf_text, self.mount, followers)
+        self.joint_names = spec.all_joints
+        self.all_joint_names = (*self.joint_names, *followers, *locked)
+        self.all_joint_roles = ("active",) * len(self.joint_names) + ("follower",) * len(followers) + ("locked",) * len(locked)
         joint_ids = [self._joint_id(name) for name in self.joint_names]
+        follower_ids = [self._joint_id(name) for name in followers]
         self.q_indices = np.array([self.model.joints[i].idx_q for i in joint_ids])
         self.v_indices = np.array([self.model.joints[i].idx_v for i in joint_ids])
+        self._follower_q = np.array([self.model.joints[i].idx_q for i in follower_ids], dtype=int)
+        follower_v = [self.model.joints[i].idx_v for i in follower_ids]
+        self.active_columns = np.setdiff1d(np.arange(self.model.nv), follower_v)
+        self.joint_columns = np.searchsorted(self.active_columns, self.v_indices)
+        self._expansion = expansion_matrix((*self.joint_names, *followers), self.joint_names, rules)
+        self.expansion = _tangent_expansion(self._expansion, self.active_columns, self.joint_columns, follower_v) if rules else None
+        self.notes = tighten_model(self.model, rules)
+        for note in self.notes:
+            warnings.warn(f"{self.name}: {note}", stacklevel=2)
+        self._locked = np.array(list(locked.values()))
         self.lower_limits = _frozen(self.model.lowerPositionLimit[self.q_indices])
         self.upper_limits = _frozen(self.model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(self.model.velocityLimit[self.v_indices])
-        self.rest = _frozen([spec.rest[name] for name in self.joint_names])
+        self.rest = _frozen([spec.all_rest[name] for name in self.joint_names])
         self._check_limits()
         self.palm_frame_id = self._add_frame("palm", spec.palm.link, _palm_in_link(spec), "palm.link")
         self.wrist_frame_id = self._add_frame("wrist", spec.wrist.link, np.eye(4), "wrist.link")
@@ -113,7 +141,7 @@ class Hand:
 
     def with_points(self, points: str | tuple[str | PointSpec, ...] | None) -> Hand:
         """The same hand, scaled as it is, with other reference points; arguments as of `Hand`."""
-        return Hand(msgspec.structs.replace(self.spec, mirror=False), points=points, mount=self.mount, urdf_text=self.urdf_text)
+        return Hand(self.spec, points=points, mount=self.mount, urdf_text=self._file_text)
 
     def configuration(self) -> Configuration:
         """A new workspace for this hand, for one user at a time."""
@@ -144,8 +172,24 @@ class Hand:
     def write_configuration(self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray) -> None:
         """The same into an array of the caller's, unchecked, for use sample by sample; a fixed hand ignores the wrist pose."""
         vector[self.q_indices] = q
+        if self.expansion is not None:
+            matrix, offset = self._expansion
+            vector[self._follower_q] = matrix[len(q) :] @ q + offset[len(q) :]
         if self.is_floating:
             vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
+
+    def all_joints(self, q: npt.ArrayLike) -> np.ndarray:
+        """Positions of every movable joint of the URDF, followers and locked ones among them: for a driver that wants them all.
+
+        Args:
+            q: Joint angles in the order of `joint_names` [rad or m], shape (n,), or one row a sample, shape (T, n).
+
+        Returns:
+            Positions in the order of `all_joint_names` [rad or m], shape (n_all,) or (T, n_all).
+        """
+        angles = np.asarray(q, dtype=float)
+        moving = angles @ self._expansion.matrix.T + self._expansion.offset
+        return np.concatenate([moving, np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))], axis=-1)
 
     def points(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Positions of the reference points (eq. 4).
@@ -171,13 +215,16 @@ class Hand:
             Jacobian [m/rad], rows x, y, z of each point in turn, columns in the order of `joint_names`, shape (3 m, n).
         """
         self._scratch.update(self.configuration_vector(q, wrist_pose))
-        return self._scratch.point_jacobian()[:, self.v_indices]
+        jacobian = self._scratch.point_jacobian()
+        if self.expansion is None:
+            return jacobian[:, self.v_indices]
+        return jacobian @ self.expansion.matrix[:, self.joint_columns]
 
     def frame_pose(self, frame: str, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
-        """Pose of a link, of `"palm"` or of `"wrist"` in the world.
+        """Pose of a link or joint, of `"palm"` or of `"wrist"` in the world.
 
         Args:
-            frame: Link name, `"palm"`, `"wrist"` or the name of a reference point.
+            frame: `"palm"`, `"wrist"`, the name of a reference point, of a link, or of a joint (whose frame is its child link's).
             q: Joint angles [rad], shape (n,).
             wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
 
@@ -189,7 +236,9 @@ class Hand:
         """
         own = f"{_ROOT}/{frame}"
         if not self.model.existFrame(own):
-            return self.link_poses([frame], q, wrist_pose)[0]
+            if self.model.existFrame(frame, pin.FrameType.BODY) or not self.model.existFrame(frame, pin.FrameType.JOINT):
+                return self.link_poses([frame], q, wrist_pose)[0]
+            own = frame
         self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch.data.oMf[self.model.getFrameId(own)].homogeneous
 
@@ -214,6 +263,19 @@ class Hand:
         frames = [self.model.getFrameId(link, pin.FrameType.BODY) for link in links]
         return np.array([self._scratch.data.oMf[frame].homogeneous for frame in frames]).reshape(-1, 4, 4)
 
+    def _mimic_rules(self) -> tuple[MimicRule, ...]:
+        try:
+            rules = read_mimic_rules(parse_urdf(self.urdf_text))
+        except HandError as error:
+            raise self.spec.error(str(error).removeprefix(f"{error.key}: "), key=error.key or "urdf", value=error.value) from error
+        for rule in rules:
+            if rule.follower in self.spec.all_joints:
+                message = (
+                    f"{rule.follower!r} mimics {rule.leader!r} and cannot be set: leave it out, or give mimic.{rule.follower}: null"
+                )
+                raise self.spec.error(message, key="joints", value=rule.follower)
+        return rules
+
     def _joint_id(self, name: str) -> int:
         if not self.model.existJointName(name):
             raise self.spec.error(f"the URDF has no movable joint {name!r}", key="joints", value=name)
@@ -223,9 +285,11 @@ class Hand:
         columns = zip(self.joint_names, self.lower_limits, self.upper_limits, self.velocity_limits, self.rest, strict=True)
         for name, lower, upper, speed, rest in columns:
             if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
-                raise self.spec.error(f"{name!r} needs limits with lower < upper, got [{lower:.6g}, {upper:.6g}]", key="urdf")
+                message = f"{name!r} needs limits with lower < upper, got [{lower:.6g}, {upper:.6g}]: give them in `limits`"
+                raise self.spec.error(message, key="urdf")
             if not (np.isfinite(speed) and speed > 0.0):
-                raise self.spec.error(f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key="urdf")
+                message = f"{name!r} needs a velocity limit > 0, got {speed:.6g}: give it in `limits`"
+                raise self.spec.error(message, key="urdf")
             if not lower <= rest <= upper:
                 message = f"{rest:.6g} rad is outside the joint's limits [{lower:.6g}, {upper:.6g}]"
                 raise self.spec.error(message, key=f"rest.{name}", value=rest)
@@ -276,46 +340,25 @@ class Hand:
         return all(other in above or joint in self.model.supports[other] for other in range(1, self.model.njoints))
 
 
-def read_urdf(spec: HandSpec) -> str:
-    """The text of a spec's URDF.
-
-    Raises:
-        HandError: If there is no such file.
-        MissingExtraError: If it lives in a package that is not installed.
-    """
-    path = urdf_path(spec)
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise spec.error(f"the URDF cannot be read: {error}", key="urdf", value=spec.urdf) from error
+def _tangent_expansion(joints: Expansion, active: np.ndarray, columns: np.ndarray, follower_v: list[int]) -> Expansion:
+    """S and offset over the model's tangent space, where the wrist's coordinates stand for themselves."""
+    nv, count = len(active) + len(follower_v), len(columns)
+    matrix, offset = np.eye(nv)[:, active], np.zeros(nv)
+    matrix[np.ix_(follower_v, columns)] = joints.matrix[count:]
+    offset[follower_v] = joints.offset[count:]
+    return Expansion(_frozen(matrix), _frozen(offset))
 
 
-def urdf_path(spec: HandSpec) -> Path:
-    """Where a spec's URDF lies.
-
-    Raises:
-        MissingExtraError: If it lives in a package that is not installed.
-    """
-    if spec.urdf.startswith("package://"):
-        package, _, inside = spec.urdf.removeprefix("package://").partition("/")
-        return package_share(package) / package / inside
-    return (spec.directory or Path()) / spec.urdf
+def _mount(spec: HandSpec, mount: Mount | None) -> Mount:
+    """How the root of the model is held: a hand on an arm stands on the arm's foot."""
+    if spec.arm is None:
+        return mount or spec.wrist.mount
+    if mount == "floating":
+        raise spec.error(f"{spec.name} is mounted on {spec.arm.name}, and cannot float", key="arm", value=mount)
+    return "fixed"
 
 
-def package_share(package: str) -> Path:
-    """The `share` folder of an installed package of robot descriptions (a cmeel wheel).
-
-    Raises:
-        MissingExtraError: If the package is not installed.
-    """
-    try:
-        distribution = importlib.metadata.distribution(package)
-    except importlib.metadata.PackageNotFoundError as error:
-        raise MissingExtraError(package, "robots") from error
-    return Path(str(distribution.locate_file("cmeel.prefix/share")))
-
-
-def _build_model(spec: HandSpec, urdf_text: str, mount: Mount) -> pin.Model:
+def _build_model(spec: HandSpec, urdf_text: str, mount: Mount, followers: tuple[str, ...]) -> pin.Model:
     try:
         if mount == "floating":
             model = pin.buildModelFromXML(urdf_text, pin.JointModelFreeFlyer(), _ROOT)
@@ -326,8 +369,8 @@ def _build_model(spec: HandSpec, urdf_text: str, mount: Mount) -> pin.Model:
     for name, joint in zip(model.names, model.joints, strict=True):
         if name in ("universe", _ROOT):
             continue
-        if name not in spec.joints:
-            raise spec.error(f"the URDF's joint {name!r} is missing", key="joints", value=name)
+        if name not in spec.all_joints and name not in followers:
+            raise spec.error(f"the URDF's joint {name!r} is missing: name it here or in `locked`", key="joints", value=name)
         if joint.nq != 1:
             raise spec.error(f"{name!r} is a {joint.shortname()}; only joints with one coordinate can be used", key="joints")
     return model

@@ -86,6 +86,64 @@ class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     margin: float = 0.002
 
 
+class LimitSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits of a joint that its URDF lacks, or has otherwise; what is left out stays as in the URDF.
+
+    Attributes:
+        lower: Lower position limit [rad or m].
+        upper: Upper position limit [rad or m].
+        velocity: Speed limit [rad/s or m/s].
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+
+
+class MimicSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A joint that copies another one: `q = multiplier * q[joint] + offset`.
+
+    Attributes:
+        joint: The leader's name; it may itself be a follower.
+        multiplier: The follower's motion per motion of the leader.
+        offset: Its position where the leader's is zero [rad or m].
+    """
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An arm that carries the hand: its joints then move the wrist, within their own limits.
+
+    Attributes:
+        name: Short name of the arm.
+        urdf: Path of its URDF, as of `HandSpec.urdf`.
+        tip: URDF link that carries the hand.
+        joints: Names of its movable joints; they come first in every `q`.
+        rest: Rest position of every joint [rad or m].
+        xyz: Origin of the hand's root link in the tip's frame [m].
+        rpy: Its roll, pitch and yaw there, as in a URDF [rad].
+        root: Link that stands still; the URDF's own root if omitted.
+        locked: Joints that hold still, and where [rad or m].
+        limits: Limits by joint that replace the URDF's.
+        directory: Where relative paths start; the folder of `arm.yaml` when it was read from one.
+    """
+
+    name: str
+    urdf: str
+    tip: str
+    joints: tuple[str, ...]
+    rest: dict[str, float]
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+    root: str | None = None
+    locked: dict[str, float] = {}
+    limits: dict[str, LimitSpec] = {}
+    directory: Path | None = None
+
+
 class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A hand: its URDF and what the URDF cannot say.
 
@@ -103,6 +161,12 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         reference: The set used unless the caller names another.
         mirror: Reflect the URDF in its root link's x = 0 plane; all coordinates here are those of the reflected hand.
         collision: Links to keep apart; None where there is nothing to say.
+        root: Where the hand begins in the URDF of a whole robot: this link and what hangs from it are the hand. The URDF's own
+            root if omitted.
+        locked: Movable joints that hold still, and where [rad or m].
+        limits: Limits by joint that replace the URDF's.
+        mimic: Rules by follower that replace the URDF's; None makes a joint of its own out of one that mimics in the URDF.
+        arm: The arm that the hand is mounted on; None without one.
         directory: Where relative paths start; the folder of `hand.yaml` when it was read from one.
     """
 
@@ -118,7 +182,22 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference: str
     mirror: bool = False
     collision: CollisionSpec | None = None
+    root: str | None = None
+    locked: dict[str, float] = {}
+    limits: dict[str, LimitSpec] = {}
+    mimic: dict[str, MimicSpec | None] = {}
+    arm: ArmSpec | None = None
     directory: Path | None = None
+
+    @property
+    def all_joints(self) -> tuple[str, ...]:
+        """Joints of arm and hand: the order of every `q`."""
+        return self.joints if self.arm is None else (*self.arm.joints, *self.joints)
+
+    @property
+    def all_rest(self) -> dict[str, float]:
+        """Rest positions of arm and hand [rad or m]."""
+        return self.rest if self.arm is None else {**self.arm.rest, **self.rest}
 
     @property
     def file(self) -> Path | None:
@@ -134,11 +213,16 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         _check_finite(self)
         if not self.joints:
             raise self.error("expected at least one joint", key="joints", value=self.joints)
-        _check_unique(self, self.joints, "joints")
+        _check_unique(self, self.all_joints, "joints")
         _check_unique(self, tuple(point.name for point in self.points), "points")
-        for joint in set(self.joints) ^ set(self.rest):
-            what = "is no joint of `joints`" if joint in self.rest else "has no rest angle"
-            raise self.error(f"{joint!r} {what}", key="rest", value=joint)
+        for prefix, part in (("", self), ("arm.", self.arm)):
+            if part is None:
+                continue
+            for joint in sorted(set(part.joints) ^ set(part.rest)):
+                what = "is no joint of `joints`" if joint in part.rest else "has no rest angle"
+                raise self.error(f"{joint!r} {what}", key=f"{prefix}rest", value=joint)
+            for joint in sorted(set(part.joints) & set(part.locked)):
+                raise self.error(f"{joint!r} is one of `joints`, and cannot be locked", key=f"{prefix}locked", value=joint)
         names = {point.name for point in self.points}
         for set_name, members in self.sets.items():
             for member in members:
@@ -168,6 +252,22 @@ def read_hand_spec(path: Path) -> HandSpec:
     Raises:
         HandError: If the file cannot be read, is no YAML, or has an unknown, missing or mistyped key.
     """
+    document = _read_document(path)
+    try:
+        return msgspec.convert(document, HandSpec, dec_hook=lambda kind, value: kind(value))
+    except msgspec.ValidationError as error:
+        if isinstance(cause := error.__cause__, HandError):
+            text = str(cause).removeprefix(f"{cause.file}: ").removeprefix(f"{cause.key}: ")
+            raise HandError(text, file=path, key=cause.key, value=cause.value) from error
+        message, _, place = str(error).partition(" - at `$")
+        key = place.rstrip("`").lstrip(".") or None
+        value = _value_at(document, key)
+        got = "" if value is None else f" (value {value!r})"
+        raise HandError(f"{message}{got}", file=path, key=key, value=value) from error
+
+
+def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """A file's keys, with those of the file that it extends, and its folder."""
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -178,19 +278,25 @@ def read_hand_spec(path: Path) -> HandSpec:
         raise HandError(f"expected a mapping of keys, got {type(document).__name__}", file=path)
     if "directory" in document:
         raise HandError("unknown key", file=path, key="directory", value=document["directory"])
-    document["directory"] = str(path.parent)
-    try:
-        return msgspec.convert(document, HandSpec, dec_hook=lambda kind, value: kind(value))
-    except msgspec.ValidationError as error:
-        if isinstance(error.__cause__, HandError):
-            raise HandError(
-                str(error.__cause__).split(": ", 2)[-1], file=path, key=error.__cause__.key, value=error.__cause__.value
-            ) from error
-        message, _, place = str(error).partition(" - at `$")
-        key = place.rstrip("`").lstrip(".") or None
-        value = _value_at(document, key)
-        got = "" if value is None else f" (value {value!r})"
-        raise HandError(f"{message}{got}", file=path, key=key, value=value) from error
+    if isinstance(document.get("arm"), str):
+        document["arm"] = {"extends": document["arm"]}
+    if isinstance(document.get("arm"), dict):
+        document["arm"] = {"directory": str(path.parent), **_extended(document["arm"], path, extending)}
+    return {**_extended(document, path, extending), "directory": str(path.parent)}
+
+
+def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...]) -> dict[str, Any]:
+    """A mapping's keys over those of the file that its key `extends` names, whose relative paths stay what they were there."""
+    own = dict(document)
+    if "extends" not in own:
+        return own
+    other = (path.parent / str(own.pop("extends"))).resolve()
+    if other in extending:
+        raise HandError("files extend each other in a circle", file=path, key="extends", value=str(other))
+    base = _read_document(other, (*extending, path.resolve(), other))
+    if "urdf" not in own and not str(base.get("urdf")).startswith("package://"):
+        own["urdf"] = str(other.parent / str(base.get("urdf")))
+    return {**base, **own}
 
 
 def _value_at(document: Any, key: str | None) -> Any:
@@ -212,9 +318,15 @@ def _check_unique(spec: HandSpec, names: tuple[str, ...], key: str) -> None:
 def _check_finite(spec: HandSpec) -> None:
     numbers: dict[str, tuple[float, ...]] = {
         "palm.xyz": spec.palm.xyz,
-        "rest": tuple(spec.rest.values()),
+        "rest": tuple(spec.all_rest.values()),
+        "locked": tuple(spec.locked.values()),
+        **{f"mimic.{name}": (rule.multiplier, rule.offset) for name, rule in spec.mimic.items() if rule is not None},
+        **_limit_numbers(spec.limits, "limits"),
         **{f"points[{i}].xyz": point.xyz for i, point in enumerate(spec.points)},
     }
+    if spec.arm is not None:
+        numbers |= {"arm.xyz": spec.arm.xyz, "arm.rpy": spec.arm.rpy, "arm.locked": tuple(spec.arm.locked.values())}
+        numbers |= _limit_numbers(spec.arm.limits, "arm.limits")
     for key, values in numbers.items():
         if not all(map(math.isfinite, values)):
             raise spec.error(f"expected finite numbers, got {values}", key=key, value=values)
@@ -226,6 +338,14 @@ def _check_finite(spec: HandSpec) -> None:
     for key, value in positive.items():
         if not (math.isfinite(value) and value > 0.0):
             raise spec.error(f"expected a number > 0, got {value}", key=key, value=value)
+
+
+def _limit_numbers(limits: dict[str, LimitSpec], key: str) -> dict[str, tuple[float, ...]]:
+    """The numbers that limits give, by key."""
+    return {
+        f"{key}.{name}": tuple(value for value in (limit.lower, limit.upper, limit.velocity) if value is not None)
+        for name, limit in limits.items()
+    }
 
 
 def _check_axes(spec: HandSpec) -> None:

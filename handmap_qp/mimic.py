@@ -14,7 +14,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -148,6 +148,26 @@ def tighten_limits(rules: Iterable[MimicRule], ranges: Mapping[str, JointRange])
             speed = min(speed, own.velocity / abs(rule.multiplier))
         tightened[rule.leader] = JointRange(lower, upper, speed)
     return tightened, tuple(dropped)
+
+
+def tighten_model(model: Any, rules: Iterable[MimicRule]) -> tuple[str, ...]:
+    """Write the limits of leaders into a Pinocchio model, tightened so that their followers keep theirs.
+
+    Args:
+        model: A `pinocchio.Model`, changed in place.
+        rules: Resolved rules.
+
+    Returns:
+        A sentence for each follower whose limits were dropped.
+    """
+    lower, upper, velocity = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
+    joints = {name: joint for name, joint in zip(model.names, model.joints, strict=True) if joint.nq == 1}
+    ranges = {name: JointRange(lower[joint.idx_q], upper[joint.idx_q], velocity[joint.idx_v]) for name, joint in joints.items()}
+    tightened, dropped = tighten_limits(rules, ranges)
+    for name, limits in tightened.items():
+        q, v = joints[name].idx_q, joints[name].idx_v
+        lower[q], upper[q], velocity[v] = limits
+    return dropped
 
 
 def _follows(joint: ET.Element) -> bool:

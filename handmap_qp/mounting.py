@@ -7,24 +7,36 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import HandError
 from handmap_qp.hand_spec import ArmSpec, HandSpec, LimitSpec, MimicSpec, Vector
 from handmap_qp.transform import affine
+from handmap_qp.urdf_check import MOVABLE, check_limits, check_tree, edges, link_names, root_links
 from handmap_qp.urdf_text import get_numbers, mirrored_urdf, parse_urdf, set_numbers
 
-MOVABLE = ("revolute", "continuous", "prismatic")
-"""Kinds of joints with one coordinate."""
 # A follower without limits of its own has none to pass on to its leader.
 _NO_LIMIT = LimitSpec(lower=-1e6, upper=1e6, velocity=1e6)
 _HAND_JOINT = "hand_mount"
 
 
-def compose_urdf(spec: HandSpec, text: str, arm_text: str | None = None) -> str:
+class ComposedUrdf(NamedTuple):
+    """What a hand's model is built from.
+
+    Attributes:
+        text: The URDF.
+        locked: Position of every joint that was made a fixed one [rad or m]: those that the spec locks, and their followers.
+    """
+
+    text: str
+    locked: dict[str, float]
+
+
+def compose_urdf(spec: HandSpec, text: str, arm_text: str | None = None) -> ComposedUrdf:
     """The URDF that a hand's model is built from.
 
     Args:
@@ -33,44 +45,27 @@ def compose_urdf(spec: HandSpec, text: str, arm_text: str | None = None) -> str:
         arm_text: The URDF of its arm; needed where the spec has one.
 
     Returns:
-        The URDF: mirrored if asked for, only the part outwards from `root`, `locked` joints fixed, `limits` and `mimic` written in,
-        mounted on the arm. The text itself where none of this is to be done.
+        The URDF: only the part outwards from `root`, `locked` joints fixed, `limits` and `mimic` written in, mounted on the arm,
+        and all of it mirrored if asked for.
 
     Raises:
-        HandError: If the spec names links or joints that are not there, or arm and hand have joints of the same name.
+        HandError: If the URDF is no tree, the spec names links or joints that are not there, a joint is left without limits, or
+            arm and hand have joints of the same name.
     """
-    if spec.mirror:
-        text = mirrored_urdf(text)
-    if spec.arm is None and not (spec.root or spec.locked or spec.limits or spec.mimic or _needs_care(text)):
-        return text
-    robot = parse_urdf(text)
     try:
-        _prepare(robot, spec.root, spec.mimic, spec.locked, spec.limits)
+        robot = parse_urdf(text)
+        check_tree(robot)
+        locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
         if spec.arm is not None and arm_text is not None:
             arm = parse_urdf(arm_text)
-            _prepare(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits)
+            check_tree(arm)
+            locked = {**prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits), **locked}
             robot = mount_on_arm(arm, robot, spec.arm)
+        check_limits(robot)
+        text = ET.tostring(robot, encoding="unicode")
+        return ComposedUrdf(mirrored_urdf(text) if spec.mirror else text, locked)
     except HandError as error:
-        if error.file is None and spec.file is not None:
-            message = str(error).removeprefix(f"{error.key}: ")
-            raise spec.error(message, key=error.key or "urdf", value=error.value) from error
-        raise
-    return ET.tostring(robot, encoding="unicode")
-
-
-def root_links(robot: ET.Element) -> list[str]:
-    """Links of a URDF that are no joint's child."""
-    children = {child for _, _, child in edges(robot)}
-    return [name for name in (link.get("name", "") for link in robot.iterfind("link")) if name not in children]
-
-
-def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
-    """Every joint of a URDF with the names of its parent link and its child link."""
-    for joint in robot.iterfind("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is None or child is None:
-            raise HandError("a joint needs a parent and a child link", key=joint.get("name"))
-        yield joint, parent.get("link", ""), child.get("link", "")
+        raise spec.error(str(error).removeprefix(f"{error.key}: "), key=error.key or "urdf", value=error.value) from error
 
 
 def cut_subtree(robot: ET.Element, root: str) -> None:
@@ -83,7 +78,7 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
     Raises:
         HandError: If there is no such link.
     """
-    if root not in {link.get("name") for link in robot.iterfind("link")}:
+    if root not in link_names(robot):
         raise HandError(f"the URDF has no link {root!r}", key="root", value=root)
     outwards: dict[str, list[str]] = {}
     for _, parent, child in edges(robot):
@@ -103,18 +98,21 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
         robot.remove(other)
 
 
-def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> None:
+def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:
     """Make joints fixed ones, at given positions; followers of a locked leader are locked where they then stand.
 
     Args:
         robot: The `<robot>` element, changed in place.
         positions: Position by joint name [rad or m].
 
+    Returns:
+        Positions of all that were made fixed.
+
     Raises:
         HandError: If there is no such joint, or it is of a kind with more than one coordinate.
     """
     joints = {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
-    todo = dict(positions)
+    todo, locked = dict(positions), {}
     while todo:
         name, position = todo.popitem()
         if name not in joints:
@@ -123,11 +121,13 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> None:
         if joint.get("type") == "fixed":
             continue
         _fix(joint, position)
+        locked[name] = position
         for follower, other in joints.items():
             mimic = other.find("mimic")
             if mimic is not None and mimic.get("joint") == name and follower not in positions:
                 (multiplier,), (offset,) = get_numbers(mimic, "multiplier", 1, "1"), get_numbers(mimic, "offset", 1, "0")
                 todo[follower] = multiplier * position + offset
+    return {name: locked[name] for name in joints if name in locked}
 
 
 def set_limits(robot: ET.Element, limits: Mapping[str, LimitSpec]) -> None:
@@ -150,6 +150,8 @@ def set_limits(robot: ET.Element, limits: Mapping[str, LimitSpec]) -> None:
         for key in ("lower", "upper", "velocity"):
             if (value := getattr(limit, key)) is not None:
                 set_numbers(element, key, [value])
+        for key in ("effort", "velocity"):
+            element.attrib.setdefault(key, "0")
         if limit.lower is not None and limit.upper is not None and joints[name].get("type") == "continuous":
             joints[name].set("type", "revolute")
 
@@ -168,7 +170,7 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> ET.Element
     Raises:
         HandError: If the arm has no such link, or both have a movable joint of the same name.
     """
-    if spec.tip not in {link.get("name") for link in arm.iterfind("link")}:
+    if spec.tip not in link_names(arm):
         raise HandError(f"the arm has no link {spec.tip!r}", key="arm.tip", value=spec.tip)
     taken = {kind: {element.get("name", "") for element in hand.iter(kind)} for kind in ("link", "joint", "material")}
     for joint in arm.iterfind("joint"):
@@ -239,26 +241,23 @@ def axis_of(joint: ET.Element) -> np.ndarray:
     return axis / length
 
 
-def _needs_care(text: str) -> bool:
-    return "<mimic" in text
-
-
-def _prepare(
+def prepare_urdf(
     robot: ET.Element,
     root: str | None,
     mimic: Mapping[str, MimicSpec | None],
     locked: Mapping[str, float],
     limits: Mapping[str, LimitSpec],
-) -> None:
-    """One URDF as its spec wants it."""
+) -> dict[str, float]:
+    """Make one URDF what its spec wants of it; gives what is locked."""
     if root is not None:
         cut_subtree(robot, root)
     _set_mimic(robot, mimic)
-    lock_joints(robot, locked)
+    positions = lock_joints(robot, locked)
     set_limits(robot, limits)
     for joint in robot.iterfind("joint"):
         if joint.find("mimic") is not None and joint.get("type") in MOVABLE:
             _free(joint)
+    return positions
 
 
 def _set_mimic(robot: ET.Element, rules: Mapping[str, MimicSpec | None]) -> None:

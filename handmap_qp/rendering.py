@@ -18,10 +18,11 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from handmap_qp.errors import InvalidInputError, MissingExtraError
-from handmap_qp.hand import Hand, package_share, urdf_path
+from handmap_qp.hand import Hand, urdf_path
 from handmap_qp.hand_spec import HandSpec
 from handmap_qp.raster import Camera, Triangles, merged, render
 from handmap_qp.transform import transform_points
+from handmap_qp.urdf_files import find_mesh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -277,15 +278,8 @@ def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mesh_file(name: str, spec: HandSpec) -> Path:
-    """Where a mesh that a URDF names lies on disk: in an installed package of robot descriptions, or relative to the URDF's file.
-
-    Raises:
-        MissingExtraError: If the package is not installed.
-    """
-    if name.startswith("package://"):
-        package, _, inside = name.removeprefix("package://").partition("/")
-        return package_share(package) / package / inside
-    return urdf_path(spec).parent / name.removeprefix("file://")
+    """Where a mesh that a hand's URDF names lies on disk; see `find_mesh`."""
+    return find_mesh(name, urdf_path(spec).parent)
 
 
 def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

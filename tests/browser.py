@@ -54,36 +54,41 @@ class Browser:
 
     def __enter__(self) -> Browser:
         """Start it."""
-        from websockets.sync.client import connect
-
         self._folder = tempfile.mkdtemp(prefix="chromium-")
         size = f"--window-size={self._size[0]},{self._size[1]}"
         words = [self._program, *FLAGS, size, f"--user-data-dir={self._folder}", "about:blank"]
         self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        port_file = Path(self._folder) / "DevToolsActivePort"
         try:
-            self._wait(lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1, 30.0, "Chromium does not start")
-            port, path = port_file.read_text().split("\n")[:2]
-            self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
+            self._attach(Path(self._folder) / "DevToolsActivePort")
         except BaseException:
             self._end()
             raise
-        self._number = 0
-        self.errors: list[str] = []
-        target = self._call("Target.createTarget", url="about:blank")
-        attached = self._call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
-        self._session = attached["sessionId"]
-        self.call("Runtime.enable")
-        self.call("Page.enable")
-        self.call("Network.enable")
-        width, height = self._size
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         """End it, and remove its files."""
         self._socket.close()
         self._end()
+
+    def _attach(self, port_file: Path) -> None:
+        """Open a page and speak with it."""
+        from websockets.sync.client import connect
+
+        self._wait(lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1, 30.0, "Chromium does not start")
+        port, path = port_file.read_text().split("\n")[:2]
+        self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
+        self._number = 0
+        self.errors: list[str] = []
+        target = self._call("Target.createTarget", url="about:blank")
+        attached = self._call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Runtime", "Page", "Network"):
+            self.call(f"{domain}.enable")
+        self.resize(*self._size)
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page another size [px]."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def open(self, address: str, *, offline: bool = False) -> None:
         """Load a page."""

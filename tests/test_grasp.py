@@ -1,14 +1,14 @@
-"""Grasps: statics against the toolbox's figures and against the equations themselves, contacts on hands, the reference pair."""
+"""Grasps: statics against the toolbox's figures and against the equations themselves, and contacts on hands."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from grasp_cases import coupled_hand
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import generators, poses
@@ -19,7 +19,6 @@ from handmap_qp.grasp_reference import REFERENCE_HANDS, reference_grasp
 from handmap_qp.grasp_statics import grasp_stiffness
 from handmap_qp.human import load_synergies
 from handmap_qp.library import load_hand
-from handmap_qp.paths import urdf_directory
 from handmap_qp.transform import transform_points
 
 STIFFNESS = {"contact_stiffness": 800.0, "joint_stiffness": 1.5, "synergy_stiffness": 4.0}
@@ -277,14 +276,17 @@ def test_grasp_matrix_adds_up_forces_and_their_torques(generator: np.random.Gene
     np.testing.assert_allclose(wrench[3:], np.cross(points - centre, forces).sum(axis=0), atol=1e-12)
 
 
-@pytest.mark.parametrize("hand", REFERENCE_HANDS)
-def test_contact_jacobian_is_the_derivative_of_the_contacts(hand: str) -> None:
-    grasp = reference_grasp(hand).grasp
-    J = contact_jacobian(grasp.hand, grasp.contacts, grasp.q, grasp.wrist_pose)
+@pytest.mark.parametrize("name", [*REFERENCE_HANDS, "coupled"])
+def test_contact_jacobian_is_the_derivative_of_the_contacts(name: str) -> None:
+    grasp = reference_grasp("human" if name == "human" else "three_finger").grasp
+    hand = coupled_hand() if name == "coupled" else grasp.hand
+    q = hand.rest if name == "coupled" else grasp.q
+    J = contact_jacobian(hand, grasp.contacts, q, grasp.wrist_pose)
     step = 1e-6
+    assert J.shape == (3 * len(grasp.contacts), len(hand.joint_names))
     for joint, column in enumerate(J.T):
-        dq = step * np.eye(len(grasp.q))[joint]
-        ahead, behind = (contact_points(grasp.hand, grasp.contacts, grasp.q + s * dq, grasp.wrist_pose) for s in (1.0, -1.0))
+        dq = step * np.eye(len(q))[joint]
+        ahead, behind = (contact_points(hand, grasp.contacts, q + s * dq, grasp.wrist_pose) for s in (1.0, -1.0))
         # Central differences are good to step^2 and to rounding over step: 1e-9 here.
         np.testing.assert_allclose(column, (ahead - behind).ravel() / (2.0 * step), atol=1e-9)
 
@@ -293,6 +295,7 @@ def test_contacts_are_the_reference_points_of_their_hand() -> None:
     grasp = reference_grasp("human").grasp
     hand = load_hand("human").with_points(grasp.point_specs)
     np.testing.assert_allclose(hand.points(grasp.q, grasp.wrist_pose), grasp.points, atol=1e-15)
+    np.testing.assert_allclose(hand.point_jacobian(grasp.q, grasp.wrist_pose), grasp.jacobian, atol=1e-14)
     assert [point.finger for point in hand.reference_points] == [contact.finger for contact in grasp.contacts]
 
 
@@ -308,76 +311,6 @@ def test_a_grasp_refuses_links_and_joints_that_the_hand_does_not_have() -> None:
         Grasp(hand, hand.rest, np.eye(4), (Contact("tail", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
     with pytest.raises(InvalidInputError, match="q: expected shape"):
         Grasp(hand, np.zeros(5), np.eye(4), ())
-
-
-# The reference pair
-
-
-@pytest.mark.parametrize(("hand", "count"), [("human", 7), ("three_finger", 3)])
-def test_reference_contacts_are_where_they_were_published(hand: str, count: int) -> None:
-    reference = reference_grasp(hand)
-    assert reference.published_points.shape == (count, 3)
-    np.testing.assert_allclose(reference.grasp.points, reference.published_points, atol=1e-9)
-    np.testing.assert_array_equal(
-        reference.grasp.hand.points(reference.grasp.q, reference.grasp.wrist_pose), reference.grasp.points
-    )
-
-
-@pytest.mark.parametrize("hand", REFERENCE_HANDS)
-def test_reference_contacts_lie_on_the_cube_grown_as_the_planner_grew_it(hand: str) -> None:
-    grasp = reference_grasp(hand).grasp
-    local = (grasp.points - grasp.centre) @ grasp.object_pose[:3, :3]
-    # 1.5 mm a side; the planner's points are middles of the stretch of bone inside, and so up to 3 mm deeper.
-    assert (np.abs(local).max(axis=1) <= 0.0265 + 1e-9).all()
-    assert (np.abs(local).max(axis=1) >= 0.0235).all()
-
-
-@pytest.mark.parametrize("hand", REFERENCE_HANDS)
-def test_reference_joints_are_inside_their_limits(hand: str) -> None:
-    grasp = reference_grasp(hand).grasp
-    assert (grasp.hand.lower_limits <= grasp.q).all()
-    assert (grasp.q <= grasp.hand.upper_limits).all()
-
-
-def test_both_hands_hold_the_same_cube() -> None:
-    human, robot = (reference_grasp(hand).grasp for hand in REFERENCE_HANDS)
-    np.testing.assert_array_equal(human.object_pose, robot.object_pose)
-    assert human.shape == robot.shape
-
-
-def test_reference_normals_point_into_the_cube() -> None:
-    for grasp in (reference_grasp(hand).grasp for hand in REFERENCE_HANDS):
-        local = grasp.normals @ grasp.object_pose[:3, :3]
-        # Normals of the cube's faces.
-        np.testing.assert_allclose(np.sort(np.abs(local), axis=1), np.tile([0.0, 0.0, 1.0], (len(local), 1)), atol=1e-12)
-        assert (np.einsum("cj,cj->c", grasp.normals, grasp.centre - grasp.points) > 0.0).all()
-
-
-def test_published_robot_angles_miss_our_hand_by_the_planners_shift() -> None:
-    reference = reference_grasp("three_finger")
-    published = dataclasses.replace(reference.grasp, q=reference.published_q)
-    misses = np.linalg.norm(published.points - reference.published_points, axis=1)
-    np.testing.assert_allclose(misses, 0.05 / 3.0, atol=1e-12)
-
-
-def test_the_best_palm_for_the_published_robot_angles_is_hardly_better() -> None:
-    figures = json.loads((urdf_directory() / "three_finger" / "grasp_cube50.json").read_text(encoding="utf-8"))["published"]
-    reference = reference_grasp("three_finger")
-    published = dataclasses.replace(reference.grasp, q=reference.published_q, wrist_pose=np.array(figures["best_wrist_pose"]))
-    points, goals = published.points, reference.published_points
-    rms = np.sqrt(np.square(points - goals).sum(axis=1).mean())
-    assert rms == pytest.approx(figures["best_rms"], abs=1e-9)
-    assert rms == pytest.approx(0.016375, abs=1e-6)
-    # Kabsch: no rigid motion of the points brings them nearer.
-    offsets, wanted = points - points.mean(axis=0), goals - goals.mean(axis=0)
-    U, _, Vt = np.linalg.svd(wanted.T @ offsets)
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    assert np.sqrt(np.square(offsets @ R.T - wanted).sum(axis=1).mean()) == pytest.approx(rms, abs=1e-9)
-
-
-def test_there_is_no_reference_grasp_of_other_hands() -> None:
-    with pytest.raises(InvalidInputError, match="human, three_finger"):
-        reference_grasp("allegro_right")
 
 
 def test_a_fixed_hand_cannot_be_moved() -> None:

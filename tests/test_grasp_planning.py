@@ -9,19 +9,19 @@ import msgspec
 import numpy as np
 import pytest
 import scipy.optimize
+from grasp_cases import coupled_hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import generators, motion_of, poses, rotations
-from test_grasp import close_to
 
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.experiments.grasp_figures import contact_histogram_figure
 from handmap_qp.grasp import Grasp
-from handmap_qp.grasp_closing import MARGIN, Closing, HandCloser, close_hand, default_closing, palm_centre
+from handmap_qp.grasp_closing import MARGIN, HandCloser, close_hand
 from handmap_qp.grasp_planning import PlannedGrasp, contact_counts, plan_grasps
+from handmap_qp.grasp_preshape import Closing, default_closing, palm_centre
 from handmap_qp.grasp_quality import QUALITIES, SMALLER_IS_BETTER, cone_wrenches, ferrari_canny, grasp_quality
 from handmap_qp.grasp_reference import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp_statics import grasp_matrix
 from handmap_qp.hand import Hand
 from handmap_qp.library import load_hand
 from handmap_qp.shapes import Box, Cylinder, Shape, Sphere
@@ -59,10 +59,8 @@ def distance_from(shape: Shape, point: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.linalg.norm(point - nearest)), nearest
 
 
-def carried_by(hand: Hand, joint: int) -> set[str]:
+def carried_by(hand: Hand, joint: int, links: Sequence[str]) -> set[str]:
     """Links that a joint moves, found by moving it."""
-    links = [frame.name for frame in hand.model.frames if hand.model.existFrame(frame.name) and "/" not in frame.name]
-    links = [link for link in dict.fromkeys(links) if link not in ("universe", "wrist_mount", *hand.joint_names)]
     q = np.array(hand.rest)
     before = hand.link_poses(links, q)
     q[joint] += 0.1
@@ -79,8 +77,8 @@ def closer_for(grasp: Grasp) -> HandCloser:
 
 def test_closing_never_reaches_into_the_object(plan: Sequence[PlannedGrasp]) -> None:
     for grasp in (one.grasp for one in plan):
-        # Distances are good to a micrometre; a link that touches is one margin away.
-        assert closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 2e-6
+        # A link that touches is one margin away, but for the last microradian.
+        assert closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 1e-6
 
 
 def test_closing_stays_inside_the_limits(plan: Sequence[PlannedGrasp]) -> None:
@@ -94,16 +92,16 @@ def test_contacts_lie_one_margin_off_the_object_and_face_it(plan: Sequence[Plann
         assert grasp.shape is not None
         for point, normal in zip(grasp.points, grasp.normals, strict=True):
             distance, nearest = distance_from(grasp.shape, point - grasp.centre)
-            assert distance == pytest.approx(MARGIN, abs=3e-6)
-            # A direction over 0.1 mm between points good to a micrometre or two.
-            np.testing.assert_allclose(normal, (nearest + grasp.centre - point) / distance, atol=0.05)
+            assert distance == pytest.approx(MARGIN, abs=1e-6)
+            # A direction over 0.1 mm, between points that are good to some nanometres.
+            np.testing.assert_allclose(normal, (nearest + grasp.centre - point) / distance, atol=5e-3)
 
 
 def test_every_joint_that_stopped_short_carries_a_link_that_touches(plan: Sequence[PlannedGrasp]) -> None:
     hand = plan[0].grasp.hand
     closing = default_closing(hand)
     ends = np.where(closing.direction > 0.0, hand.upper_limits, hand.lower_limits)
-    carried = [carried_by(hand, joint) for joint in range(len(ends))]
+    carried = [carried_by(hand, joint, closer_for(plan[0].grasp).links) for joint in range(len(ends))]
     for grasp in (one.grasp for one in plan):
         closer = closer_for(grasp)
         near = closer.distances(grasp.q, grasp.wrist_pose) <= MARGIN
@@ -152,6 +150,12 @@ def test_contacts_at_the_joint_of_two_links_are_one() -> None:
         assert gaps.min() >= 1e-3
 
 
+def test_coupled_joints_stop_together() -> None:
+    for one in plan_grasps(coupled_hand(), CUBE, samples=10, quality="msvg"):
+        assert closer_for(one.grasp).distances(one.grasp.q, one.grasp.wrist_pose).min() > MARGIN - 1e-6
+        assert len(one.grasp.contacts) >= 2
+
+
 def test_closing_refuses_to_start_in_the_object() -> None:
     hand = load("three_finger")
     with pytest.raises(InvalidInputError, match="touches the object"):
@@ -160,7 +164,9 @@ def test_closing_refuses_to_start_in_the_object() -> None:
 
 def test_a_hand_without_collision_shapes_is_refused() -> None:
     hand = load("three_finger")
-    bare = Hand(hand.spec, urdf_text=hand.urdf_text.replace("<collision name", "<ignored name").replace("</collision>", "</ignored>"))
+    bare = Hand(
+        hand.spec, urdf_text=hand.urdf_text.replace("<collision name", "<ignored name").replace("</collision>", "</ignored>")
+    )
     with pytest.raises(HandError, match="no collision shapes"):
         HandCloser(bare, CUBE)
 
@@ -244,11 +250,20 @@ def test_plans_are_ranked_best_first(measure: str) -> None:
 @pytest.mark.parametrize("name", HANDS)
 def test_palms_look_at_the_object_from_the_planned_distance(name: str) -> None:
     hand, pose = load(name), motion_of(np.eye(3), np.array([0.3, -0.1, 0.2]))
-    distance = CUBE.circumradius + default_closing(hand).clearance
-    for one in plan_grasps(hand, CUBE, object_pose=pose, samples=5, quality="msvg"):
+    farther = dataclasses.replace(default_closing(hand), clearance=0.04)
+    for one in plan_grasps(hand, CUBE, object_pose=pose, samples=5, closing=farther, quality="msvg"):
         palm = hand.frame_pose("palm", one.grasp.q, one.grasp.wrist_pose)
         middle = palm[:3, :3] @ palm_centre(hand) + palm[:3, 3]
-        np.testing.assert_allclose(middle, pose[:3, 3] + distance * palm[:3, 2], atol=1e-12)
+        np.testing.assert_allclose(middle, pose[:3, 3] + (CUBE.circumradius + 0.04) * palm[:3, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+def test_a_hand_that_would_start_in_the_object_starts_just_clear_of_it(shape: Shape) -> None:
+    hand = load("three_finger")
+    inside = Closing(np.zeros(8), default_closing(hand).direction, -0.05)
+    for one in plan_grasps(hand, shape, samples=5, closing=inside, quality="msvg"):
+        gap = HandCloser(hand, shape).distances(inside.start, one.grasp.wrist_pose).min()
+        assert MARGIN < gap < MARGIN + 1.1e-3
 
 
 def test_progress_is_told_and_arguments_are_checked() -> None:
@@ -262,29 +277,9 @@ def test_progress_is_told_and_arguments_are_checked() -> None:
         plan_grasps(hand, CUBE, quality="nice")
     with pytest.raises(InvalidInputError, match="fixed wrist"):
         plan_grasps(load_hand("three_finger", mount="fixed"), CUBE)
-    with pytest.raises(InvalidInputError, match="more clearance"):
-        plan_grasps(hand, CUBE, samples=1, closing=Closing(np.zeros(8), default_closing(hand).direction, -0.05))
 
 
 # Quality
-
-
-@pytest.mark.parametrize("measure", ["gii", "msvg", "mev", "dtsc", "uot"])
-def test_quality_of_the_human_reference_is_the_published_one(measure: str) -> None:
-    reference = reference_grasp("human")
-    expected = reference.published_quality[measure]
-    assert grasp_quality(reference.grasp, measure, length=1e-3) == pytest.approx(expected, rel=1e-10)
-
-
-def test_quality_of_the_robot_reference_is_the_published_one_with_the_shifted_fingers() -> None:
-    reference = reference_grasp("three_finger")
-    expected = reference.published_quality
-    # Shifting a finger as a whole changes its contacts, but not its Jacobian.
-    G = grasp_matrix(1e3 * (reference.published_points - reference.grasp.centre), np.zeros(3))
-    J = 1e3 * dataclasses.replace(reference.grasp, q=reference.published_q).jacobian
-    of_G, of_H = np.linalg.svd(G, compute_uv=False), np.linalg.svd(np.linalg.pinv(G.T) @ J, compute_uv=False)
-    found = {"gii": of_G[5] / of_G[0], "msvg": of_G[5], "mev": of_H.prod(), "dtsc": of_H[5], "uot": of_H[0] / of_H[5]}
-    assert found == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("measure", QUALITIES)
@@ -321,17 +316,16 @@ def test_force_closure_is_what_a_linear_program_finds(
     assert closes == (radius > 1e-9)
 
 
-@given(generators)
-@settings(max_examples=20)
-def test_no_direction_is_resisted_less_than_the_ball_promises(generator: np.random.Generator) -> None:
+def test_no_direction_is_resisted_less_than_the_ball_promises() -> None:
     reference = reference_grasp("human").grasp
     offsets = (reference.points - reference.centre) / 0.04
     radius = ferrari_canny(offsets, reference.normals, 0.5)
-    directions = generator.normal(size=(500, 6))
+    directions = np.random.default_rng(0).normal(size=(20000, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     resisted = (directions @ cone_wrenches(offsets, reference.normals, 0.5).T).max(axis=1)
-    assert radius > 0.0
-    assert resisted.min() >= radius - 1e-12
+    assert 0.0 < radius <= resisted.min() + 1e-12
+    # So many directions come near the weakest one.
+    assert resisted.min() < 1.5 * radius
 
 
 def test_more_friction_never_weakens_a_grasp() -> None:
@@ -360,7 +354,7 @@ def test_grasps_with_too_few_contacts_rank_last() -> None:
 def test_cones_stand_round_their_normals() -> None:
     normals = reference_grasp("human").grasp.normals
     forces = cone_wrenches(np.zeros((7, 3)), normals, 0.5)[:, :3].reshape(7, -1, 3)
-    assert np.einsum("cej,cj->ce", forces, normals) == close_to(np.ones((7, 8)), 1e-12)
+    np.testing.assert_allclose(np.einsum("cej,cj->ce", forces, normals), 1.0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(forces - normals[:, None], axis=2), 0.5, atol=1e-12)
     with pytest.raises(InvalidInputError, match="friction"):
         cone_wrenches(np.zeros((7, 3)), normals, -0.1)

@@ -288,3 +288,32 @@ def test_bad_synergy_input() -> None:
         synergies.coordinates([0.0] * 19)
     with pytest.raises(InvalidInputError, match="matrix: "):
         Synergies(matrix=np.zeros((15, 20)), mean=np.zeros(20))
+
+
+@given(z=arrays(float, (8, 15), elements=st.floats(-2.0, 2.0)), count=st.integers(1, 15))
+def test_first_synergies_explain_all_of_a_motion_along_them(z: np.ndarray, count: int) -> None:
+    synergies = load_synergies()
+    z = z * (np.arange(15) < count)
+    z[0, 0] += 3.0
+    explained = synergies.explained_variance([synergies.posture(row) for row in z])
+    np.testing.assert_allclose(explained[count - 1 :], 1.0, atol=1e-9)
+
+
+@given(q=arrays(float, (8, 20), elements=st.floats(-1.5, 1.5)))
+def test_explained_variance_is_what_projection_leaves_over(q: np.ndarray) -> None:
+    synergies = load_synergies()
+    q[0] += 1.0
+    motion = q - q.mean(axis=0)
+    explained = synergies.explained_variance(q)
+    assert (np.diff(explained) >= -1e-12).all()
+    for count in (1, 3, 15):
+        S = synergies.matrix[:, :count]
+        left = motion.T - S @ np.linalg.lstsq(S, motion.T, rcond=None)[0]
+        np.testing.assert_allclose(explained[count - 1], 1.0 - np.square(left).sum() / np.square(motion).sum(), atol=1e-9)
+
+
+def test_explained_variance_needs_a_motion() -> None:
+    synergies = load_synergies()
+    for q in (np.zeros((1, 20)), np.zeros((5, 20)), np.zeros((5, 19)), np.zeros(20), np.full((5, 20), np.nan)):
+        with pytest.raises(InvalidInputError, match="q: "):
+            synergies.explained_variance(q)

@@ -15,14 +15,16 @@ from ik_cases import random_cases
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, hand_names, load_hand
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hand import Hand
+from handmap_qp.hand import Hand, read_urdf
 from handmap_qp.hand_spec import CollisionSpec, Mount, read_hand_spec
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.limits import BoxLimits
-from handmap_qp.ik.reference import BoxLimit, SelfCollisionLimit, build_problem, solve_problem
+from handmap_qp.ik.reference import build_problem, make_limits, solve_problem
 from handmap_qp.paths import urdf_directory
 
 DT = 1.0 / 60.0
+AVOIDING = IkOptions(avoids_self_collision=True)
+DISTAL_SHAPE = '<cylinder radius="0.0085" length="0.05"/>'
+"""Collision shape of the three-fingered hand's distal links, in its URDF."""
 each_name = pytest.mark.parametrize("name", hand_names())
 
 
@@ -87,8 +89,8 @@ def test_links_are_kept_apart(name: str) -> None:
 
 
 def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
-    limit, box = CollisionLimit(hand), BoxLimits(hand)
-    limits = [BoxLimit(box), *([SelfCollisionLimit(limit, box)] if avoids else [])]
+    options = IkOptions(avoids_self_collision=avoids)
+    limit, limits = CollisionLimit(hand), make_limits(hand, options)
     configuration, elsewhere, rng = hand.configuration(), hand.configuration(), np.random.default_rng(0)
     configuration.update(hand.configuration_vector(hand.rest))
     nearest = np.inf
@@ -98,7 +100,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
         if i % 2:
             targets[:] = targets.mean(axis=0)
         for _ in range(15):
-            dq = solve_problem(build_problem(hand, IkOptions(), configuration, targets, None, DT, limits=limits))
+            dq = solve_problem(build_problem(hand, options, configuration, targets, None, DT, limits=limits))
             assert dq is not None
             configuration.update(pin.integrate(hand.model, configuration.q, dq))
             nearest = min(nearest, limit.distances(configuration).min())
@@ -109,21 +111,20 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
 def test_rows_never_contradict_the_box(name: str) -> None:
     # Also among overlapping links and outside the joints' limits.
     hand = load(name)
-    limit, box, configuration = CollisionLimit(hand), BoxLimits(hand), hand.configuration()
+    limit, limits, configuration = CollisionLimit(hand), make_limits(hand, AVOIDING), hand.configuration()
     overlaps = 0
     for case in random_cases(hand, 40, seed=1):
         configuration.update(case.q)
         overlaps += limit.distances(configuration).min() < 0.0
-        limits = [BoxLimit(box), SelfCollisionLimit(limit, box)]
-        problem = build_problem(hand, IkOptions(), configuration, case.point_targets, None, case.dt, limits=limits)
+        problem = build_problem(hand, AVOIDING, configuration, case.point_targets, None, case.dt, limits=limits)
         assert solve_problem(problem) is not None
     assert overlaps > 5
 
 
 def test_overlapping_links_part() -> None:
     hand = load("three_finger")
-    limit, box, configuration = CollisionLimit(hand), BoxLimits(hand), hand.configuration()
-    limits, rng, starts = [BoxLimit(box), SelfCollisionLimit(limit, box)], np.random.default_rng(0), 0
+    limit, limits, configuration = CollisionLimit(hand), make_limits(hand, AVOIDING), hand.configuration()
+    rng, starts = np.random.default_rng(0), 0
     while starts < 5:
         configuration.update(hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits)))
         distances = limit.distances(configuration)
@@ -133,7 +134,7 @@ def test_overlapping_links_part() -> None:
         starts += 1
         targets = configuration.points.copy()
         for _ in range(10):
-            dq = solve_problem(build_problem(hand, IkOptions(), configuration, targets, None, DT, limits=limits))
+            dq = solve_problem(build_problem(hand, AVOIDING, configuration, targets, None, DT, limits=limits))
             assert dq is not None
             configuration.update(pin.integrate(hand.model, configuration.q, dq))
         assert limit.distances(configuration).min() > 0.9 * limit.margin
@@ -141,13 +142,10 @@ def test_overlapping_links_part() -> None:
 
 def test_far_rows_change_no_step() -> None:
     hand = load("three_finger")
-    limit, box, configuration = CollisionLimit(hand), BoxLimits(hand), hand.configuration()
+    configuration = hand.configuration()
     configuration.update(hand.configuration_vector(hand.rest))
     targets = configuration.points + 0.01
-    steps = [
-        solve_problem(build_problem(hand, IkOptions(), configuration, targets, None, DT, limits=limits))
-        for limits in ([BoxLimit(box)], [BoxLimit(box), SelfCollisionLimit(limit, box)])
-    ]
+    steps = [solve_problem(build_problem(hand, options, configuration, targets, None, DT)) for options in (IkOptions(), AVOIDING)]
     assert steps[0] is not None
     assert steps[1] is not None
     np.testing.assert_allclose(steps[1], steps[0], atol=1e-9)
@@ -156,7 +154,7 @@ def test_far_rows_change_no_step() -> None:
 def test_a_link_with_two_shapes_has_two_rows() -> None:
     hand = load("three_finger")
     shape = '<collision name="knob"><origin xyz="0 0 0.02"/><geometry><sphere radius="0.01"/></geometry></collision>'
-    text = hand.urdf_text.replace('<collision name="finger1_distal">', f'{shape}<collision name="finger1_distal">')
+    text = read_urdf(hand.spec).replace('<collision name="finger1_distal">', f'{shape}<collision name="finger1_distal">')
     limit = CollisionLimit(Hand(hand.spec, mount="fixed", urdf_text=text))
     assert len(limit.pairs) == len(CollisionLimit(hand).pairs) + 4
     assert limit.pairs.count(("finger1_distal", "finger2_distal")) == 2
@@ -167,10 +165,10 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.05, 0.017, 0.017))
     box.export(tmp_path / "box.stl")
     hand = load("three_finger")
+    assert DISTAL_SHAPE in read_urdf(hand.spec)
     distances = []
     for geometry in ('<box size="0.05 0.017 0.017"/>', '<mesh filename="box.stl"/>'):
-        capsule = '<geometry><cylinder radius="0.0085" length="0.05"/></geometry>'
-        text = hand.urdf_text.replace(capsule, f"<geometry>{geometry}</geometry>").replace("<capsule ", "<no_capsule ")
+        text = read_urdf(hand.spec).replace(DISTAL_SHAPE, geometry).replace("<capsule ", "<no_capsule ")
         boxy = Hand(msgspec.structs.replace(hand.spec, directory=tmp_path), mount="fixed", urdf_text=text)
         configuration, limit = boxy.configuration(), CollisionLimit(boxy)
         for q in (hand.rest, hand.upper_limits):
@@ -182,7 +180,7 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
 
 def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:
     hand = load("three_finger")
-    text = hand.urdf_text.replace('<cylinder radius="0.0085" length="0.05"/>', '<mesh filename="gone.stl"/>')
+    text = read_urdf(hand.spec).replace(DISTAL_SHAPE, '<mesh filename="gone.stl"/>')
     with pytest.raises(HandError, match="collision shapes"):
         CollisionLimit(Hand(msgspec.structs.replace(hand.spec, directory=tmp_path), urdf_text=text))
 

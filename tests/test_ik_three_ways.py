@@ -15,7 +15,7 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hand import Hand
 from handmap_qp.ik.mujoco import MujocoIk
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.reference import build_problem, solve_problem
+from handmap_qp.ik.reference import build_problem, make_limits, solve_problem
 from handmap_qp.ik.solvers import DaqpSolver
 from handmap_qp.ik.tasks import DampingTask
 
@@ -83,6 +83,24 @@ def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> 
         expected = solve_problem(way_1(ik, case))
         assert expected is not None
         np.testing.assert_allclose(step_of(ik, case), expected, atol=1e-9)
+
+
+@each_hand
+def test_ways_1_and_2_agree_on_self_collision_and_acceleration(which: tuple[str, str, str | None]) -> None:
+    # Every case comes from rest and is then met again at the speed that it left.
+    hand, options = hand_of(which), IkOptions(max_iterations=1, avoids_self_collision=True, max_acceleration=30.0)
+    for case in random_cases(hand, 10, seed=12):
+        ik, velocity = placed(hand, case, options), None
+        for _ in range(2):
+            limits = make_limits(hand, options, velocity)
+            start, configuration = ik.configuration.q.copy(), ik.configuration
+            problem = build_problem(hand, options, configuration, case.point_targets, case.wrist_target, case.dt, limits=limits)
+            expected = solve_problem(problem)
+            assert expected is not None
+            ik.solve(case.point_targets, case.wrist_target, case.dt)
+            step = pin.difference(hand.model, start, ik.configuration.q)
+            np.testing.assert_allclose(step, expected, atol=1e-8)
+            velocity = step / case.dt
 
 
 @each_hand

@@ -196,8 +196,7 @@ def test_a_released_robot_holds_still_whatever_the_human_does_and_starts_anew_fr
     # The rest term pulls a little while the human is still, so it is left out.
     choices: dict[str, Any] = {"reference": reference, "residual_gain": 0.5, "ik": IkOptions(rest_weight=0.0)}
     mapper = HandMapper(HUMAN, THREE, **choices)
-    for q, wrist in samples(generator):
-        held = mapper.map_step(q, wrist).command
+    *_, held = (mapper.map_step(q, wrist).command for q, wrist in samples(generator))
     mapper.release()
     for _ in range(3):
         step = mapper.map_step(generator.uniform(HUMAN.lower_limits, HUMAN.upper_limits), little_pose(generator, 1.0))

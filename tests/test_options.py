@@ -1,4 +1,4 @@
-"""Every option does what its definition says: T_rb, T_def and the targets, written out here as 4x4 matrices, and no other values."""
+"""Every option does what its definition says: T_rb, T_def and the targets, written out here as 4x4 matrices."""
 
 from __future__ import annotations
 

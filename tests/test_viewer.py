@@ -135,6 +135,7 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> Non
     axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
     # Two maps make the same body of a ball if they agree in A A^T.
     np.testing.assert_allclose(axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9)
+    assert sample.pivot is not None
     np.testing.assert_allclose(handle.position, sample.pivot)
     assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
 
@@ -247,6 +248,7 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     np.testing.assert_array_equal(held, np.tile(held[0], (16, 1)))
     assert {sample.status for sample in samples[30:45]} == {"released"}
     # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
+    assert samples[45].targets is not None
     np.testing.assert_allclose(samples[45].targets, samples[44].robot_points, atol=1e-9)
     assert viewer.clutch.label == "Release"
     press(viewer.reset)

@@ -22,8 +22,8 @@ from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
 from handmap_qp.viewer.scene import serving
 
-# What the page asks in the pictures: this much of a 1400 x 900 page is drawn by a hand, at the least.
-FEWEST_PIXELS = 4000
+# The least that a hand covers of the 420 x 540 pixels between the panels.
+FEWEST_PIXELS = 2000
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_the_command_writes_one_page_that_needs_no_network(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "page.html"
-    View(recording, robot="three_finger", html=page).run()
+    View("three_finger", recording, html=page).run()
     assert capsys.readouterr().out == f"wrote {page}\n"
     text = page.read_text(encoding="utf-8")
     assert "__VISER_EMBED_DATA__" in text
@@ -50,6 +50,11 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
     "page is no html": ({"html": Path("page.txt")}, InvalidInputError),
     "page in no folder": ({"html": Path("nowhere/page.html")}, InvalidInputError),
     "no such port": ({"port": 70000}, InvalidInputError),
+    "neither recording nor service": ({"recording": None}, InvalidInputError),
+    "recording and service": ({"live": "127.0.0.1"}, InvalidInputError),
+    "page of a service": ({"recording": None, "live": "127.0.0.1", "html": Path("page.html")}, InvalidInputError),
+    "service nowhere": ({"recording": None, "live": "127.0.0.1:no"}, InvalidInputError),
+    "no such keys": ({"recording": None, "live": "127.0.0.1", "keys": (Path("a"), Path("b"))}, InvalidInputError),
     "not our address": ({"host": "192.0.2.1"}, InvalidInputError),
 }
 
@@ -64,11 +69,11 @@ def test_a_mistake_is_said_before_anything_is_shown(recording: Path, changes: di
 def test_without_viser_the_command_names_the_extra(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"handmap-qp\[view\]"):
-        View(recording, robot="three_finger").run()
+        View("three_finger", recording).run()
 
 
 def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> None:
-    assert View(recording, robot="three_finger").host == "127.0.0.1"
+    assert View("three_finger", recording).host == "127.0.0.1"
     with serving() as server:
         assert server.get_host() == "127.0.0.1"
 
@@ -100,6 +105,7 @@ def viewer() -> Iterator[ReplayViewer]:
         shown = ReplayViewer(server, make_replay())
         shown.play_bar.toggle()
         shown.play_bar.slider.value = 1.6
+        shown.tick(0.0)
         is_over = threading.Event()
 
         def keep_going() -> None:
@@ -131,7 +137,7 @@ def settled_picture(browser: Browser) -> np.ndarray:
     for _ in range(20):
         time.sleep(0.5)
         now = browser.screenshot()[1]
-        middle = np.s_[160:, 340:1060]
+        middle = np.s_[160:, 340:760]
         if skin(now[middle]) > FEWEST_PIXELS and np.array_equal(before[middle], now[middle]):
             return now[middle]
         before = now
@@ -139,12 +145,13 @@ def settled_picture(browser: Browser) -> np.ndarray:
 
 
 def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser, viewer: ReplayViewer) -> None:
+    browser.resize(1100, 700)
     browser.open(f"http://127.0.0.1:{viewer.server.get_port()}")
     browser.wait_for("!!document.querySelector('canvas')")
     before = settled_picture(browser)
     half = before.shape[1] // 2
     assert skin(before[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
-    assert reference_points(before[:, half:]) > 300, "the robot's points, on the right"
+    assert reference_points(before[:, half:]) > 100, "the robot's points, on the right"
     assert browser.evaluate("document.body.innerText.includes('deformation gain')")
     # As a user does: focus the slider, and use the keyboard.
     labels = "[...document.querySelectorAll('label')]"
@@ -161,7 +168,7 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser
     assert np.abs(viewer.sample.robot_q - robot_q).max() > 0.05
     after = settled_picture(browser)
     changed = np.abs(after.astype(int) - before).max(axis=2) > 30
-    assert changed[:, half:].sum() > 1000, "the robot has moved"
+    assert changed[:, half:].sum() > 500, "the robot has moved"
     assert not browser.errors
 
 
@@ -169,13 +176,21 @@ def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> Non
     page = tmp_path / "page.html"
     with serving() as server:
         write_page(page, server, make_replay())
+    # Small, for a picture that moves takes long to be drawn without a graphics card.
+    browser.resize(600, 400)
     browser.open(page.as_uri(), offline=True)
     browser.wait_for("!!document.querySelector('canvas')")
-    pictures = []
-    for _ in range(6):
-        time.sleep(0.7)
-        pictures.append(browser.screenshot()[1][:, 320:])
-    assert max(skin(picture) for picture in pictures) > FEWEST_PIXELS
-    changes = [np.abs(a.astype(int) - b).max(axis=2)[:650] > 30 for a, b in zip(pictures[2:], pictures[3:], strict=False)]
-    assert max(int(change.sum()) for change in changes) > 1000, "the hands move by themselves"
+    # The lower edge is the play bar, which moves whatever happens above.
+    pictures = [browser.screenshot()[1][:340]]
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end and not has_moved(pictures):
+        time.sleep(0.3)
+        pictures.append(browser.screenshot()[1][:340])
+    assert has_moved(pictures), "the hands move by themselves"
     assert not browser.errors
+
+
+def has_moved(pictures: list[np.ndarray]) -> bool:
+    """Whether two pictures show a hand, and not the same."""
+    hands = [picture.astype(int) for picture in pictures if skin(picture) > 500]
+    return len(hands) > 1 and int((np.abs(hands[0] - hands[-1]).max(axis=2) > 30).sum()) > 300

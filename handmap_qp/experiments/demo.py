@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +11,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joints_figure
+from handmap_qp.experiments.output import output_folder
 from handmap_qp.human import load_synergies
 from handmap_qp.library import load_hand
 from handmap_qp.mapping import HandMapper
@@ -90,7 +87,7 @@ def run_demo(
     require_matplotlib()
     directory = Path(directory)
     motion = arc_motion(samples)
-    with _folder(directory) as folder:
+    with output_folder(directory) as folder:
         trajectory = map_motion(HandMapper(motion.human, load_hand("three_finger"), dt=1.0 / RATE), motion, progress)
         _save(folder / "trajectory.npz", motion, trajectory)
         hands_figure(motion, trajectory).savefig(folder / "hands.png")
@@ -153,22 +150,3 @@ def _save(path: Path, motion: HumanMotion, trajectory: Trajectory) -> None:
         "human_points": human_points(motion),
     }
     save_npz(path, {**trajectory.columns, **human})
-
-
-@contextmanager
-def _folder(directory: Path) -> Iterator[Path]:
-    """A new folder beside `directory` to write into; what is in it takes its place there if the block succeeds."""
-    try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        if directory.exists() and not (directory.is_dir() and os.access(directory, os.W_OK)):
-            raise InvalidInputError(f"{directory}: expected a folder that can be written, or a new name", value=directory)
-        temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=directory.parent))
-        try:
-            yield temporary
-            directory.mkdir(exist_ok=True)
-            for file in temporary.iterdir():
-                file.replace(directory / file.name)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-    except OSError as error:
-        raise InvalidInputError(f"{directory}: cannot be written: {error.strerror or error}", value=directory) from error

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from handmap_qp.experiments.style import COLOURS, INK, PALE, styled, words
 from handmap_qp.hand import Hand
 from handmap_qp.raster import Camera, Triangles, merged
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, draw_hands, load_shape, require_matplotlib, spheres, tube
+from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, draw_hands, load_shape, spheres, tube
 from handmap_qp.trackers.landmarks import HumanMotion
 from handmap_qp.trajectory import Trajectory
 
@@ -19,49 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DPI = 160
-_INK, _PALE = "#222831", "#8a929c"
-_COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
-_STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _PALE,
-    "axes.linewidth": 0.8,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e7eb",
-    "grid.linewidth": 0.8,
-    "axes.axisbelow": True,
-    "xtick.color": _PALE,
-    "ytick.color": _PALE,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "lines.linewidth": 1.8,
-    "legend.frameon": False,
-    "figure.dpi": _DPI,
-    "savefig.dpi": _DPI,
-    "figure.facecolor": "white",
-}
 
-
-def _styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """Draw under the pictures' common style, without changing anybody else's."""
-
-    @wraps(draw)
-    def styled(*arguments: Any) -> Figure:
-        with require_matplotlib().rc_context(_STYLE):
-            return draw(*arguments)
-
-    return styled
-
-
-@_styled
+@styled
 def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     """Both hands at the start, in the middle and at the end of the way, with their reference points and the points' paths.
 
@@ -99,14 +57,14 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
         paths = [tube(way[:, point], 0.0011, colour) for point in range(way.shape[1])]
         draw_hands(axes, hand, camera, marks=merged([balls, *paths]), ground=0.0, supersampling=3)
         axes.text(36, 50, title, fontsize=13, fontweight="bold")
-        axes.text(36, 79, subtitle, fontsize=9, color=_PALE)
+        axes.text(36, 79, subtitle, fontsize=9, color=PALE)
         for instant, word in zip(instants, ("start", "middle", "end"), strict=True):
             x = camera.project(motion.wrist[instant, :3, 3] * [1.0, 1.0, 0.0])[0]
-            axes.text(x, below, f"{word}, {motion.time[instant]:.0f} s", fontsize=8, color=_PALE, ha="center")
+            axes.text(x, below, f"{word}, {motion.time[instant]:.0f} s", fontsize=8, color=PALE, ha="center")
     return figure
 
 
-@_styled
+@styled
 def errors_figure(trajectory: Trajectory) -> Figure:
     """Distance of points and wrist from their targets, and CPU time of each step, over time."""
     from matplotlib.figure import Figure
@@ -114,15 +72,15 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     figure = Figure(figsize=(7.5, 5.6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0))
     time = trajectory.time
-    for point, (spec, colour) in enumerate(zip(trajectory.robot.reference_points, _COLOURS, strict=False)):
-        axes[0].plot(time, 1e3 * trajectory.point_error[:, point], color=colour, label=_words(spec.name))
+    for point, (spec, colour) in enumerate(zip(trajectory.robot.reference_points, COLOURS, strict=False)):
+        axes[0].plot(time, 1e3 * trajectory.point_error[:, point], color=colour, label=words(spec.name))
     axes[0].set_title("Reference points: distance from their targets")
     axes[0].set_ylabel("mm")
     axes[0].legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
-    axes[1].plot(time, 1e3 * trajectory.wrist_error, color=_INK)
+    axes[1].plot(time, 1e3 * trajectory.wrist_error, color=INK)
     axes[1].set_title("Wrist: distance from its target")
     axes[1].set_ylabel("mm")
-    axes[2].plot(time, 1e6 * trajectory.step_cpu, color=_PALE, linewidth=1.0)
+    axes[2].plot(time, 1e6 * trajectory.step_cpu, color=PALE, linewidth=1.0)
     axes[2].set_title("CPU time of a step")
     axes[2].set_ylabel("µs")
     axes[2].set_ylim(0.0, 2.0 * float(np.nanpercentile(1e6 * trajectory.step_cpu, 95)))
@@ -133,7 +91,7 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def joints_figure(trajectory: Trajectory) -> Figure:
     """Each joint of the robot over time, between its limits."""
     from matplotlib.figure import Figure
@@ -161,17 +119,13 @@ def _joint_axes(axes: Axes, trajectory: Trajectory, joint: int) -> None:
     room = 0.08 * (upper - lower)
     axes.axhspan(lower - room, lower, color="#f3d9d4", linewidth=0.0)
     axes.axhspan(upper, upper + room, color="#f3d9d4", linewidth=0.0)
-    axes.plot(trajectory.time, np.degrees(trajectory.q[:, joint]), color=_COLOURS[2])
+    axes.plot(trajectory.time, np.degrees(trajectory.q[:, joint]), color=COLOURS[2])
     axes.set_ylim(lower - room, upper + room)
     axes.set_xlim(trajectory.time[0], trajectory.time[-1])
-    axes.set_title(_words(robot.joint_names[joint]))
+    axes.set_title(words(robot.joint_names[joint]))
 
 
 def _placed(hand: Hand, q: np.ndarray, wrist: np.ndarray, instants: list[int]) -> Triangles:
     """A hand at several instants at once."""
     shape = load_shape(hand)
     return merged([shape.triangles(q[i], wrist[i]) for i in instants])
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")

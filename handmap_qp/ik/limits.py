@@ -38,19 +38,20 @@ class BoxLimits:
     """
 
     def __init__(self, hand: Hand, *, has_velocity_limits: bool = True, max_acceleration: npt.ArrayLike | None = None) -> None:
-        model = hand.model
-        self._first_q = 7 if hand.is_floating else 0
-        self._joints = slice(6 if hand.is_floating else 0, None)
-        # A free-flyer's position limits are +-1.8e308 in Pinocchio and stay out of all arithmetic.
-        self._lower = model.lowerPositionLimit[self._first_q :].copy()
-        self._upper = model.upperPositionLimit[self._first_q :].copy()
-        self._speed = model.velocityLimit.copy()
+        first_v = 6 if hand.is_floating else 0
+        # The solver's order is the model's, not that of `joint_names`.
+        order = np.argsort(hand.v_indices)
+        self._q_indices = _as_slice(hand.q_indices[order])
+        self._joints = slice(first_v, None)
+        # Only joints have position limits; a free-flyer's are +-1.8e308 in Pinocchio and stay out of all arithmetic.
+        self._lower, self._upper = hand.lower_limits[order], hand.upper_limits[order]
+        self._speed = np.concatenate([np.zeros(first_v), hand.velocity_limits[order]])
         if hand.is_floating:
             self._speed[:3] = hand.spec.wrist.max_linear_speed
             self._speed[3:6] = hand.spec.wrist.max_angular_speed
         if not has_velocity_limits:
             self._speed[:] = np.inf
-        self._acceleration = None if max_acceleration is None else _check_acceleration(max_acceleration, model.nv)
+        self._acceleration = None if max_acceleration is None else _check_acceleration(max_acceleration, len(self._speed))
 
     def bounds(self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bound of the displacement from `q`.
@@ -66,7 +67,7 @@ class BoxLimits:
         """
         upper = self._speed * dt
         lower = -upper
-        angles, joints = q[self._first_q :], self._joints
+        angles, joints = q[self._q_indices], self._joints
         slowest, fastest = lower[joints], upper[joints].copy()
         upper[joints] = np.maximum(np.minimum(self._upper - angles, fastest), slowest)
         lower[joints] = np.minimum(np.maximum(self._lower - angles, slowest), fastest)
@@ -96,6 +97,12 @@ class BoxLimits:
         most[joints] = np.minimum(np.maximum(to_upper, lowest[joints]), highest[joints])
         least[joints] = np.minimum(np.maximum(-to_lower, lowest[joints]), highest[joints])
         return np.minimum(np.maximum(least, lower), upper), np.minimum(np.maximum(most, lower), upper)
+
+
+def _as_slice(indices: np.ndarray) -> slice | np.ndarray:
+    """Consecutive indices as a slice, which is quicker and makes no copy."""
+    first, count = int(indices[0]), len(indices)
+    return slice(first, first + count) if np.array_equal(indices, np.arange(first, first + count)) else indices
 
 
 def _braking_displacement(distance: np.ndarray, change: np.ndarray) -> np.ndarray:

@@ -61,13 +61,11 @@ class MujocoIk:
         joints = [self.model.joint(name) for name in hand.joint_names]
         self._q_indices = np.array([joint.qposadr[0] for joint in joints])
         self._v_indices = np.array([joint.dofadr[0] for joint in joints])
-        # mink adds a task's lm_damping times its squared weighted error, which is shrunk here.
-        lm_damping = options.error_damping / shrink**2
         self._points = [
-            mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0, lm_damping=lm_damping)
+            mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0)
             for point, cost in zip(hand.reference_points, point_costs(hand, options), strict=True)
         ]
-        self._wrist = mink.FrameTask(hand.spec.wrist.link, "body", *wrist_costs(options), gain=shrink, lm_damping=lm_damping)
+        self._wrist = mink.FrameTask(hand.spec.wrist.link, "body", *wrist_costs(options), gain=shrink)
         self._rest = mink.PostureTask(self.model, options.rest_weight, gain=shrink)
         rest = self.model.qpos0.copy()
         rest[self._q_indices] = hand.rest
@@ -112,15 +110,18 @@ class MujocoIk:
             The problem, its right-hand sides at full size.
         """
         tasks: list[mink.Task] = [*self._points, self._rest]
+        errors = []
         for task, target in zip(self._points, point_targets, strict=True):
             here = self._configuration.get_transform_frame_to_world(task.frame_name, "site")
             near = here.translation() + self.shrink * (target - here.translation())
             task.set_target(mink.SE3.from_rotation_and_translation(here.rotation(), near))
+            errors.append(task.cost[:3] * (target - here.translation()))
         if wrist_target is not None:
             self._wrist.set_target(mink.SE3.from_matrix(wrist_target))
             tasks.append(self._wrist)
-        # Not mink's DampingTask: it spares the floating base.
-        damping = self.options.damping**2
+            errors.append(self._wrist.cost * self._wrist.compute_error(self._configuration))
+        # Not mink's DampingTask, which spares the floating base, nor its lm_damping, which takes the error squared.
+        damping = self.options.damping**2 + self.options.error_damping * float(np.linalg.norm(np.concatenate(errors)))
         problem = mink.build_ik(self._configuration, tasks, self.shrink * dt, damping=damping, limits=self._limits)
         h = None if problem.h is None else problem.h / self.shrink
         return qpsolvers.Problem(problem.P, problem.q / self.shrink, problem.G, h)

@@ -205,7 +205,7 @@ class PointIk:
         np.multiply(error, self._row_weights, out=weighted_error)
         np.dot(self._weighted.T, self._weighted, out=self._H)
         self._H_diagonal += self._diagonal
-        self._H_diagonal += self.options.error_damping * weighted_error.dot(weighted_error)
+        self._H_diagonal += self.options.error_damping * math.sqrt(weighted_error.dot(weighted_error))
         np.dot(weighted_error, self._weighted, out=self._c)
         self._c_joints += self._rest_weight * (configuration.q[self._first_joint_q :] - self._rest)
 

@@ -40,18 +40,20 @@ class BoxLimit(mink.Limit):
 
     Args:
         limits: The box.
-
-    Attributes:
-        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; None at rest.
+        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if omitted.
     """
 
-    def __init__(self, limits: BoxLimits) -> None:
+    def __init__(self, limits: BoxLimits, previous_velocity: np.ndarray | None = None) -> None:
         self._limits = limits
-        self.previous_velocity: np.ndarray | None = None
+        self._previous_velocity = previous_velocity
+
+    def bounds(self, configuration: Configuration, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bound, shape (nv,) each."""
+        return self._limits.bounds(configuration.q, dt, self._previous_velocity)
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
         """Rows of the box at this configuration, the upper bounds first."""
-        lower, upper = self._limits.bounds(configuration.q, dt, self.previous_velocity)
+        lower, upper = self.bounds(configuration, dt)
         eye = np.eye(len(upper))
         G, h = np.vstack([eye, -eye]), np.concatenate([upper, -lower])
         finite = np.isfinite(h)
@@ -62,17 +64,33 @@ class SelfCollisionLimit(mink.Limit):
     """Self-collision avoidance as the rows of `CollisionLimit.feasible_rows`.
 
     Args:
-        collision: The pairs to keep apart.
-        box: The limits that the rows must not contradict; the ones that go into the same problem.
+        collisions: The pairs to keep apart.
+        box: The limits of the same problem, which the rows must not contradict.
     """
 
-    def __init__(self, collision: CollisionLimit, box: BoxLimits) -> None:
-        self._collision = collision
+    def __init__(self, collisions: CollisionLimit, box: BoxLimit) -> None:
+        self._collisions = collisions
         self._box = box
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
         """A row a pair."""
-        return mink.Constraint(*self._collision.feasible_rows(configuration, *self._box.bounds(configuration.q, dt)))
+        return mink.Constraint(*self._collisions.feasible_rows(configuration, *self._box.bounds(configuration, dt)))
+
+
+def make_limits(hand: Hand, options: IkOptions, previous_velocity: np.ndarray | None = None) -> list[mink.Limit]:
+    """The limits of `handmap_qp.ik.qp.PointIk`.
+
+    Args:
+        hand: The hand.
+        options: Which limits hold.
+        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if omitted.
+
+    Returns:
+        The box, and the rows of self-collision avoidance where it is asked for.
+    """
+    limits = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits, max_acceleration=options.max_acceleration)
+    box = BoxLimit(limits, previous_velocity)
+    return [box, SelfCollisionLimit(CollisionLimit(hand), box)] if options.avoids_self_collision else [box]
 
 
 def build_problem(
@@ -96,14 +114,14 @@ def build_problem(
         wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
         dt: Time for the displacement [s].
         extra_tasks: Further terms of the cost.
-        limits: In place of the box of position and speed limits.
+        limits: In place of those of `make_limits`.
 
     Returns:
         The problem in dq, shape (nv,).
     """
     tasks = [*make_tasks(hand, options, point_targets, wrist_target), *extra_tasks]
     if limits is None:
-        limits = [BoxLimit(BoxLimits(hand, has_velocity_limits=options.has_velocity_limits))]
+        limits = make_limits(hand, options)
     # Our configuration offers what build_ik and our tasks read of mink's own, which is one of MuJoCo.
     return mink.build_ik(configuration, tasks, dt, damping=0.0, limits=limits)  # type: ignore[arg-type]
 

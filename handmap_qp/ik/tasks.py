@@ -1,11 +1,14 @@
 """The QP's terms as `mink` tasks, over a configuration that Pinocchio backs.
 
 They say the same as `handmap_qp.ik.qp`, one term a class, so that `mink.build_ik` composes them with tasks of your own (subclass
-`mink.Task`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its Levenberg-Marquardt term too: every task
-adds `lm_damping |W error|^2` to the whole diagonal, which over the point and the wrist task sums to `IkOptions.error_damping`.
+`mink.Task`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its Levenberg-Marquardt term grows with the
+square of the error; ours, in `DampingTask`, with the error (see `IkOptions.error_damping`).
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import mink
 import numpy as np
@@ -23,11 +26,10 @@ class PointTask(mink.Task):
     Args:
         targets: Where the points shall be [m], shape (m, 3).
         cost: Weight of each point's error [cost]/[m], shape (m,).
-        lm_damping: Squared cost of any motion per squared weighted error.
     """
 
-    def __init__(self, targets: np.ndarray, cost: np.ndarray, lm_damping: float = 0.0) -> None:
-        super().__init__(cost=np.repeat(cost, 3), lm_damping=lm_damping)
+    def __init__(self, targets: np.ndarray, cost: np.ndarray) -> None:
+        super().__init__(cost=np.repeat(cost, 3))
         self.targets = targets
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
@@ -46,11 +48,10 @@ class WristTask(mink.Task):
         target: Where the wrist frame shall be, shape (4, 4).
         position_cost: Weight of the translational error [cost]/[m].
         orientation_cost: Weight of the rotational error [cost]/[rad].
-        lm_damping: Squared cost of any motion per squared weighted error.
     """
 
-    def __init__(self, target: np.ndarray, position_cost: float, orientation_cost: float, lm_damping: float = 0.0) -> None:
-        super().__init__(cost=np.array([position_cost] * 3 + [orientation_cost] * 3), lm_damping=lm_damping)
+    def __init__(self, target: np.ndarray, position_cost: float, orientation_cost: float) -> None:
+        super().__init__(cost=np.array([position_cost] * 3 + [orientation_cost] * 3))
         self.target = pin.SE3(target)
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
@@ -86,16 +87,26 @@ class RestTask(mink.Task):
 
 
 class DampingTask(mink.Task):
-    """No motion at all: keeps the step short near singular postures.
+    """No motion at all: keeps the step short near singular postures, and the shorter the farther the targets are.
 
     Args:
         nv: Number of velocity coordinates.
         cost: Weight of every coordinate's displacement.
+        error_damping: Squared cost of any motion per weighted error of the tasks in `of`.
+        of: Tasks whose errors count.
     """
 
-    def __init__(self, nv: int, cost: float) -> None:
+    def __init__(self, nv: int, cost: float, error_damping: float = 0.0, of: Sequence[mink.Task] = ()) -> None:
         super().__init__(cost=np.full(nv, cost))
         self._jacobian = np.eye(nv)
+        self._error_damping = error_damping
+        self._of = tuple(of)
+
+    def compute_qp_residual(self, configuration: Configuration) -> tuple[np.ndarray, np.ndarray, float]:  # type: ignore[override]
+        """Weighted Jacobian, zero error, and what the errors add to the diagonal."""
+        jacobian, error, _ = super().compute_qp_residual(configuration)  # type: ignore[arg-type]
+        errors = [task.cost * task.compute_error(configuration) for task in self._of]  # type: ignore[arg-type]
+        return jacobian, error, self._error_damping * math.sqrt(sum(e @ e for e in errors))
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
         """Zero, shape (nv,)."""
@@ -118,9 +129,8 @@ def make_tasks(hand: Hand, options: IkOptions, point_targets: np.ndarray, wrist_
     Returns:
         Point, wrist (unless free), rest and damping task.
     """
-    lm_damping = options.error_damping
-    tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options), lm_damping)]
+    tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options))]
     if wrist_target is not None:
-        position, orientation = wrist_costs(options)
-        tasks.append(WristTask(wrist_target, position, orientation, lm_damping))
-    return [*tasks, RestTask(hand, options.rest_weight), DampingTask(hand.model.nv, options.damping)]
+        tasks.append(WristTask(wrist_target, *wrist_costs(options)))
+    damping = DampingTask(hand.model.nv, options.damping, options.error_damping, tasks)
+    return [*tasks, RestTask(hand, options.rest_weight), damping]

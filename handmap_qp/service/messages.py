@@ -141,6 +141,7 @@ class Opened(Reply):
     q: Annotated[Numbers, _doc("Where the robot is taken to be [rad]: compare it with the real one before you engage.")]
     human_joint_names: tuple[str, ...]
     human_point_names: tuple[str, ...]
+    is_floating: Annotated[bool, _doc("Whether the robot's wrist is free to move.")]
     stream_port: Annotated[int, _doc("Port of the stream of commands (ZeroMQ PUB); 0 on WebSocket.")] = 0
 
 

@@ -110,6 +110,7 @@ class Session:
             q=to_row(self._guard.q),
             human_joint_names=human.joint_names,
             human_point_names=tuple(point.name for point in human.reference_points),
+            is_floating=robot.is_floating,
             stream_port=stream_port,
         )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,10 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hand_spec import Side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
 
 if TYPE_CHECKING:
+    import viser
+
     from handmap_qp.viewer.samples import Replay
 
 
@@ -27,11 +29,17 @@ class View:
     joints between their limits, errors and timing.
 
     Examples: `handmap view recording.npz --robot allegro_right`, or
-    `handmap view recording.npz --robot three_finger --html page.html` for a page that plays without a server.
+    `handmap view recording.npz --robot three_finger --html page.html` for a page that plays without a server, or
+    `handmap view --live 127.0.0.1 --robot allegro_right` beside a running `handmap serve`.
 
     Attributes:
         recording: Recording of a human hand, as for `handmap map`.
         robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml.
+        live: In place of a recording: HOST or HOST:PORT of a mapping service's stream, to look on. Its session must have been
+            opened with has_detail.
+        session: Name of the service's session; the first one heard if omitted.
+        side: Which of the human's hands the service's session follows.
+        keys: For an encrypted service: the folder's files NAME.key_secret and server.key.
         html: Write a page that plays by itself to this file, and end.
         host: Address to serve on. Whoever reaches it can use the view: leave it on loopback unless you trust the network.
         port: Port to serve on; the next free one where it is taken.
@@ -42,8 +50,12 @@ class View:
         ik: Weights and settings of the QP, to start with.
     """
 
-    recording: tyro.conf.Positional[Path]
     robot: str
+    recording: tyro.conf.Positional[Path | None] = None
+    live: str | None = None
+    session: str | None = None
+    side: Side = "right"
+    keys: tuple[Path, Path] | None = None
     html: Path | None = None
     host: str = "127.0.0.1"
     port: int = 8080
@@ -54,19 +66,27 @@ class View:
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
 
     def run(self) -> None:
-        """Read, fit, map, and show until interrupted."""
+        """Read, map or listen, and show until interrupted."""
         # Said first, for the rest takes a while.
         if importlib.util.find_spec("viser") is None:
             raise MissingExtraError("viser", "view")
         if not 0 <= self.port <= 65535:
             raise InvalidInputError(f"--port: expected 0 to 65535, got {self.port}", value=self.port)
 
+        if (self.recording is None) == (self.live is None):
+            raise InvalidInputError("expected a recording or --live HOST, and not both")
+        if self.live is not None:
+            self._show_live(self.live)
+        elif self.recording is not None:
+            self._show_recording(self.recording)
+
+    def _show_recording(self, file: Path) -> None:
         from handmap_qp.viewer.app import ReplayViewer
         from handmap_qp.viewer.page import check_page, write_page
         from handmap_qp.viewer.scene import serving
 
         page = None if self.html is None else check_page(self.html)
-        replay = self._replay()
+        replay = self._replay(file)
         if page is not None:
             with serving() as server:
                 write_page(page, server, replay)
@@ -74,20 +94,43 @@ class View:
             return
         with serving(self.host, self.port) as server:
             viewer = ReplayViewer(server, replay)
-            address = f"http://{server.get_host()}:{server.get_port()}"
-            print(f"showing {self.recording.stem} on {replay.robot.name} at {address} (Ctrl-C ends it)")
-            sys.stdout.flush()
-            if self.open:
-                webbrowser.open(address)
+            self._announce(server)
             viewer.run()
 
-    def _replay(self) -> Replay:
+    def _show_live(self, live: str) -> None:
+        from handmap_qp.library import load_hand
+        from handmap_qp.trackers.landmarks import human_name
+        from handmap_qp.viewer.live import LiveViewer
+        from handmap_qp.viewer.scene import serving
+        from handmap_qp.viewer.stream import ServiceStream
+
+        if self.html is not None:
+            raise InvalidInputError("--html: a page is made of a recording, not of --live")
+        human, robot = load_hand(human_name(self.side), points=self.human_points), load_hand(self.robot, points=self.robot_points)
+        source = ServiceStream(live, human, robot, session=self.session, keys=self.keys)
+        with serving(self.host, self.port) as server:
+            viewer = LiveViewer(server, source, self.mapping)
+            self._announce(server)
+            try:
+                viewer.run()
+            finally:
+                viewer.close()
+
+    def _announce(self, server: viser.ViserServer) -> None:
+        """Say where to look, and open the browser if asked to."""
+        host = server.get_host()
+        address = f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+        print(f"see {address} (Ctrl-C ends it)", flush=True)
+        if self.open:
+            webbrowser.open(address)
+
+    def _replay(self, file: Path) -> Replay:
         from handmap_qp.library import load_hand
         from handmap_qp.recording import read_recording
         from handmap_qp.trackers.landmarks import fit_recording
         from handmap_qp.viewer.samples import Replay
 
-        recording = read_recording(self.recording)
+        recording = read_recording(file)
         robot = load_hand(self.robot, points=self.robot_points)
         motion = fit_recording(recording)
         return Replay(motion, motion.human.with_points(self.human_points), robot, self.mapping, self.ik)

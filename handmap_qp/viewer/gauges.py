@@ -38,21 +38,26 @@ class Gauges:
         panel.set_width(_WIDTH)
         self._columns: tuple[np.ndarray, ...] = ()
 
-    def set_samples(self, samples: Sequence[ViewSample]) -> None:
+    def set_samples(self, samples: Sequence[ViewSample], *, latest: float | None = None) -> None:
         """Plot other samples.
 
         Args:
             samples: All that is to be seen.
+            latest: For the last so many seconds, with the last sample at zero [s]; from the first sample to the last if omitted.
         """
         time = np.array([sample.time for sample in samples])
+        # A plot keeps its range when its data change, and a new range costs a new plot: so a range that moves is one that stands.
+        span = (float(time[0]), float(max(time[-1], time[0] + 0.1)))
+        if latest is not None:
+            time, span = time - time[-1], (-latest, 0.0)
         errors = [1e3 * sample.point_error for sample in samples]
         mean = np.array([error.mean() if len(error) else np.nan for error in errors])
         largest = np.array([error.max() if len(error) else np.nan for error in errors])
         step = np.array([1e6 * sample.duration for sample in samples])
         self._columns = (time, mean, largest, step)
-        _set_scales(self.error, _scales(largest))
+        _set_scales(self.error, _scales(span, largest))
         # A few steps that the machine was interrupted in would flatten all others.
-        _set_scales(self.timing, _scales(np.minimum(step, 3.0 * np.median(step))))
+        _set_scales(self.timing, _scales(span, np.minimum(step, 3.0 * np.median(step))))
 
     def draw(self, sample: ViewSample, index: int) -> None:
         """Mark the present sample in the plots and show its joints.
@@ -108,20 +113,20 @@ def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], col
         tuple(series),
         title=title,
         height=170,
-        scales=_scales(np.ones(2)),
+        scales=_scales((0.0, 1.0), np.ones(2)),
         axes=(uplot.Axis(**_AXIS), uplot.Axis(**_AXIS)),
         legend=uplot.Legend(show=False),
     )
 
 
-def _scales(values: np.ndarray) -> dict[str, Any]:
-    """Ranges of both axes: all of the time, and from zero to a little above the next round number."""
+def _scales(span: tuple[float, float], values: np.ndarray) -> dict[str, Any]:
+    """Ranges of both axes: this much time, and from zero to a little above the next round number."""
     from viser import uplot
 
     largest = max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-6)
     decade = 10.0 ** np.floor(np.log10(largest))
     top = next(step * decade for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if step * decade >= largest * (1.0 - 1e-9))
-    return {"x": uplot.Scale(time=False), "y": uplot.Scale(auto=False, range=(0.0, 1.08 * float(top)))}
+    return {"x": uplot.Scale(time=False, auto=False, range=span), "y": uplot.Scale(auto=False, range=(0.0, 1.08 * float(top)))}
 
 
 def _set_scales(plot: Any, scales: dict[str, Any]) -> None:

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 _PERIOD = 1.0 / 30.0
 _GAUGES_PERIOD = 0.1
-# Samples in the plots: ten seconds of a quick tracker.
-_LENGTH = 900
+# Time that the plots show [s], and the most samples in them.
+_SPAN = 10.0
+_LENGTH = 1200
 # Without a sample for so long, the view says so [s].
 _SILENCE = 1.0
 
@@ -102,7 +103,7 @@ class LiveViewer:
         self.scene.draw(samples[-1])
         now = time.monotonic()
         if now - self._gauges_time >= _GAUGES_PERIOD:
-            self.gauges.set_samples(samples)
+            self.gauges.set_samples(samples, latest=_SPAN)
             self.gauges.draw(samples[-1], len(samples) - 1)
             self._gauges_time = now
         if self._has_ended.is_set():

@@ -85,7 +85,7 @@ class _World:
     Attributes:
         hand: The hand.
         model: Its shapes, by viser.
-        order: Where each of the model's joints is in the order of `hand.joint_names`.
+        order: For each of the model's joints, its place in `hand.joint_names`; None for one that the hand does not move.
         root: URDF root link.
         frame: Node of the world.
         body: Node of the root link.
@@ -98,7 +98,7 @@ class _World:
 
     hand: Hand
     model: Any
-    order: list[int]
+    order: list[int | None]
     root: str
     frame: Any
     body: Any
@@ -222,7 +222,7 @@ class HandScene:
         """Put a hand into its world, and its world into the scene."""
         hand = world.hand
         pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
-        world.model.update_cfg(q[world.order])
+        world.model.update_cfg(_in_order(world.order, q))
         world.body.wxyz, world.body.position = quat_wxyz_from_rotation(pose[:3, :3]), pose[:3, 3]
         middle, first_middle = (world.axes @ transform_points(held, world.focus[None])[0] for held in (wrist, first_wrist))
         world.frame.position = world.anchor - (middle if self.follow == "hands" else first_middle)
@@ -241,9 +241,10 @@ class HandScene:
         frame = scene.add_frame(f"/{node}", show_axes=False)
         body = scene.add_frame(f"/{node}/body", show_axes=False)
         model = ViserUrdf(self.server, urdf, root_node_name=f"/{node}/body")
-        order = [hand.joint_names.index(name) for name in model.get_actuated_joint_names()]
+        places = {name: i for i, name in enumerate(hand.joint_names)}
+        order = [places.get(name) for name in model.get_actuated_joint_names()]
         label = scene.add_label(f"/{node}_name", hand.name, anchor="top-center", font_screen_scale=1.3)
-        model.update_cfg(q[order])
+        model.update_cfg(_in_order(order, q))
         low, high = urdf.scene.bounds
         in_wrist = inverse_pose(hand.frame_pose("wrist", q)) @ hand.link_poses([urdf.base_link], q)[0]
         focus = transform_points(in_wrist, 0.5 * (low + high)[None])[0]
@@ -299,6 +300,11 @@ class HandScene:
         camera = self.server.initial_camera
         camera.position = distance * direction / np.linalg.norm(direction)
         camera.look_at, camera.fov = np.zeros(3), float(_FIELD_OF_VIEW)
+
+
+def _in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
+    """Joint angles for the model that draws a hand."""
+    return np.array([0.0 if i is None else q[i] for i in order])
 
 
 def _move(nodes: list[Any], points: np.ndarray | None) -> None:

@@ -1,0 +1,64 @@
+"""A figure with what goes with it: the numbers behind it, and a paragraph on what they show."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Artwork:
+    """A figure ready to be written.
+
+    Attributes:
+        name: Stem of its files.
+        title: Its heading in the report.
+        figure: The picture.
+        rows: The numbers behind it; every row has the same columns, whose names bear the units.
+        text: What the numbers show, as Markdown.
+        facts: Numbers that the table of claims picks up, by name.
+    """
+
+    name: str
+    title: str
+    figure: Figure
+    rows: Sequence[Row]
+    text: str
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def save(self, folder: Path) -> None:
+        """Write NAME.png, NAME.svg and NAME.csv."""
+        from handmap_qp.experiments.style import STYLE
+        from handmap_qp.rendering import require_matplotlib
+
+        with require_matplotlib().rc_context(STYLE):
+            self.figure.savefig(folder / f"{self.name}.png")
+            # Without a date the same numbers give the same file.
+            self.figure.savefig(folder / f"{self.name}.svg", metadata={"Date": None})
+        with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(self.rows[0]))
+            writer.writeheader()
+            writer.writerows({key: _text(value) for key, value in row.items()} for row in self.rows)
+
+
+def markdown_table(rows: Sequence[Row]) -> str:
+    """Rows as a Markdown table; numbers with three significant digits."""
+    lines = [list(rows[0]), *([_short(value) for value in row.values()] for row in rows)]
+    rule = ["---:" if isinstance(value, int | float) else "---" for value in rows[0].values()]
+    return "\n".join("| " + " | ".join(line) + " |" for line in [lines[0], rule, *lines[1:]])
+
+
+def _text(value: Any) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value).replace("|", "/")

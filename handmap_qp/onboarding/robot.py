@@ -1,0 +1,293 @@
+"""A URDF as onboarding sees it: links, bodies, joints that are set, forward kinematics, and points on its surface.
+
+A *body* is a set of links joined by fixed joints. What a URDF leaves out (limits, speeds) or gets wrong is replaced by an assumption
+that is kept, so that it can be written into the `hand.yaml` where its owner sees it.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+import xml.etree.ElementTree as ET
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import HandError
+from handmap_qp.hand_spec import LimitSpec, MimicSpec
+from handmap_qp.mimic import expansion_matrix, read_mimic_rules, tighten_model
+from handmap_qp.mounting import cut_subtree, prepare_urdf
+from handmap_qp.transform import transform_points
+from handmap_qp.urdf_check import MOVABLE, check_tree, edges, link_names, root_links
+from handmap_qp.urdf_files import find_mesh
+from handmap_qp.urdf_text import get_numbers, parse_urdf
+
+# What joints are taken to reach and to do where a URDF does not say.
+_ASSUMED_RANGE = {"revolute": (-math.pi / 2, math.pi / 2), "continuous": (-math.pi, math.pi), "prismatic": (0.0, 0.04)}
+_ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
+_MOST_POINTS = 3000
+
+
+class Robot:
+    """A part of a robot, ready to be looked at.
+
+    Args:
+        text: The URDF.
+        file: Where it came from, for messages and meshes.
+        root: Link to begin at; the URDF's own root if omitted.
+        locked: Joints to hold still, and where [rad or m].
+
+    Attributes:
+        file: Where it came from.
+        name: The robot's own name.
+        root: Link that it begins at.
+        is_whole: Whether that is the root of the URDF.
+        parent: By link: the joint it hangs from and that joint's parent link.
+        children: By link: joints that hang from it, each with its child link.
+        kinds: By joint: `revolute`, `continuous`, `prismatic` or `fixed`, as in the file.
+        rules: Mimic rules, resolved.
+        active: Joints that are set; n of them, in the order of the file.
+        lower: Their lower limits, followers considered [rad or m], shape (n,).
+        upper: Their upper limits, shape (n,).
+        assumed: Limits that the URDF lacks, by joint.
+        dropped_rules: Rules whose leader is not in this part of the robot; their joints count as joints of their own.
+        notes: What was assumed, a sentence each.
+
+    Raises:
+        HandError: If the URDF cannot be used, in one line.
+    """
+
+    def __init__(self, text: str, file: Path, *, root: str | None = None, locked: dict[str, float] | None = None) -> None:
+        self.file = file
+        try:
+            robot = parse_urdf(text)
+            check_tree(robot)
+            self.is_whole = root is None or root_links(robot) == [root]
+            if root is not None:
+                cut_subtree(robot, root)
+            if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
+                raise HandError(f"nothing that moves hangs from the link {root!r}", value=root)
+            self.name = robot.get("name", "") or file.stem
+            self.notes: list[str] = []
+            self.dropped_rules = self._drop_rules(robot)
+            self.assumed = self._assume_limits(robot)
+            self.locked = prepare_urdf(robot, None, {}, {**self._immovable(robot), **(locked or {})}, self.assumed)
+            self.rules = read_mimic_rules(robot)
+        except HandError as error:
+            raise HandError(str(error), file=file, value=error.value) from error
+        (self.root,) = root_links(robot)
+        self.links = link_names(robot)
+        self.kinds = {joint.get("name", ""): joint.get("type", "") for joint in robot.iterfind("joint")}
+        self.parent: dict[str, tuple[str, str]] = {}
+        self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
+        for joint, parent, child in edges(robot):
+            self.parent[child] = (joint.get("name", ""), parent)
+            self.children[parent].append((joint.get("name", ""), child))
+        followers = {rule.follower for rule in self.rules}
+        self.active = [name for name, kind in self.kinds.items() if kind in MOVABLE and name not in followers]
+        self.urdf_text = ET.tostring(robot, encoding="unicode")
+        self._build()
+
+    def _build(self) -> None:
+        try:
+            self.model = pin.buildModelFromXML(self.urdf_text)
+        except (RuntimeError, ValueError) as error:
+            raise HandError(f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", file=self.file) from error
+        self.notes += tighten_model(self.model, self.rules)
+        names = list(self.model.names)[1:]
+        columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in names]
+        self._matrix, self._offset = expansion_matrix(names, self.active, self.rules)
+        order = np.argsort(columns)
+        self._matrix, self._offset = self._matrix[order], self._offset[order]
+        at = [self.model.joints[self.model.getJointId(name)].idx_q for name in self.active]
+        self.lower, self.upper = self.model.lowerPositionLimit[at], self.model.upperPositionLimit[at]
+        self._data = self.model.createData()
+        self._frames = {link: self.model.getFrameId(link, pin.FrameType.BODY) for link in self.links}
+        self.place(self.zero)
+
+    # -- structure ----------------------------------------------------------------------------------------------------
+
+    def body(self, link: str) -> str:
+        """The first link of the body that a link belongs to."""
+        while link in self.parent and self.kinds[self.parent[link][0]] == "fixed":
+            link = self.parent[link][1]
+        return link
+
+    def body_links(self, body: str) -> list[str]:
+        """All links of a body, from its first one outwards."""
+        found = [body]
+        for link in found:
+            found.extend(child for joint, child in self.children[link] if self.kinds[joint] == "fixed")
+        return found
+
+    def branches(self, body: str) -> list[tuple[str, str]]:
+        """Joints that move against a body, each with its child link."""
+        return [pair for link in self.body_links(body) for pair in self.children[link] if self.kinds[pair[0]] != "fixed"]
+
+    def leaves(self, body: str) -> list[str]:
+        """Bodies at or outwards from a body that nothing more hangs from."""
+        below = self.branches(body)
+        return [leaf for _, child in below for leaf in self.leaves(child)] if below else [body]
+
+    def chain(self, link: str, above: str) -> list[tuple[str, str]]:
+        """Movable joints with their child links on the way from a link (left out) out to another."""
+        passed = []
+        while link != above and link in self.parent:
+            joint, parent = self.parent[link]
+            if self.kinds[joint] != "fixed":
+                passed.append((joint, link))
+            link = parent
+        return passed[::-1]
+
+    def drivers(self, joint: str) -> str:
+        """The joint that is set to move a joint: itself, or its leader."""
+        return next((rule.leader for rule in self.rules if rule.follower == joint), joint)
+
+    # -- kinematics ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def zero(self) -> np.ndarray:
+        """Zero, or what is nearest to it inside the limits [rad or m], shape (n,)."""
+        return np.clip(0.0, self.lower, self.upper)
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the joints that are set at `q`, shape (n,), and the followers where they belong."""
+        pin.framesForwardKinematics(self.model, self._data, self._matrix @ q + self._offset)
+
+    def pose(self, link: str) -> np.ndarray:
+        """Pose of a link as last placed, in the frame of `root`, shape (4, 4)."""
+        return self._data.oMf[self._frames[link]].homogeneous
+
+    def pose_in(self, link: str, other: str) -> np.ndarray:
+        """Pose of a link in another one's frame, shape (4, 4)."""
+        frames = self._data.oMf
+        return frames[self._frames[other]].actInv(frames[self._frames[link]]).homogeneous
+
+    # -- surface ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def surfaces(self) -> dict[str, np.ndarray]:
+        """Points on the surface of every link that has one, in its own coordinates [m]: of visuals, or else of collisions."""
+        from yourdfpy import URDF
+
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                model = URDF.load(io.BytesIO(self.urdf_text.encode()), build_scene_graph=False, load_meshes=False).robot
+        except Exception as error:
+            self.notes.append(f"the shapes of the links cannot be read, and are left out ({type(error).__name__}: {error})")
+            return {}
+        surfaces = {}
+        for link in model.links:
+            for shapes in (link.visuals, link.collisions):
+                clouds = [cloud for shape in shapes if (cloud := self._cloud(shape)) is not None]
+                if clouds:
+                    surfaces[link.name] = np.concatenate(clouds)
+                    break
+        return surfaces
+
+    def body_surface(self, body: str) -> np.ndarray:
+        """Points on the surface of a body, in its first link's coordinates [m], shape (k, 3), as last placed."""
+        clouds = [
+            transform_points(self.pose_in(link, body), self.surfaces[link])
+            for link in self.body_links(body)
+            if link in self.surfaces
+        ]
+        return np.concatenate(clouds) if clouds else np.zeros((0, 3))
+
+    def _cloud(self, shape: Any) -> np.ndarray | None:
+        """Points on one shape, in its link's coordinates; None for a mesh that cannot be read."""
+        import trimesh
+
+        geometry = shape.geometry
+        if geometry is None:
+            return None
+        if geometry.box is not None:
+            points = np.array(trimesh.creation.box(extents=geometry.box.size).vertices)
+        elif geometry.sphere is not None:
+            points = np.array(trimesh.creation.icosphere(subdivisions=2, radius=geometry.sphere.radius).vertices)
+        elif geometry.cylinder is not None:
+            solid = trimesh.creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length, sections=24)
+            points = np.array(solid.vertices)
+        elif geometry.mesh is not None:
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    mesh = trimesh.load_mesh(find_mesh(geometry.mesh.filename, self.file.parent))
+                    solid = mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
+            # Whatever a mesh reader dislikes, there are other ways to tell where a finger ends.
+            except Exception:
+                self.notes.append(f"the mesh {geometry.mesh.filename} cannot be read")
+                return None
+            points = np.array(solid.vertices)
+            points = points[:: max(1, len(points) // _MOST_POINTS)]
+            if geometry.mesh.scale is not None:
+                points = points * np.asarray(geometry.mesh.scale, dtype=float)
+        else:
+            return None
+        if not len(points):
+            return None
+        return points if shape.origin is None else transform_points(shape.origin, points)
+
+    # -- what a URDF leaves out ---------------------------------------------------------------------------------------
+
+    def _drop_rules(self, robot: ET.Element) -> dict[str, MimicSpec | None]:
+        joints = {joint.get("name"): joint for joint in robot.iterfind("joint")}
+        dropped: dict[str, MimicSpec | None] = {}
+        for name, joint in joints.items():
+            mimic = joint.find("mimic")
+            if name is None or mimic is None or joint.get("type") not in MOVABLE:
+                continue
+            leader = joints.get(mimic.get("joint"))
+            if leader is None or leader.get("type") not in MOVABLE:
+                self.notes.append(f"{name} mimics {mimic.get('joint')}, which does not move here: taken for a joint of its own")
+                joint.remove(mimic)
+                dropped[name] = None
+        return dropped
+
+    def _assume_limits(self, robot: ET.Element) -> dict[str, LimitSpec]:
+        speeds: dict[str, list[float]] = {}
+        for joint in robot.iterfind("joint"):
+            if (limit := joint.find("limit")) is not None and (speed := _number(limit, "velocity")) > 0.0 and math.isfinite(speed):
+                speeds.setdefault(joint.get("type", ""), []).append(speed)
+        assumed = {}
+        for joint in robot.iterfind("joint"):
+            name, kind, limit = joint.get("name", ""), joint.get("type", ""), joint.find("limit")
+            if kind not in MOVABLE or joint.find("mimic") is not None:
+                continue
+            lower, upper = (_number(limit, "lower"), _number(limit, "upper")) if limit is not None else (0.0, 0.0)
+            given = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
+            changes: dict[str, float] = {}
+            if kind == "continuous" or not given or not (math.isfinite(lower) and math.isfinite(upper)):
+                changes["lower"], changes["upper"] = _ASSUMED_RANGE[kind]
+                what = "turns without end" if kind == "continuous" else "has no limits in the URDF"
+                self.notes.append(f"{name} {what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed")
+            elif lower > upper:
+                changes["lower"], changes["upper"] = upper, lower
+                self.notes.append(f"{name} has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed")
+            speed = 0.0 if limit is None else _number(limit, "velocity")
+            if not (math.isfinite(speed) and speed > 0.0):
+                changes["velocity"] = float(np.median(speeds[kind])) if kind in speeds else _ASSUMED_SPEED[kind]
+                self.notes.append(f"{name} has no speed limit in the URDF: {changes['velocity']:.4g} is assumed")
+            if changes:
+                assumed[name] = LimitSpec(**changes)
+        return assumed
+
+    def _immovable(self, robot: ET.Element) -> dict[str, float]:
+        """Joints whose limits leave them no room, and where they are."""
+        still = {}
+        for joint in robot.iterfind("joint"):
+            limit, name = joint.find("limit"), joint.get("name", "")
+            is_set = joint.get("type") in MOVABLE and joint.find("mimic") is None and name not in self.assumed
+            if is_set and limit is not None and _number(limit, "lower") == _number(limit, "upper"):
+                still[name] = _number(limit, "lower")
+                self.notes.append(f"{name} has limits that leave it no room: it is locked")
+        return still
+
+
+def _number(element: ET.Element, key: str) -> float:
+    return get_numbers(element, key, 1, "0")[0]

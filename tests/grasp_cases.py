@@ -1,0 +1,18 @@
+"""A hand for the tests of grasps."""
+
+from __future__ import annotations
+
+import msgspec
+
+from handmap_qp.hand import Hand
+from handmap_qp.hand_spec import MimicSpec
+from handmap_qp.library import load_hand
+
+
+def coupled_hand() -> Hand:
+    """The three-fingered hand with distal joints that copy their proximal ones, as on the Barrett hand."""
+    spec = load_hand("three_finger").spec
+    copies = {f"f{i}_distal": MimicSpec(f"f{i}_proximal", 0.7, 0.1) for i in (1, 2, 3)}
+    kept = tuple(joint for joint in spec.joints if joint not in copies)
+    rest = {joint: spec.rest[joint] for joint in kept}
+    return Hand(msgspec.structs.replace(spec, name="coupled", joints=kept, rest=rest, mimic=copies))
