@@ -84,10 +84,16 @@ class Tally:
         self.position = max(self.position, float(excess.max()))
         self.speed = max(self.speed, float((np.abs(end - start) - reach).max()))
         if hand.is_floating:
-            twist = np.abs(pin.difference(hand.model, before, after)[:6])
-            wrist = hand.spec.wrist
-            allowed = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3) * dt
-            self.wrist_speed = max(self.wrist_speed, float((twist - allowed).max()))
+            self._check_wrist(hand, before, after, dt)
+
+    def _check_wrist(self, hand: Hand, before: np.ndarray, after: np.ndarray, dt: float) -> None:
+        linear, angular = hand.spec.wrist.max_linear_speed * dt, hand.spec.wrist.max_angular_speed * dt
+        if np.sqrt(3.0) * angular < np.pi:
+            excess = np.abs(pin.difference(hand.model, before, after)[:6]) - np.repeat([linear, angular], 3)
+        else:
+            # Time enough to turn around: of the twist only the length of its path is left to see.
+            excess = np.linalg.norm(after[:3] - before[:3]) - np.sqrt(3.0) * linear
+        self.wrist_speed = max(self.wrist_speed, float(np.max(excess)))
 
 
 class IkRun:

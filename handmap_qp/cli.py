@@ -1,4 +1,4 @@
-"""The command `handmap`: demo, map, hands.
+"""The command `handmap`: demo, map, view, hands.
 
 Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130. Results go to stdout, progress to stderr.
 """
@@ -20,6 +20,7 @@ import tyro
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
+from handmap_qp.viewer.cli import View
 
 
 class Command(Protocol):
@@ -144,6 +145,7 @@ _PAIR = ("what", "value")
 _Any = (
     Annotated[Demo, tyro.conf.subcommand("demo", prefix_name=False)]
     | Annotated[Map, tyro.conf.subcommand("map", prefix_name=False)]
+    | Annotated[View, tyro.conf.subcommand("view", prefix_name=False)]
     | Annotated[Hands, tyro.conf.subcommand("hands", prefix_name=False)]
 )
 

@@ -1,14 +1,14 @@
 """Client of the mapping service (`handmap serve`): one file that needs numpy, msgspec and pyzmq, and may be copied anywhere.
 
     with Client() as client:
-        client.open("allegro_right", rigid_from="wrist")
+        client.open("allegro_right", mapping={"rigid_from": "wrist"})
         command = client.step(q=human_q, wrist=wrist_pose)    # every sample is answered
         client.send(q=human_q, wrist=wrist_pose)              # or samples in and commands out, where the newest counts
         command = client.latest(timeout=0.1)
 
-`AsyncClient` is the same with `await`. No call takes longer than the client's timeout: then it raises `ServiceTimeoutError`, and may
-simply be made again. A server that was restarted meanwhile gets the session anew, with the robot where the last command left it.
-`handmap serve --schema` describes all fields. SI and radians. A client is for one thread, or one event loop.
+`AsyncClient` is the same with `await`. No call takes longer than the client's timeout: then it raises `ServiceTimeoutError`, and
+may simply be made again. On a server that was restarted the session is opened anew, with the robot where the last command left
+it. `handmap serve --schema` describes all fields. SI and radians. A client is for one thread, or one event loop.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time as clock
-from collections.abc import Generator
+from collections.abc import Awaitable, Callable, Generator
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypedDict, TypeVar, Unpack
+from typing import Any, Concatenate, Generic, NamedTuple, ParamSpec, Self, TypedDict, TypeVar, Unpack, overload
 
 import msgspec
 import numpy as np
@@ -30,12 +30,6 @@ PROTOCOL = 1
 """Version of the messages."""
 ADDRESS = "tcp://127.0.0.1:5570"
 """Where a server is by default."""
-
-_OPEN_FIELDS = frozenset(
-    "robot_q robot_wrist name input side hand_length lengths human_points robot_points mount ik restore max_dt time_from watchdog return_after "
-    "return_speed resume has_detail".split()
-)
-"""What `open` takes besides the robot and the fields of MappingOptions."""
 
 Numbers = tuple[float, ...]
 Names = tuple[str, ...]
@@ -79,8 +73,8 @@ class _Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=st
     seq: int = 0
 
 
-class Opened(_Reply):
-    """An open session: its name, the robot's joints with limits, and where the robot is taken to be [rad]: compare it with the real one."""
+class Opened(_Reply, frozen=True):
+    """An open session: its name, the robot's joints with their limits, and where the robot is taken to be [rad]."""
 
     name: str
     joint_names: Names
@@ -94,7 +88,7 @@ class Opened(_Reply):
     stream_port: int = 0
 
 
-class Command(_Reply):
+class Command(_Reply, frozen=True):
     """What a robot's driver takes: `q` [rad] in the order of `joint_names`, the wrist's pose, and how they came about."""
 
     name: str
@@ -114,7 +108,7 @@ class Command(_Reply):
     detail: dict[str, Any] | None = None
 
 
-class State(_Reply):
+class State(_Reply, frozen=True):
     """How a session is, or the server."""
 
     version: str
@@ -126,11 +120,11 @@ class State(_Reply):
     q: Numbers = ()
 
 
-class Done(_Reply):
+class Done(_Reply, frozen=True):
     """A request was carried out."""
 
 
-class Error(_Reply):
+class Error(_Reply, frozen=True):
     """A request was refused; the session goes on as it was."""
 
     code: str
@@ -139,7 +133,7 @@ class Error(_Reply):
 
 
 class HumanSample(TypedDict, total=False):
-    """One sample: `q` (n,) [rad] with `wrist` (4, 4), or `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s] if not now."""
+    """One sample: `q` (n,) [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s] if not now."""
 
     q: npt.ArrayLike
     landmarks: npt.ArrayLike
@@ -178,11 +172,29 @@ class CurveKeys(NamedTuple):
         return cls(public, secret, load_certificate(server_file)[0])
 
 
-_Wait = tuple[zmq.Socket, int, float]
-"""A socket, what to wait for on it, and until when."""
-_R = TypeVar("_R")
-_Work = Generator[_Wait, bool, _R]
-"""What an exchange does, but for the waiting, which is the clients' part."""
+P = ParamSpec("P")
+R = TypeVar("R")
+_Work = Generator[tuple[zmq.Socket, int, float], bool, R]
+"""What a call does, but for the waiting: it yields a socket, an event and until when, and is sent whether the event came."""
+
+
+class _Call(Generic[P, R]):
+    """A method of both clients, written once: it gives the answer itself in `Client`, and what can be awaited in `AsyncClient`."""
+
+    def __init__(self, work: Callable[Concatenate[Any, P], _Work[R]]) -> None:
+        self._work = work
+        self.__doc__ = work.__doc__
+
+    @overload
+    def __get__(self, client: Client, kind: Any = None) -> Callable[P, R]: ...
+    @overload
+    def __get__(self, client: AsyncClient, kind: Any = None) -> Callable[P, Awaitable[R]]: ...
+    @overload
+    def __get__(self, client: None, kind: Any = None) -> Self: ...
+    def __get__(self, client: Any, kind: Any = None) -> Any:
+        if client is None:
+            return self
+        return lambda *args, **kwargs: client._run(self._work(client, *args, **kwargs))
 
 
 class _Connection:
@@ -250,41 +262,64 @@ class _Connection:
         self._need_session()
         return self._message(kind, **({"time": clock.monotonic()} | {name: _plain(name, value) for name, value in sample.items()}))
 
-    def _open(self, robot: str, choices: dict[str, Any]) -> _Work[Opened]:
-        """Open a session: what is no field of the request is taken for one of MappingOptions."""
-        mapping = choices.pop("mapping", {}) | {name: choices.pop(name) for name in tuple(choices) if name not in _OPEN_FIELDS}
+    @_Call
+    def open(self, robot: str, **choices: Any) -> _Work[Opened]:
+        """Open a session; choices are the fields of `open`: `input`, `robot_q`, `mapping` and so on."""
         fields = {name: _plain(name, value) for name, value in choices.items()}
-        request = self._message("open", robot=robot, mapping=mapping, **fields) | {"session": secrets.token_urlsafe(24)}
-        return self._exchange(request, Opened)
+        return self._exchange(self._message("open", robot=robot, **fields) | {"session": secrets.token_urlsafe(24)}, Opened)
 
-    def _reset(self, robot_q: Any, robot_wrist: Any) -> _Work[Done]:
-        fields = {"robot_q": _plain("robot_q", robot_q), "robot_wrist": _plain("robot_wrist", robot_wrist)}
-        return self._exchange(self._message("reset", **fields), Done)
+    @_Call
+    def step(self, **sample: Unpack[HumanSample]) -> _Work[Command]:
+        """Map one sample."""
+        return self._exchange(self._sample("step", sample), Command)
 
-    def _send(self, sample: HumanSample) -> _Work[None]:
-        """Send a sample; in a new session if the server has said that it does not know the old one."""
+    @_Call
+    def send(self, **sample: Unpack[HumanSample]) -> _Work[None]:
+        """Send a sample and do not wait for its command, which comes in the stream; the newest counts."""
         socket = self._socket("samples")
         if socket.poll(0):
             reply = self._decode(socket.recv(zmq.NOBLOCK))
+            # Only said of the session there is now, for the socket goes with its session.
             if isinstance(reply, Error) and reply.code == "no_session":
                 yield from self._reopen(clock.monotonic() + self.timeout)
-        socket.send(self._encode(self._sample("sample", sample)), zmq.NOBLOCK)
+        self._socket("samples").send(self._encode(self._sample("sample", sample)), zmq.NOBLOCK)
 
-    def _latest(self, timeout: float) -> _Work[Command | None]:
-        """The newest message of the stream."""
+    @_Call
+    def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
+        """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
         socket = self._socket("stream")
         if not (yield socket, zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
             return None
         reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
         if isinstance(reply, Error) and reply.code != "no_session":
             raise ServiceError(reply)
-        if not isinstance(reply, Command):
-            return None
-        self._last = reply
-        return reply
+        self._last = reply if isinstance(reply, Command) else self._last
+        return reply if isinstance(reply, Command) else None
 
-    def _close(self) -> _Work[None]:
-        """End the session if there is one and the server can be reached."""
+    @_Call
+    def clutch(self) -> _Work[Done]:
+        """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
+        return self._exchange(self._message("clutch"), Done)
+
+    @_Call
+    def release(self) -> _Work[Done]:
+        """Let go: the robot holds still until `clutch`."""
+        return self._exchange(self._message("release"), Done)
+
+    @_Call
+    def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> _Work[Done]:
+        """Start anew where the robot is said to be; otherwise it goes to rest, within its limits."""
+        start = {"robot_q": _plain("robot_q", robot_q), "robot_wrist": _plain("robot_wrist", robot_wrist)}
+        return self._exchange(self._message("reset", **start), Done)
+
+    @_Call
+    def status(self) -> _Work[State]:
+        """How the session is; the server, if none is open."""
+        return self._exchange(self._message("status"), State)
+
+    @_Call
+    def close(self) -> _Work[None]:
+        """End the session, if there is one and the server can be reached, and let go of the sockets."""
         try:
             if self.opened is not None:
                 yield from self._exchange(self._message("close"), Done)
@@ -294,7 +329,7 @@ class _Connection:
             self.opened, self._request, self._last = None, {}, None
             self._drop(*tuple(self._sockets))
 
-    def _exchange(self, request: dict[str, Any], kind: type[_R]) -> _Work[_R]:
+    def _exchange(self, request: dict[str, Any], kind: type[R]) -> _Work[R]:
         """Ask, and once more in a new session if the server has lost the old one."""
         deadline = clock.monotonic() + self.timeout
         reply = yield from self._ask(request, deadline)
@@ -329,7 +364,7 @@ class _Connection:
 
     def _enter(self, request: dict[str, Any], opened: Opened) -> None:
         self._request, self.opened = request, opened
-        self._drop("stream")
+        self._drop("stream", "samples")
 
     def _ask(self, request: dict[str, Any], deadline: float) -> _Work[_Reply]:
         """Send a request and wait for its answer, each time on a new connection."""
@@ -359,50 +394,14 @@ def _plain(name: str, value: Any) -> Any:
 class Client(_Connection):
     """A client that waits for answers; also a context manager. Any method may raise `ServiceError` or `ServiceTimeoutError`."""
 
-    def _run(self, work: _Work[_R]) -> _R:
+    def _run(self, work: _Work[R]) -> R:
         try:
             socket, event, until = next(work)
             while True:
-                is_ready = socket.poll(max(0.0, 1e3 * (until - clock.monotonic())), event) != 0
-                socket, event, until = work.send(is_ready)
+                left = max(0.0, 1e3 * (until - clock.monotonic()))
+                socket, event, until = work.send(socket.poll(left, event) != 0)
         except StopIteration as end:
             return end.value
-
-    def open(self, robot: str, **choices: Any) -> Opened:
-        """Open a session; choices are fields of `open` (`input`, `robot_q`, ...) and of MappingOptions (`rigid_from`, ...)."""
-        return self._run(self._open(robot, choices))
-
-    def step(self, **sample: Unpack[HumanSample]) -> Command:
-        """Map one sample."""
-        return self._run(self._exchange(self._sample("step", sample), Command))
-
-    def send(self, **sample: Unpack[HumanSample]) -> None:
-        """Send a sample and do not wait for its command, which comes in the stream; the newest counts."""
-        self._run(self._send(sample))
-
-    def latest(self, timeout: float = 0.0) -> Command | None:
-        """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
-        return self._run(self._latest(timeout))
-
-    def clutch(self) -> None:
-        """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
-        self._run(self._exchange(self._message("clutch"), Done))
-
-    def release(self) -> None:
-        """Let go: the robot holds still until `clutch`."""
-        self._run(self._exchange(self._message("release"), Done))
-
-    def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> None:
-        """Start anew where the robot is said to be; otherwise it goes to rest, within its limits."""
-        self._run(self._reset(robot_q, robot_wrist))
-
-    def status(self) -> State:
-        """How the session is; the server, if none is open."""
-        return self._run(self._exchange(self._message("status"), State))
-
-    def close(self) -> None:
-        """End the session, and let go of the sockets."""
-        self._run(self._close())
 
     def __enter__(self) -> Self:
         return self
@@ -416,7 +415,7 @@ class AsyncClient(_Connection):
 
     _turn: asyncio.Lock | None = None
 
-    async def _run(self, work: _Work[_R]) -> _R:
+    async def _run(self, work: _Work[R]) -> R:
         self._turn = self._turn or asyncio.Lock()
         async with self._turn:
             try:
@@ -424,46 +423,10 @@ class AsyncClient(_Connection):
                 while True:
                     ready = zmq.asyncio.Poller()
                     ready.register(socket, event)
-                    is_ready = bool(await ready.poll(max(0.0, 1e3 * (until - clock.monotonic()))))
-                    socket, event, until = work.send(is_ready)
+                    left = max(0.0, 1e3 * (until - clock.monotonic()))
+                    socket, event, until = work.send(bool(await ready.poll(left)))
             except StopIteration as end:
                 return end.value
-
-    async def open(self, robot: str, **choices: Any) -> Opened:
-        """As of `Client`."""
-        return await self._run(self._open(robot, choices))
-
-    async def step(self, **sample: Unpack[HumanSample]) -> Command:
-        """As of `Client`."""
-        return await self._run(self._exchange(self._sample("step", sample), Command))
-
-    async def send(self, **sample: Unpack[HumanSample]) -> None:
-        """As of `Client`."""
-        await self._run(self._send(sample))
-
-    async def latest(self, timeout: float = 0.0) -> Command | None:
-        """As of `Client`."""
-        return await self._run(self._latest(timeout))
-
-    async def clutch(self) -> None:
-        """As of `Client`."""
-        await self._run(self._exchange(self._message("clutch"), Done))
-
-    async def release(self) -> None:
-        """As of `Client`."""
-        await self._run(self._exchange(self._message("release"), Done))
-
-    async def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> None:
-        """As of `Client`."""
-        await self._run(self._reset(robot_q, robot_wrist))
-
-    async def status(self) -> State:
-        """As of `Client`."""
-        return await self._run(self._exchange(self._message("status"), State))
-
-    async def close(self) -> None:
-        """As of `Client`."""
-        await self._run(self._close())
 
     async def __aenter__(self) -> Self:
         return self

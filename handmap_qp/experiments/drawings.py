@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_CAMERA = {"azimuth": -60.0, "elevation": 20.0}
+_CAMERA = {"azimuth": 132.0, "elevation": 27.0}
 _BLACK = (0.08, 0.08, 0.10)
 _BALL = 0.0032
 
@@ -37,7 +37,7 @@ def draw_grasps(scene: Scene) -> Figure:
     panels = zip(solids, (scene.human, scene.robot), titles, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
     for column, (solid, grasp, title, colour) in enumerate(panels):
         axes = figure.add_axes((column / 3.0, 0.0, 1.0 / 3.0, 0.90))
-        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.9 * height)), margin=0.03, **_CAMERA)
+        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.9 * height)), margin=0.02, **_CAMERA)
         draw_hands(axes, solid, camera, marks=spheres(grasp.points, _BALL, colour), supersampling=3)
         _heading(axes, camera, title, f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts")
     axes = figure.add_axes((2.0 / 3.0, 0.0, 1.0 / 3.0, 0.90))
@@ -66,26 +66,26 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 6.1))
+    figure = Figure(figsize=(10.0, 5.4))
     poses, steps = object_poses(run), len(run.human.q) - 1
     instants = [0, steps // 2, steps]
     solids = [
         merged([grasp_triangles(grasp, motion.q[i], motion.wrist[i], held[i]) for i in instants])
         for grasp, motion, held in ((run.scene.human, run.human, poses[0]), (run.scene.robot, run.robot, poses[1]))
     ]
-    size = (800, 620)
+    size = (800, 475)
     corners = np.concatenate([solid.vertices.reshape(-1, 3) for solid in solids])
-    camera = Camera.framing(corners, size, azimuth=-78.0, elevation=14.0, margin=0.05)
+    camera = Camera.framing(corners, size, azimuth=-103.0, elevation=20.0, margin=0.02)
     blue, red = tube(poses[0][:, :3, 3], 0.0022, HUMAN_COLOUR), tube(poses[1][:, :3, 3], 0.0022, ROBOT_COLOUR)
     panels = (
         ("a) Human hand", "blue: the object's centre", [blue]),
-        ("b) Robot hand", "red: the object's centre; blue: the human's, 2 mm away at most where it is hidden", [blue, red]),
+        ("b) Robot hand", "red: the object's centre; blue: the human's", [blue, red]),
     )
     for column, (solid, (title, subtitle, lines)) in enumerate(zip(solids, panels, strict=True)):
-        axes = figure.add_axes((0.5 * column, 0.36, 0.5, 0.62))
+        axes = figure.add_axes((0.5 * column, 0.36, 0.5, 0.55))
         draw_hands(axes, solid, camera, marks=merged(lines), supersampling=3)
-        _heading(axes, camera, title, subtitle.partition(",")[0] if column else subtitle)
-    axes = figure.add_axes((0.075, 0.085, 0.90, 0.23))
+        _heading(axes, camera, title, subtitle)
+    axes = figure.add_axes((0.06, 0.09, 0.92, 0.22))
     way = np.linspace(0.0, 1.0, steps + 1)
     for (geometry, model), (human, robot) in ways.items():
         colour = COLOURS[2] if model == "rigid" else COLOURS[3]
@@ -114,13 +114,13 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 6.6))
+    figure = Figure(figsize=(10.0, 6.2))
     size = _box_size(scene.human)
-    pixels = (533, 500)
+    pixels = (533, 420)
     for column, (rigid, soft) in enumerate(zip(found["rigid"], found["quasi-static"], strict=True)):
         for row, title in enumerate((f"Synergy {column + 1}: object motion", "Force changes")):
-            axes = figure.add_axes((column / 3.0, 0.48 - 0.47 * row, 1.0 / 3.0, 0.47))
-            corners = box_triangles(scene.human.object_pose, 1.5 * np.array(size)).vertices.reshape(-1, 3)
+            axes = figure.add_axes((column / 3.0, 0.505 - 0.465 * row, 1.0 / 3.0, 0.424))
+            corners = box_triangles(scene.human.object_pose, 1.25 * np.array(size)).vertices.reshape(-1, 3)
             camera = Camera.framing(corners, pixels, margin=0.1, **_CAMERA)
             blank_axes(axes, camera)
             draw_box_edges(axes, camera, scene.human.object_pose, size)
@@ -142,7 +142,8 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
                     axes.scatter(*camera.project(grasp.points).T[:2], s=26, color=colour, edgecolor="white", linewidth=0.6, zorder=3)
                 most = [1e3 * np.linalg.norm(forces, axis=1).max() for forces in (soft.human_forces, soft.robot_forces)]
                 _heading(axes, camera, title, f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN")
-    figure.text(0.5, 0.985, "Blue: human, red: robot. Motions are drawn at one length.", ha="center", va="top", color=PALE)
+    note = "Blue: human; red: robot. Motions are all drawn at one length, forces of each hand to the scale of its largest."
+    figure.text(0.013, 0.012, note, fontsize=8, color=PALE)
     return figure
 
 

@@ -48,11 +48,12 @@ class Robot:
         is_whole: Whether that is the root of the URDF.
         parent: By link: the joint it hangs from and that joint's parent link.
         children: By link: joints that hang from it, each with its child link.
-        kinds: By joint: `revolute`, `continuous`, `prismatic` or `fixed`, as in the file.
+        kinds: By joint: `revolute`, `prismatic` or `fixed`.
         rules: Mimic rules, resolved.
         active: Joints that are set; n of them, in the order of the file.
         lower: Their lower limits, followers considered [rad or m], shape (n,).
         upper: Their upper limits, shape (n,).
+        endless: Joints that turn without end in the file.
         assumed: Limits that the URDF lacks, by joint.
         dropped_rules: Rules whose leader is not in this part of the robot; their joints count as joints of their own.
         notes: What was assumed, a sentence each.
@@ -73,6 +74,7 @@ class Robot:
                 raise HandError(f"nothing that moves hangs from the link {root!r}", value=root)
             self.name = robot.get("name", "") or file.stem
             self.notes: list[str] = []
+            self.endless = {joint.get("name", "") for joint in robot.iterfind("joint") if joint.get("type") == "continuous"}
             self.dropped_rules = self._drop_rules(robot)
             self.assumed = self._assume_limits(robot)
             self.locked = prepare_urdf(robot, None, {}, {**self._immovable(robot), **(locked or {})}, self.assumed)

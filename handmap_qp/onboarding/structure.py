@@ -129,8 +129,7 @@ def _fingerlike(robot: Robot, body: str) -> set[str]:
     found = set()
     for joint, child in robot.branches(body):
         chains = [robot.chain(leaf, body) for leaf in robot.leaves(child)]
-        turns_endlessly = all(robot.kinds[name] == "continuous" or name in robot.assumed for chain in chains for name, _ in chain[:1])
-        is_wheel = turns_endlessly and all(len(chain) == 1 for chain in chains) and robot.kinds[joint] != "prismatic"
+        is_wheel = joint in robot.endless and all(len(chain) == 1 for chain in chains)
         if not is_wheel and max(_reach(robot, chain) for chain in chains) < LONGEST_FINGER:
             found.add(joint)
     return found
@@ -214,11 +213,11 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
             return Tip(far, np.zeros(3), f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint", 0.95)
     if size > _LEAST_TIP:
         # The middle of the outermost slice, so that it lies on the finger's axis and not on its skin.
-        farthest = cloud[int(np.linalg.norm(cloud, axis=1).argmax())]
-        outward = farthest / np.linalg.norm(farthest)
-        along = cloud @ outward
-        slice_ = cloud[along > 0.85 * along.max()]
-        middle = 0.5 * (slice_.min(axis=0) + slice_.max(axis=0))
+        middle = cloud[np.linalg.norm(cloud, axis=1) > 0.95 * size].mean(axis=0)
+        for _ in range(2):
+            along = cloud @ (middle / np.linalg.norm(middle))
+            outermost = cloud[along > 0.85 * along.max()]
+            middle = 0.5 * (outermost.min(axis=0) + outermost.max(axis=0))
         return Tip(leaf, middle, f"the far end of the surface of {leaf}, {1e3 * size:.0f} mm from the last joint", 0.8)
     if last > _LEAST_TIP and before is not None:
         straight = np.linalg.inv(robot.pose_in(leaf, before)[:3, :3]) @ robot.pose_in(leaf, before)[:3, 3]

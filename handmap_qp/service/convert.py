@@ -20,6 +20,11 @@ def to_rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, values.tolist()))
 
 
+def to_points(values: np.ndarray) -> tuple[tuple[float, float, float], ...]:
+    """An array (n, 3) as plain points."""
+    return tuple((x, y, z) for x, y, z in values.tolist())
+
+
 def to_pose(matrix: np.ndarray | None) -> Pose | None:
     """A pose (4, 4) as position and quaternion xyzw."""
     if matrix is None:
@@ -41,13 +46,13 @@ def name_joints(robot: Hand, chosen: np.ndarray) -> tuple[str, ...]:
 def to_detail(step: MapStep, human_q: np.ndarray | None, human_wrist: np.ndarray | None) -> Detail:
     """Every stage of a step, for those who watch."""
     return Detail(
-        human_points=to_rows(step.human_points),
+        human_points=to_points(step.human_points),
         human_q=None if human_q is None else to_row(human_q),
         human_wrist=to_pose(human_wrist),
         motion=to_rows(step.motion),
         motion_rigid=to_rows(step.motion_rigid),
         motion_deformation=to_rows(step.motion_deformation),
         stretches=to_row(step.stretches),
-        targets=to_rows(step.targets),
-        points=to_rows(step.points),
+        targets=to_points(step.targets),
+        points=to_points(step.points),
     )

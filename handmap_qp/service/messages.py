@@ -53,7 +53,7 @@ class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     session: Annotated[str, _doc("Secret of the session: 16 to 64 random characters that its client chose.", max_length=64)] = ""
 
 
-class Open(Request):
+class Open(Request, frozen=True):
     """Open a session: one human hand that leads one robot hand. Answered by `opened`."""
 
     robot: Annotated[str, _doc("A robot hand that the server knows by name.", max_length=64)]
@@ -81,7 +81,7 @@ class Open(Request):
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")] = False
 
 
-class Step(Request):
+class Step(Request, frozen=True):
     """One sample of the human hand: the one of `q`, `landmarks`, `points` that `open` named. Answered by `command`."""
 
     time: Annotated[float, _doc("Time stamp, of any clock of the client's [s].")]
@@ -91,34 +91,34 @@ class Step(Request):
     wrist: Annotated[Pose | None, _doc("The human's wrist; must come with `q`, may with `points`, not with `landmarks`.")] = None
 
 
-class Sample(Step):
+class Sample(Step, frozen=True):
     """The same without an answer: the command comes in the stream. Of several that wait, the newest counts."""
 
 
-class Clutch(Request):
+class Clutch(Request, frozen=True):
     """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
 
 
-class Release(Request):
+class Release(Request, frozen=True):
     """Let go: the robot holds still until `clutch`."""
 
 
-class Reset(Request):
+class Reset(Request, frozen=True):
     """Start anew: the next sample is the reference."""
 
     robot_q: Annotated[Numbers | None, _doc("Where the robot is now [rad]; if omitted it goes to rest within its limits.")] = None
     robot_wrist: Annotated[Pose | None, _doc("Where its wrist is; if omitted it stays.")] = None
 
 
-class Status(Request):
+class Status(Request, frozen=True):
     """Ask how the session is, or without one the server. Answered by `state`."""
 
 
-class Close(Request):
+class Close(Request, frozen=True):
     """End the session."""
 
 
-class Subscribe(Request):
+class Subscribe(Request, frozen=True):
     """WebSocket only: send the stream of the session of this name too."""
 
     name: Annotated[Name, _doc("Public name of a session.")]
@@ -130,7 +130,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str
     seq: Annotated[int, _doc("Number of the request answered.")] = 0
 
 
-class Opened(Reply):
+class Opened(Reply, frozen=True):
     """The session is open."""
 
     name: Annotated[str, _doc("Public name of the session and of its stream.")]
@@ -159,7 +159,7 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     points: Annotated[Points, _doc("Where the mapping has them [m].")]
 
 
-class Command(Reply):
+class Command(Reply, frozen=True):
     """What a robot's driver takes."""
 
     name: Annotated[str, _doc("Public name of the session.")]
@@ -179,7 +179,7 @@ class Command(Reply):
     detail: Detail | None = None
 
 
-class State(Reply):
+class State(Reply, frozen=True):
     """How a session is, or the server."""
 
     version: Annotated[str, _doc("Of the package on the server.")]
@@ -191,11 +191,11 @@ class State(Reply):
     q: Annotated[Numbers, _doc("The session's last command [rad].")] = ()
 
 
-class Done(Reply):
+class Done(Reply, frozen=True):
     """The request was carried out."""
 
 
-class Error(Reply):
+class Error(Reply, frozen=True):
     """The request was not carried out; the session goes on as it was."""
 
     code: Annotated[str, _doc("One word; see the list.")]

@@ -73,7 +73,7 @@ def json_schema() -> str:
 def _table(kind: type[msgspec.Struct]) -> str:
     tag = kind.__struct_config__.tag
     title = f"`{tag}`" if tag else f"`{kind.__name__}`"
-    hints = get_type_hints(kind, vars(messages), include_extras=True)
+    hints = get_type_hints(kind, dict(vars(messages)), include_extras=True)
     base = next((base for base in (Request, Reply) if issubclass(kind, base) and kind is not base), None)
     inherited = () if base is None else base.__struct_fields__
     rows = []

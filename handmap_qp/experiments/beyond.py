@@ -1,0 +1,202 @@
+"""What the paper names as open, as numbers: the runs behind the figures of `handmap_qp.experiments.figures_beyond`.
+
+Each function gives the rows of one table. The object follows the contacts as a rigid body, and lengths are in millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+
+from handmap_qp.errors import DegeneratePointsError
+from handmap_qp.experiments.artwork import Row
+from handmap_qp.experiments.followers import Fingers
+from handmap_qp.experiments.held_object import object_error
+from handmap_qp.experiments.section_four import Pivot, Run, Scene, Setting, limited_hand, paper_scene, run_experiment
+from handmap_qp.grasp_planning import PlannedGrasp, plan_grasps
+from handmap_qp.library import load_hand
+
+SYNERGIES = (1, 2, 3)
+STEPS = 20
+RIDGE = 0.1
+"""Ridge of eq. (6) where fewer than four points, or points near a plane, are to give T; the library's default."""
+PLANS = 240
+"""Grasps planned for each of the paper's hands, as many as the toolbox's histogram has."""
+SEED = 1
+PAIRS = 30
+"""Pairs of planned grasps that are run."""
+MARGINS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
+"""How far joints may go either way from where they start [deg]."""
+DISTANCES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Distances of the scene from the world's origin [m]."""
+HUMAN_SETS = ("contacts", "fingertips", "fingertips_middle", "joints")
+ROBOT_SETS = ("contacts", "fingertips", "fingertips_middle")
+
+
+def limit_rows() -> list[Row]:
+    """The fingers' ways of following, within joint limits closer and closer round the start."""
+    base = paper_scene("ours")
+    rows: list[Row] = []
+    for synergy in SYNERGIES:
+        for margin in MARGINS:
+            q, room = base.robot.q, np.radians(max(margin, 1e-4))
+            hand = limited_hand(base.robot_points, q, q - room, q + room)
+            scene = replace(base, robot_points=hand)
+            for fingers in ("pseudoinverse", "clipped", "damped", "qp"):
+                run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, fingers=fingers))
+                rows.append({"synergy": synergy, "margin_deg": margin, "fingers": fingers, **_measures(run)})
+    return rows
+
+
+def own_limit_rows() -> list[Row]:
+    """The same within the toolbox's own limits, 0 to 90 degrees in every joint, and within those of our hand."""
+    rows: list[Row] = []
+    for name in ("toolbox", "ours"):
+        base = paper_scene("ours")
+        hand = base.robot_points
+        if name == "toolbox":
+            # Where the grasp starts a little outside, it may stay there.
+            lower, upper = np.minimum(0.0, base.robot.q), np.maximum(0.5 * np.pi, base.robot.q)
+            hand = limited_hand(hand, base.robot.q, lower, upper)
+        for synergy, fingers in product(SYNERGIES, ("pseudoinverse", "clipped", "damped", "qp")):
+            run = run_experiment(replace(base, robot_points=hand), Setting(synergy=synergy, steps=STEPS, fingers=fingers))
+            rows.append({"limits": name, "synergy": synergy, "fingers": fingers, **_measures(run)})
+    return rows
+
+
+def point_rows(gammas: Sequence[float]) -> list[Row]:
+    """Points and object, with fingers that follow and with frozen ones."""
+    cases: list[tuple[Fingers, int, float]] = list(product(("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas))
+    return [
+        {
+            "synergy": synergy,
+            "gamma": gamma,
+            "fingers": fingers,
+            **_measures(run_experiment(paper_scene("ours"), Setting(synergy=synergy, gamma=gamma, fingers=fingers))),
+        }
+        for fingers, synergy, gamma in cases
+    ]
+
+
+def subset_rows() -> list[Row]:
+    """Every choice of three or more of the seven human contacts as reference points."""
+    base = paper_scene("ours")
+    rows: list[Row] = []
+    for count in range(3, 8):
+        for chosen in combinations(base.human.point_specs, count):
+            scene = replace(base, human_points=base.human.hand.with_points(chosen))
+            fingers = len({point.finger for point in chosen})
+            for ridge, synergy in product((0.0, RIDGE), SYNERGIES):
+                # Three points never determine T without a ridge, and four in a plane neither.
+                try:
+                    measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=ridge)))
+                except DegeneratePointsError:
+                    continue
+                names = " ".join(point.name.removeprefix("contact_") for point in chosen)
+                rows.append({"points": count, "contacts": names, "on_fingers": fingers, "ridge": ridge, "synergy": synergy, **measures})
+    return rows
+
+
+def placement_rows() -> list[Row]:
+    """Where the reference points are, on both hands; the object is held at the contacts all the same."""
+    base = paper_scene("ours")
+    human, robot = load_hand("human"), load_hand("three_finger")
+    rows: list[Row] = []
+    for human_set, robot_set, synergy in product(HUMAN_SETS, ROBOT_SETS, SYNERGIES):
+        scene = replace(base, human_points=human.with_points(human_set), robot_points=robot.with_points(robot_set))
+        run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=RIDGE))
+        counts = {"human_points": len(scene.human_points.reference_points), "robot_points": len(scene.robot_points.reference_points)}
+        rows.append({"human_set": human_set, "robot_set": robot_set, **counts, "synergy": synergy, **_measures(run)})
+    return rows
+
+
+Plans = dict[str, list[PlannedGrasp]]
+
+
+def plan_all(progress: Callable[[int], None] | None = None) -> Plans:
+    """Grasps of the reference cube by the hands of the paper and by the Allegro hand, as found by the planner.
+
+    Args:
+        progress: Called with the number of grasps made after each one.
+
+    Returns:
+        By name of the hand; best first.
+    """
+    cube = paper_scene("ours").human
+    plans: Plans = {}
+    for name in ("human", "three_finger", "allegro_right"):
+        done = sum(map(len, plans.values()))
+
+        def advance(count: int, done: int = done) -> None:
+            if progress is not None:
+                progress(done + count)
+
+        plans[name] = plan_grasps(
+            load_hand(name), cube.shape, samples=PLANS, seed=SEED, object_pose=cube.object_pose, progress=advance
+        )
+    return plans
+
+
+def start_rows(plans: Plans) -> list[Row]:
+    """Pairs of planned grasps, each the start of its own experiment.
+
+    The n-th force-closed human grasp in the order of trials is paired with the n-th of the robot's, so pairs are random.
+    """
+    pools = {name: [one for one in sorted(plans[name], key=lambda one: one.trial) if one.quality > 0.0] for name in plans}
+    rows: list[Row] = []
+    for human, robot in list(zip(pools["human"], pools["three_finger"], strict=False))[:PAIRS]:
+        scene = Scene.at_contacts(human.grasp, robot.grasp)
+        for fingers, synergy in product(("pseudoinverse", "qp"), SYNERGIES):
+            run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=RIDGE, fingers=fingers))
+            trials = {"human_trial": human.trial, "robot_trial": robot.trial}
+            counts = {"human_contacts": len(human.grasp.contacts), "robot_contacts": len(robot.grasp.contacts)}
+            rows.append({**trials, **counts, "fingers": fingers, "synergy": synergy, **_measures(run)})
+    return rows
+
+
+def allegro_scene(plans: Plans) -> Scene:
+    """The human's reference grasp, and the best planned one of the Allegro hand on the same cube."""
+    return Scene.at_contacts(paper_scene("ours").human, plans["allegro_right"][0].grasp)
+
+
+def allegro_rows(plans: Plans, gammas: Sequence[float]) -> list[Row]:
+    """The Allegro hand in place of the three-fingered one."""
+    scenes = {"three_finger": paper_scene("ours"), "allegro_right": allegro_scene(plans)}
+    cases: list[tuple[str, Fingers, int, float]] = list(product(scenes, ("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas))
+    return [
+        {
+            "robot": robot,
+            "fingers": fingers,
+            "synergy": synergy,
+            "gamma": gamma,
+            **_measures(run_experiment(scenes[robot], Setting(synergy=synergy, gamma=gamma, steps=STEPS, fingers=fingers))),
+        }
+        for robot, fingers, synergy, gamma in cases
+    ]
+
+
+def origin_rows() -> list[Row]:
+    """The whole scene farther and farther from the world's origin, in 14 directions."""
+    axes = np.vstack([np.eye(3), -np.eye(3), np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)])
+    pivots: tuple[Pivot, ...] = ("centroid", "palm", "origin")
+    rows: list[Row] = []
+    for distance, direction in product(DISTANCES, axes):
+        scene = paper_scene("ours").moved(distance * direction)
+        where = {f"{axis}_m": float(value) for axis, value in zip("xyz", distance * direction, strict=True)}
+        for pivot, synergy in product(pivots, SYNERGIES):
+            measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot=pivot)))
+            rows.append({"distance_m": distance, **where, "pivot": pivot, "synergy": synergy, **measures})
+    return rows
+
+
+def _measures(run: Run) -> Row:
+    """What every table has: object, points, the farthest joint outside its limits, the wrist off T_rb, and T's largest stretch."""
+    return {
+        "object_error_mm": 1e3 * object_error(run),
+        "point_rms_mm": 1e3 * run.point_rms,
+        "limit_excess_deg": float(np.degrees(run.limit_excess)),
+        "largest_stretch": float(np.abs(run.stretches).max()),
+    }
