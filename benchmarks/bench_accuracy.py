@@ -105,14 +105,12 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
     """Map all scenes to a robot and sum up."""
     qualities: list[MotionQuality] = []
     watched: list[tuple[float, float, bool]] = []
-    step_cpu: list[np.ndarray] = []
     for scene in scenes:
         human = scene.motion.human.with_points(case.human_points)
         mapper = WatchedMapper(human, robot_for(family, scene.side, case.robot_points), case.mapping, ik=case.ik)
         trajectory = map_motion(mapper, scene.motion)
         qualities.append(assess_quality(scene.motion, trajectory))
         watched += mapper.watched
-        step_cpu.append(trajectory.step_cpu[scene.motion.valid])
     smallest, largest, clamped = np.array(watched).T
     matches = [match for quality in qualities for match in quality.fingers]
 
@@ -133,7 +131,6 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
         # Recordings differ tenfold in rate and noise, so each counts by its ratio.
         "jerk_over_human": float(np.exp(np.mean([np.log(quality.jerk / quality.human_jerk) for quality in qualities]))),
         "jerk_over_human_max": max(quality.jerk / quality.human_jerk for quality in qualities),
-        "step_cpu_us_median": 1e6 * float(np.median(np.concatenate(step_cpu))),
         **_follow(matches),
         "fingers": {finger: _follow([match for match in matches if match.finger == finger]) for finger in _fingers(matches)},
         "recordings": {scene.name: asdict(quality) for scene, quality in zip(scenes, qualities, strict=True)},
@@ -205,7 +202,6 @@ def _cells(result: dict[str, Any]) -> dict[str, str]:
         "x human": f"{result['jerk_over_human']:.2f}",
         **{finger: "" if pair is None else _pair(pair) for finger, pair in pairs.items()},
         "fingers": _pair(result),
-        "CPU us": f"{result['step_cpu_us_median']:.0f}",
     }
 
 

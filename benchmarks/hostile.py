@@ -39,6 +39,13 @@ MAPPINGS: tuple[dict[str, Any], ...] = (
     {"pivot": "world", "ridge": 0.0},
 )
 
+IKS: tuple[IkOptions, ...] = (
+    IkOptions(),
+    IkOptions(avoids_self_collision=True),
+    IkOptions(max_acceleration=50.0),
+    IkOptions(error_damping=0.0, damping=0.01, rest_weight=0.0, max_iterations=5),
+)
+
 
 @dataclass(slots=True)
 class Tally:
@@ -101,14 +108,15 @@ class IkRun:
 
     Args:
         hand: The hand.
+        options: Of the inverse kinematics.
         seed: Of the random numbers.
     """
 
-    def __init__(self, hand: Hand, seed: int) -> None:
+    def __init__(self, hand: Hand, options: IkOptions, seed: int) -> None:
         self.name = f"ik on {hand.name}, {hand.mount}, seed {seed}"
         self._hand = hand
         self._rng = np.random.default_rng(seed)
-        self._ik = PointIk(hand, IkOptions())
+        self._ik = PointIk(hand, options)
         self._place()
 
     def step(self, tally: Tally) -> None:
@@ -287,7 +295,7 @@ def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
     while True:
         for i, (name, mount) in enumerate(_available_hands()):
             robot = _hand(name, mount, (None, "fingertips_middle")[(seed + i) % 2])
-            yield IkRun(robot, seed)
+            yield IkRun(robot, IKS[seed % len(IKS)], seed)
             mapping = dict(MAPPINGS[seed % len(MAPPINGS)])
             if not robot.is_floating:
                 mapping["rigid_from"] = "none"

@@ -25,13 +25,14 @@ from handmap_qp.human import HumanLengths, load_synergies
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.library import hand_names, load_hand
 from handmap_qp.mapping import HandMapper
-from handmap_qp.options import MappingOptions
+from handmap_qp.options import TELEMANIPULATION, MappingOptions
 from handmap_qp.recording import Recording, read_recording
 from handmap_qp.samples import MapStep, RobotCommand
 
 __version__ = version("handmap-qp")
 
 __all__ = [
+    "TELEMANIPULATION",
     "Decomposition",
     "DegeneratePointsError",
     "Hand",

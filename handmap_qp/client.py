@@ -14,6 +14,7 @@ it. `handmap serve --schema` describes all fields. SI and radians. A client is f
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import time as clock
 from collections.abc import Awaitable, Callable, Generator
@@ -25,12 +26,10 @@ import numpy as np
 import numpy.typing as npt
 import zmq
 import zmq.asyncio
+import zmq.auth
 
 PROTOCOL = 1
-"""Version of the messages."""
 ADDRESS = "tcp://127.0.0.1:5570"
-"""Where a server is by default."""
-
 Numbers = tuple[float, ...]
 Names = tuple[str, ...]
 
@@ -155,7 +154,7 @@ class ServiceTimeoutError(TimeoutError):
 
 
 class CurveKeys(NamedTuple):
-    """Keys of an encrypted connection (Z85): the client's pair, and the server's public one."""
+    """Keys of an encrypted connection (Z85): the client's public and secret one, and the server's public one."""
 
     public: bytes
     secret: bytes
@@ -164,12 +163,8 @@ class CurveKeys(NamedTuple):
     @classmethod
     def read(cls, secret_file: Path | str, server_file: Path | str) -> CurveKeys:
         """Read what `handmap keys` made: this client's `NAME.key_secret`, and `server.key`."""
-        from zmq.auth import load_certificate
-
-        public, secret = load_certificate(secret_file)
-        if secret is None:
-            raise ValueError(f"{secret_file}: holds no secret key; expected a .key_secret file")
-        return cls(public, secret, load_certificate(server_file)[0])
+        public, secret = zmq.auth.load_certificate(secret_file)
+        return cls(public, secret or b"", zmq.auth.load_certificate(server_file)[0])
 
 
 P = ParamSpec("P")
@@ -189,12 +184,8 @@ class _Call(Generic[P, R]):
     def __get__(self, client: Client, kind: Any = None) -> Callable[P, R]: ...
     @overload
     def __get__(self, client: AsyncClient, kind: Any = None) -> Callable[P, Awaitable[R]]: ...
-    @overload
-    def __get__(self, client: None, kind: Any = None) -> Self: ...
     def __get__(self, client: Any, kind: Any = None) -> Any:
-        if client is None:
-            return self
-        return lambda *args, **kwargs: client._run(self._work(client, *args, **kwargs))
+        return self if client is None else lambda *args, **kwargs: client._run(self._work(client, *args, **kwargs))
 
 
 class _Connection:
@@ -215,63 +206,48 @@ class _Connection:
         self.address, self.timeout, self.attempts, self.keys = address, timeout, attempts, keys
         self.opened: Opened | None = None
         self.reopened = 0
-        self._context = zmq.Context.instance()
-        self._encode = msgspec.msgpack.Encoder().encode
         self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
         self._sockets: dict[str, zmq.Socket] = {}
-        self._seq = 0
-        self._request: dict[str, Any] = {}
+        self._seq, self._request = 0, dict[str, Any]()
         self._last: Command | None = None
+        self._turn = asyncio.Lock()
 
     def _socket(self, use: str) -> zmq.Socket:
         """The socket for `requests`, `samples` or the `stream`, made when it is first needed."""
         if use in self._sockets:
             return self._sockets[use]
-        address = self.address
-        socket = self._context.socket(zmq.SUB if use == "stream" else zmq.DEALER)
+        socket, address = zmq.Context.instance().socket(zmq.SUB if use == "stream" else zmq.DEALER), self.address
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.RECONNECT_IVL, 50)
         # A request waits here until there is a connection; of samples and commands, the newest one waits in the socket.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
         if self.keys is not None:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self.keys
-        if use == "stream":
-            opened = self._need_session()
-            address = f"{address.rpartition(':')[0]}:{opened.stream_port}"
-            socket.setsockopt(zmq.SUBSCRIBE, opened.name.encode() + b"\0")
+        if use == "stream" and self.opened is not None:
+            address = f"{address.rpartition(':')[0]}:{self.opened.stream_port}"
+            socket.setsockopt(zmq.SUBSCRIBE, self.opened.name.encode() + b"\0")
         socket.connect(address)
         self._sockets[use] = socket
         return socket
 
     def _drop(self, *uses: str) -> None:
-        for use in uses:
-            if use in self._sockets:
-                self._sockets.pop(use).close(linger=0)
+        for use in self._sockets.keys() & uses:
+            self._sockets.pop(use).close(linger=0)
 
-    def _need_session(self) -> Opened:
-        if self.opened is None:
-            raise RuntimeError("open a session first")
-        return self.opened
-
-    def _message(self, kind: str, **fields: Any) -> dict[str, Any]:
+    def _number(self, request: dict[str, Any]) -> dict[str, Any]:
+        """The request as it is sent next: its number, and the session of now unless it bears its own."""
         self._seq += 1
-        head = {"type": kind, "protocol": PROTOCOL, "seq": self._seq, "session": self._request.get("session", "")}
-        return head | {name: value for name, value in fields.items() if value is not None}
-
-    def _sample(self, kind: str, sample: HumanSample) -> dict[str, Any]:
-        self._need_session()
-        return self._message(kind, **({"time": clock.monotonic()} | {name: _plain(name, value) for name, value in sample.items()}))
+        return {"session": self._request.get("session", "")} | request | {"protocol": PROTOCOL, "seq": self._seq}
 
     @_Call
     def open(self, robot: str, **choices: Any) -> _Work[Opened]:
         """Open a session; choices are the fields of `open`: `input`, `robot_q`, `mapping` and so on."""
-        fields = {name: _plain(name, value) for name, value in choices.items()}
-        return self._exchange(self._message("open", robot=robot, **fields) | {"session": secrets.token_urlsafe(24)}, Opened)
+        return self._exchange(_message("open", robot=robot, session=secrets.token_urlsafe(24), **choices), Opened)
 
     @_Call
     def step(self, **sample: Unpack[HumanSample]) -> _Work[Command]:
         """Map one sample."""
-        return self._exchange(self._sample("step", sample), Command)
+        return self._exchange(_message("step", **sample), Command)
 
     @_Call
     def send(self, **sample: Unpack[HumanSample]) -> _Work[None]:
@@ -282,13 +258,14 @@ class _Connection:
             # Only said of the session there is now, for the socket goes with its session.
             if isinstance(reply, Error) and reply.code == "no_session":
                 yield from self._reopen(clock.monotonic() + self.timeout)
-        self._socket("samples").send(self._encode(self._sample("sample", sample)), zmq.NOBLOCK)
+        self._socket("samples").send(msgspec.msgpack.encode(self._number(_message("sample", **sample))), zmq.NOBLOCK)
 
     @_Call
     def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
         """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
-        socket = self._socket("stream")
-        if not (yield socket, zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
+        if self.opened is None:
+            raise RuntimeError("open a session first")
+        if not (yield (socket := self._socket("stream")), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
             return None
         reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
         if isinstance(reply, Error) and reply.code != "no_session":
@@ -299,79 +276,66 @@ class _Connection:
     @_Call
     def clutch(self) -> _Work[Done]:
         """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
-        return self._exchange(self._message("clutch"), Done)
+        return self._exchange(_message("clutch"), Done)
 
     @_Call
     def release(self) -> _Work[Done]:
         """Let go: the robot holds still until `clutch`."""
-        return self._exchange(self._message("release"), Done)
+        return self._exchange(_message("release"), Done)
 
     @_Call
     def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> _Work[Done]:
         """Start anew where the robot is said to be; otherwise it goes to rest, within its limits."""
-        start = {"robot_q": _plain("robot_q", robot_q), "robot_wrist": _plain("robot_wrist", robot_wrist)}
-        return self._exchange(self._message("reset", **start), Done)
+        return self._exchange(_message("reset", robot_q=robot_q, robot_wrist=robot_wrist), Done)
 
     @_Call
     def status(self) -> _Work[State]:
         """How the session is; the server, if none is open."""
-        return self._exchange(self._message("status"), State)
+        return self._exchange(_message("status"), State)
 
     @_Call
     def close(self) -> _Work[None]:
         """End the session, if there is one and the server can be reached, and let go of the sockets."""
         try:
             if self.opened is not None:
-                yield from self._exchange(self._message("close"), Done)
+                yield from self._exchange(_message("close"), Done)
         except (ServiceError, ServiceTimeoutError):
             pass
         finally:
             self.opened, self._request, self._last = None, {}, None
             self._drop(*tuple(self._sockets))
 
-    def _exchange(self, request: dict[str, Any], kind: type[R]) -> _Work[R]:
+    def _exchange(self, request: dict[str, Any], kind: type[R], deadline: float | None = None) -> _Work[R]:
         """Ask, and once more in a new session if the server has lost the old one."""
-        deadline = clock.monotonic() + self.timeout
-        reply = yield from self._ask(request, deadline)
+        deadline = clock.monotonic() + self.timeout if deadline is None else deadline
+        reply = yield from self._ask(numbered := self._number(request), deadline)
         if isinstance(reply, Error) and reply.code == "no_session" and self._request and request["type"] not in ("open", "close"):
             yield from self._reopen(deadline)
-            request = request | self._message(request["type"])
-            reply = yield from self._ask(request, deadline)
+            reply = yield from self._ask(self._number(request), deadline)
         if isinstance(reply, Error):
             raise ServiceError(reply)
         if not isinstance(reply, kind):
             raise ServiceError(Error(code="protocol", message=f"expected {kind.__name__}, got {type(reply).__name__}"))
         if isinstance(reply, Opened):
-            self._enter(request, reply)
-            self._last = None
-        elif isinstance(reply, Command):
-            self._last = reply
+            self._request, self.opened, self._last = numbered, reply, None
+            self._drop("stream", "samples")
+        self._last = reply if isinstance(reply, Command) else self._last
         return reply
 
-    def _reopen(self, deadline: float) -> _Work[_Reply]:
+    def _reopen(self, deadline: float) -> _Work[None]:
         """The session anew; the robot is where the last command left it, which the server need not remember."""
-        start = {} if self._last is None else {"robot_q": self._last.q, "robot_wrist": self._last.wrist, "restore": False}
-        if not self._need_session().is_floating:
-            start.pop("robot_wrist", None)
-        again = self._request | self._message("open", **start) | {"session": secrets.token_urlsafe(24)}
-        reply = yield from self._ask(again, deadline)
-        if isinstance(reply, Error):
-            raise ServiceError(reply)
-        if isinstance(reply, Opened):
-            self._enter(self._request | {"session": again["session"]}, reply)
-            self.reopened += 1
-        return reply
-
-    def _enter(self, request: dict[str, Any], opened: Opened) -> None:
-        self._request, self.opened = request, opened
-        self._drop("stream", "samples")
+        start, last = {}, self._last
+        if last is not None and self.opened is not None:
+            start = {"robot_q": last.q, "robot_wrist": last.wrist if self.opened.is_floating else None, "restore": False}
+        yield from self._exchange(self._request | start | {"session": secrets.token_urlsafe(24)}, Opened, deadline)
+        self._last = last
+        self.reopened += 1
 
     def _ask(self, request: dict[str, Any], deadline: float) -> _Work[_Reply]:
         """Send a request and wait for its answer, each time on a new connection."""
-        payload = self._encode(request)
+        payload = msgspec.msgpack.encode(request)
         for left in range(self.attempts, 0, -1):
-            now = clock.monotonic()
-            until = now + (deadline - now) / left
+            until = (now := clock.monotonic()) + (deadline - now) / left
             socket = self._socket("requests")
             if (yield socket, zmq.POLLOUT, until):
                 socket.send(payload, zmq.NOBLOCK)
@@ -384,11 +348,15 @@ class _Connection:
         raise ServiceTimeoutError(f"{self.address}: no answer to {request['type']!r} within {self.timeout:g} s")
 
 
-def _plain(name: str, value: Any) -> Any:
-    """A choice or part of a sample as it goes over the wire."""
-    if value is not None and name in ("wrist", "robot_wrist"):
-        return Pose.of(value)
-    return np.asarray(value, dtype=float).tolist() if isinstance(value, np.ndarray | np.generic) else value
+def _message(kind: str, **fields: Any) -> dict[str, Any]:
+    """A request of plain values: arrays as lists, poses in any form as `Pose`, and nothing where there is None."""
+    message: dict[str, Any] = {"type": kind} | ({"time": clock.monotonic()} if kind in ("step", "sample") else {})
+    for name, value in fields.items():
+        if value is not None and name in ("q", "robot_q", "landmarks", "points"):
+            message[name] = np.asarray(value, dtype=float).tolist()
+        elif value is not None:
+            message[name] = Pose.of(value) if name in ("wrist", "robot_wrist") else value
+    return message
 
 
 class Client(_Connection):
@@ -398,7 +366,7 @@ class Client(_Connection):
         try:
             socket, event, until = next(work)
             while True:
-                left = max(0.0, 1e3 * (until - clock.monotonic()))
+                left = max(0, math.ceil(1e3 * (until - clock.monotonic())))
                 socket, event, until = work.send(socket.poll(left, event) != 0)
         except StopIteration as end:
             return end.value
@@ -413,17 +381,14 @@ class Client(_Connection):
 class AsyncClient(_Connection):
     """The same for asyncio; calls of several tasks take turns."""
 
-    _turn: asyncio.Lock | None = None
-
     async def _run(self, work: _Work[R]) -> R:
-        self._turn = self._turn or asyncio.Lock()
         async with self._turn:
             try:
                 socket, event, until = next(work)
                 while True:
                     ready = zmq.asyncio.Poller()
                     ready.register(socket, event)
-                    left = max(0.0, 1e3 * (until - clock.monotonic()))
+                    left = max(0, math.ceil(1e3 * (until - clock.monotonic())))
                     socket, event, until = work.send(bool(await ready.poll(left)))
             except StopIteration as end:
                 return end.value

@@ -112,3 +112,7 @@ def _is_point(value: Any) -> bool:
 
 
 _MAY_BE_INFINITE = ("stretch_max", "joint_tolerance")
+
+TELEMANIPULATION = MappingOptions(rigid_from="wrist", pivot="palm", residual_gain=1.0, deformation_gain=0.5)
+"""Choices for a tracked wrist and a robot whose points name partners: the wrist goes where the human's does, and fingers follow
+fingers. The defaults are the paper's, which need neither."""

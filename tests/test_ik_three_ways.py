@@ -115,7 +115,8 @@ def test_way_3_takes_the_same_step(which: tuple[str, str, str | None]) -> None:
         mujoco.place(case.q)
         problem, T = mujoco.problem(case.point_targets, case.wrist_target, case.dt), mujoco.tangent_map()
         assert relative(T.T @ np.asarray(problem.P) @ T, H) < 1e-6
-        assert relative(T.T @ problem.q, c) < 1e-6
+        # Points are rounded to 1e-16 m, and their errors are shrunk before they are weighted.
+        assert relative(T.T @ problem.q, c) < 1e-5
         dq = solve_problem(problem)
         assert dq is not None
         np.testing.assert_allclose(mujoco.displacement(dq), step_of(ik, case), atol=1e-6)

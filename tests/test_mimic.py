@@ -162,7 +162,7 @@ def test_a_followers_limit_that_contradicts_its_rule_is_dropped_with_a_warning()
 @given(generator=generators)
 def test_tightened_limits_map_into_the_followers(multiplier: float, generator: np.random.Generator) -> None:
     low, offset = generator.uniform(-1.0, 0.0), generator.uniform(-0.2, 0.2)
-    ranges = {"l": JointRange(low, low + 1.5, 2.0), "f": JointRange(*np.sort(generator.uniform(-2.0, 2.0, 2)), 3.0)}
+    ranges = {"l": JointRange(low, low + 1.5, 2.0), "f": JointRange(*sorted(generator.uniform(-2.0, 2.0, 2).tolist()), 3.0)}
     tightened, dropped = tighten_limits([MimicRule("f", "l", multiplier, offset)], ranges)
     lower, upper, speed = tightened["l"]
     assert ranges["l"].lower <= lower < upper <= ranges["l"].upper

@@ -104,7 +104,7 @@ def test_null_space_motion_does_not_move_the_points(which: tuple[str, str, str |
 
 
 def test_the_qps_rest_term_moves_no_point_either() -> None:
-    hand = hand_of(("human", "fixed", None))
+    hand = hand_of(("human", "fixed", "fingertips"))
     moved = 0.0
     for case in well_conditioned_cases(hand, 30, seed=3):
         steps = []

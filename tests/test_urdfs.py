@@ -100,7 +100,7 @@ def test_rest_is_strictly_inside_limits(name: str) -> None:
 
 @pytest.mark.parametrize("name", ALL_HANDS)
 def test_palm_frame_is_anatomical(name: str) -> None:
-    hand = load(name)
+    hand = load(name).with_points("fingertips")
     straight = np.clip(np.zeros(len(hand.rest)), hand.lower_limits, hand.upper_limits)
     where = {point.finger: tip for point, tip in zip(hand.reference_points, in_palm(hand, hand.points(straight)), strict=True)}
     bent = {point.finger: tip for point, tip in zip(hand.reference_points, in_palm(hand, hand.points(hand.rest)), strict=True)}

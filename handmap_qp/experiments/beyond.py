@@ -23,14 +23,14 @@ SYNERGIES = (1, 2, 3)
 STEPS = 20
 RIDGE = 0.1
 """Ridge of eq. (6) where fewer than four points, or points near a plane, are to give T; the library's default."""
-PLANS = 240
-"""Grasps planned for each of the paper's hands, as many as the toolbox's histogram has."""
+PLANS = 120
+"""Grasps planned for each hand."""
 SEED = 1
 PAIRS = 30
 """Pairs of planned grasps that are run."""
 MARGINS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 """How far joints may go either way from where they start [deg]."""
-DISTANCES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+DISTANCES = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Distances of the scene from the world's origin [m]."""
 HUMAN_SETS = ("contacts", "fingertips", "fingertips_middle", "joints")
 ROBOT_SETS = ("contacts", "fingertips", "fingertips_middle")
@@ -179,14 +179,14 @@ def allegro_rows(plans: Plans, gammas: Sequence[float]) -> list[Row]:
 
 
 def origin_rows() -> list[Row]:
-    """The whole scene farther and farther from the world's origin, in 14 directions."""
+    """The whole scene farther and farther from the world's origin, in 14 directions; in three where it should not matter."""
     axes = np.vstack([np.eye(3), -np.eye(3), np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)])
     pivots: tuple[Pivot, ...] = ("centroid", "palm", "origin")
     rows: list[Row] = []
-    for distance, direction in product(DISTANCES, axes):
+    for distance, (number, direction) in product(DISTANCES, enumerate(axes)):
         scene = paper_scene("ours").moved(distance * direction)
         where = {f"{axis}_m": float(value) for axis, value in zip("xyz", distance * direction, strict=True)}
-        for pivot, synergy in product(pivots, SYNERGIES):
+        for pivot, synergy in product(pivots if number < 3 else ("origin",), SYNERGIES):
             measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot=pivot)))
             rows.append({"distance_m": distance, **where, "pivot": pivot, "synergy": synergy, **measures})
     return rows

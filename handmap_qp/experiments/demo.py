@@ -116,7 +116,7 @@ def arc_motion(samples: int) -> HumanMotion:
     """
     if samples < 3:
         raise InvalidInputError(f"samples: expected at least 3, got {samples}", value=samples)
-    human = load_hand("human")
+    human = load_hand("human", points="fingertips")
     progress = np.linspace(0.0, 1.0, samples)
     way = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
     wrist = np.tile(affine(_WRIST_ROTATION, np.zeros(3)), (samples, 1, 1))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_CAMERA = {"azimuth": 132.0, "elevation": 27.0}
+CAMERA = {"azimuth": 132.0, "elevation": 27.0}
 _BLACK = (0.08, 0.08, 0.10)
 _BALL = 0.0032
 
@@ -36,20 +36,20 @@ def draw_grasps(scene: Scene) -> Figure:
     titles = ("Human hand", "Three-fingered robot hand")
     panels = zip(solids, (scene.human, scene.robot), titles, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
     for column, (solid, grasp, title, colour) in enumerate(panels):
-        axes = figure.add_axes((column / 3.0, 0.0, 1.0 / 3.0, 0.90))
-        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.9 * height)), margin=0.02, **_CAMERA)
+        axes = figure.add_axes((column / 3.0, 0.0, 1.0 / 3.0, 0.88))
+        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.88 * height)), margin=0.02, **CAMERA)
         draw_hands(axes, solid, camera, marks=spheres(grasp.points, _BALL, colour), supersampling=3)
-        _heading(axes, camera, title, f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts")
-    axes = figure.add_axes((2.0 / 3.0, 0.0, 1.0 / 3.0, 0.90))
+        heading(axes, camera, title, f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts")
+    axes = figure.add_axes((2.0 / 3.0, 0.0, 1.0 / 3.0, 0.88))
     size = _box_size(scene.human)
     corners = box_triangles(scene.human.object_pose, size).vertices.reshape(-1, 3)
-    camera = Camera.framing(corners, (width, int(0.9 * height)), margin=0.17, **_CAMERA)
+    camera = Camera.framing(corners, (width, int(0.88 * height)), margin=0.17, **CAMERA)
     blank_axes(axes, camera)
     draw_box_edges(axes, camera, scene.human.object_pose, size)
     for grasp, colour in ((scene.human, HUMAN_COLOUR), (scene.robot, ROBOT_COLOUR)):
         axes.scatter(*camera.project(grasp.points).T[:2], s=46, color=colour, edgecolor="white", linewidth=0.8, zorder=3)
     axes.scatter(*camera.project(scene.human.centre)[:2], s=46, color=INK, zorder=3)
-    _heading(axes, camera, "Contacts on the cube", "human blue, robot red, centre black")
+    heading(axes, camera, "Contacts on the cube", "human blue, robot red, centre black")
     return figure
 
 
@@ -84,7 +84,7 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
     for column, (solid, (title, subtitle, lines)) in enumerate(zip(solids, panels, strict=True)):
         axes = figure.add_axes((0.5 * column, 0.36, 0.5, 0.55))
         draw_hands(axes, solid, camera, marks=merged(lines), supersampling=3)
-        _heading(axes, camera, title, subtitle)
+        heading(axes, camera, title, subtitle)
     axes = figure.add_axes((0.06, 0.09, 0.92, 0.22))
     way = np.linspace(0.0, 1.0, steps + 1)
     for (geometry, model), (human, robot) in ways.items():
@@ -121,7 +121,7 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
         for row, title in enumerate((f"Synergy {column + 1}: object motion", "Force changes")):
             axes = figure.add_axes((column / 3.0, 0.505 - 0.465 * row, 1.0 / 3.0, 0.424))
             corners = box_triangles(scene.human.object_pose, 1.25 * np.array(size)).vertices.reshape(-1, 3)
-            camera = Camera.framing(corners, pixels, margin=0.1, **_CAMERA)
+            camera = Camera.framing(corners, pixels, margin=0.1, **CAMERA)
             blank_axes(axes, camera)
             draw_box_edges(axes, camera, scene.human.object_pose, size)
             if row == 0:
@@ -130,7 +130,7 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
                         draw_arrow(axes, camera, scene.human.centre, 0.035 * motion / np.linalg.norm(motion), colour, width=width)
                 axes.scatter(*camera.project(scene.human.centre)[:2], s=30, color=INK, zorder=3)
                 angles = np.degrees([rigid.angle, soft.angle])
-                _heading(axes, camera, title, f"angle {angles[0]:.0f}° (rigid, thick), {angles[1]:.0f}° (quasi-static, thin)")
+                heading(axes, camera, title, f"angle {angles[0]:.0f}° (rigid, thick), {angles[1]:.0f}° (quasi-static, thin)")
             else:
                 for grasp, forces, colour in (
                     (scene.human, soft.human_forces, HUMAN_COLOUR),
@@ -141,7 +141,7 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
                         draw_arrow(axes, camera, point, 0.03 * force / largest, colour)
                     axes.scatter(*camera.project(grasp.points).T[:2], s=26, color=colour, edgecolor="white", linewidth=0.6, zorder=3)
                 most = [1e3 * np.linalg.norm(forces, axis=1).max() for forces in (soft.human_forces, soft.robot_forces)]
-                _heading(axes, camera, title, f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN")
+                heading(axes, camera, title, f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN")
     note = "Blue: human; red: robot. Motions are all drawn at one length, forces of each hand to the scale of its largest."
     figure.text(0.013, 0.012, note, fontsize=8, color=PALE)
     return figure
@@ -209,7 +209,8 @@ def _box_size(grasp: Grasp) -> tuple[float, float, float]:
     return grasp.shape.size
 
 
-def _heading(axes: Axes, camera: Camera, title: str, subtitle: str) -> None:
+def heading(axes: Axes, camera: Camera, title: str, subtitle: str) -> None:
+    """A title and a line below it at the upper left of a picture, in the camera's pixels."""
     width, height = camera.size
     axes.text(0.04 * width, 0.0, title, fontsize=11, fontweight="bold", va="bottom")
     axes.text(0.04 * width, 0.012 * height, subtitle, fontsize=8, color=PALE, va="top")

@@ -8,6 +8,7 @@ its start, carried by the wrist.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -167,5 +168,7 @@ def _answer(
     )
 
 
+# A grasp is a value and compares by identity; sweeps ask for the same one again and again.
+@lru_cache(maxsize=8)
 def _contact_hand(grasp: Grasp) -> Hand:
     return grasp.hand.with_points(grasp.point_specs)

@@ -49,7 +49,7 @@ class CollisionLimit:
             raise InvalidOptionsError(f"gain: expected a number in (0, 1], got {gain}")
         self._gain = gain
         self._geometry = _collision_geometry(hand)
-        self.pairs = _add_pairs(hand, self._geometry)
+        self.pairs = _add_pairs(hand, spec.pairs, self._geometry)
         self._data = self._geometry.createData()
         for request in self._data.distanceRequests:
             # Every search starts where the last one ended, so at the default of 1e-6 the same posture gave distances 1e-6 m apart.
@@ -140,14 +140,13 @@ def _collision_geometry(hand: Hand) -> pin.GeometryModel:
     return geometry
 
 
-def _add_pairs(hand: Hand, geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:
-    """Make the spec's pairs of links pairs of shapes, and return the links of each."""
-    assert hand.spec.collision is not None
+def _add_pairs(hand: Hand, pairs: tuple[tuple[str, str], ...], geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:
+    """Make pairs of links pairs of shapes, and return the links of each."""
     shapes: dict[str, list[int]] = {}
     for i, shape in enumerate(geometry.geometryObjects):
         shapes.setdefault(hand.model.frames[shape.parentFrame].name, []).append(i)
     links: list[tuple[str, str]] = []
-    for i, pair in enumerate(hand.spec.collision.pairs):
+    for i, pair in enumerate(pairs):
         for link in pair:
             if link not in shapes:
                 what = "has no collision shape" if hand.model.existFrame(link, pin.FrameType.BODY) else "is no link of the URDF"

@@ -10,9 +10,9 @@ evidence for both. Two things differ between the libraries and are mapped here:
   is of the order of the error e, so all right-hand sides are multiplied by the same small number (`SHRINK`): targets of points are
   brought nearer, mink's gains, the limits' gain and the time do the rest. A QP's solution shrinks exactly with its right-hand
   sides, so dividing by the same number gives the step, with the extra term `SHRINK` times smaller. (mink 1.3 drops the term of its
-  own accord where the rotation left is below 1e-5 rad, which happens to suit point tasks of any length; with the exact derivative
-  targets at full size are off by up to 0.05 rad, and shrunk ones by 2e-7. For the same reason a wrist whose orientation has
-  arrived before its position gets a slightly different step from mink.)
+  own accord where the rotation left is below 1e-5 rad, which happens to suit point tasks of any length. With the exact derivative,
+  steps to targets up to a metre away would be off by up to 0.9 rad at full size, and by 9e-7 shrunk. For the same reason a wrist
+  whose orientation has arrived before its position gets a slightly different step from mink.)
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.urdf_text import parse_urdf
 
-SHRINK = 3e-6
+SHRINK = 7e-7
 """By how much all right-hand sides are scaled. Smaller ones drown in rounding, larger ones let a point task's rotation show."""
 
 _MOUNT = "mujoco_mount"
@@ -41,7 +41,7 @@ class MujocoIk:
     """Poses the QP of `handmap_qp.ik.qp.PointIk` with mink on MuJoCo.
 
     Position and speed limits are mink's stacked rows, which contradict each other where a joint is outside its limits by more than
-    its speed allows to make good; there is no answer then.
+    its speed allows to make good; there is no answer then. Acceleration limits and self-collision avoidance are left out.
 
     Args:
         hand: The hand.

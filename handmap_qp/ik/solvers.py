@@ -55,8 +55,10 @@ class DaqpSolver:
         """See `QpSolver.solve`."""
         G = self._no_rows
         if rows is not None:
-            # DAQP takes the box first and the rows behind it.
-            G = rows[0]
+            # DAQP takes the box first and the rows behind it. With rows and a Hessian of 1e11 (targets a thousand kilometres away)
+            # it takes feasible problems for infeasible ones; the solution does not depend on the cost's scale.
+            G, scale = rows[0], 1.0 / H.diagonal().max()
+            H, c = scale * H, scale * c
             self._lower[: self._size], self._upper[: self._size], self._upper[self._size :] = lower, upper, rows[1]
             lower, upper = self._lower, self._upper
         if self._is_set_up:

@@ -1,8 +1,9 @@
 """How fingers close: straight postures, which way every joint bends its finger, and which way a fingertip goes by it.
 
-A joint *curls* a finger if it changes the distance from the finger's base to its tip; the finger is straight where that is greatest,
-and closes towards the end of the range that is farther from there. Joints at the base turn the finger as a whole: they flex it if they
-move the tip the way the curling joints do, and spread it else. Fingers that nothing curls (jaws) close towards the other tips.
+A joint *curls* a finger if it changes the distance from the finger's base to its tip; the finger is straight where that is
+greatest, and closes towards the end of the range that is farther from there. Joints at the base turn the finger as a whole: they
+flex it if they move the tip the way the curling joints do, and spread it else. Fingers that nothing curls (jaws) close towards the
+other tips.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def find_closing(robot: Robot, structure: Structure) -> Closing:
     certainty = np.zeros(len(moves))
     ways = np.zeros((len(moves), 3))
     for i in range(len(moves)):
-        curling = [j for j in np.flatnonzero(curls) if moves[i, j] and ends[j] != 0.0]
+        curling = [j for j in np.flatnonzero(curls).tolist() if moves[i, j] and ends[j] != 0.0]
         way = sum((ends[j] * fingers.slopes(q_open, j)[i] for j in curling), np.zeros(3))
         if np.linalg.norm(way) > 1e-6:
             ways[i], certainty[i] = way / np.linalg.norm(way), 0.95
@@ -166,24 +167,22 @@ def _settle_even(
     fingers: Fingers, q: np.ndarray, even: np.ndarray, sign: np.ndarray, ways: np.ndarray, certainty: np.ndarray
 ) -> None:
     """Joints that curl as far one way as the other: the way of the finger's other joints, or of the other fingers, or together."""
-    for j in np.flatnonzero(even):
+    for j in np.flatnonzero(even).tolist():
         mine = fingers.moves[:, j]
         slope = fingers.slopes(q, j)
         own = float((slope[mine] * ways[mine]).sum())
         others = float((slope[mine] @ ways[~mine].sum(axis=0)).sum()) if (~mine).any() else 0.0
         nearer = _nearness(fingers, q, j)
-        for votes, sureness in ((own, 0.9), (0.5 * others, 0.6), (nearer, 0.4)):
-            if abs(votes) > 0.1 * np.linalg.norm(slope[mine]):
-                sign[j] = np.sign(votes)
-                break
-        else:
-            sign[j], sureness = 1.0, 0.1
+        clear = 0.1 * float(np.linalg.norm(slope[mine]))
+        votes = ((own, 0.9), (0.5 * others, 0.6), (nearer, 0.4), (1.0, 0.1))
+        vote, sureness = next(pair for pair in votes if abs(pair[0]) > min(clear, 0.5))
+        sign[j] = np.sign(vote)
         for i in np.flatnonzero(mine & (certainty < sureness)):
             ways[i], certainty[i] = sign[j] * slope[i] / max(float(np.linalg.norm(slope[i])), 1e-9), sureness
 
 
 def _nearness(fingers: Fingers, q: np.ndarray, j: int) -> float:
-    """How much nearer a joint brings its tips to the other tips at its upper end than at its lower one [m], 0 for one finger alone."""
+    """How much nearer to the other tips a joint brings its own at its upper end than at its lower one [m]; 0 for one finger."""
     robot = fingers.robot
     distances = []
     for value in (robot.lower[j], robot.upper[j]):
@@ -195,7 +194,7 @@ def _nearness(fingers: Fingers, q: np.ndarray, j: int) -> float:
 def _close_jaws(fingers: Fingers, q: np.ndarray, sign: np.ndarray, ways: np.ndarray, certainty: np.ndarray) -> None:
     """Fingers that nothing curls close towards the other tips."""
     for i in np.flatnonzero(certainty == 0.0):
-        nearer = {j: _nearness(fingers, q, j) for j in np.flatnonzero(fingers.moves[i])}
+        nearer = {j: _nearness(fingers, q, j) for j in np.flatnonzero(fingers.moves[i]).tolist()}
         if not nearer or max(map(abs, nearer.values())) < 1e-4:
             continue
         j = max(nearer, key=lambda one: abs(nearer[one]))
@@ -206,7 +205,7 @@ def _close_jaws(fingers: Fingers, q: np.ndarray, sign: np.ndarray, ways: np.ndar
 
 def _sign_base_joints(fingers: Fingers, q: np.ndarray, sign: np.ndarray, ways: np.ndarray, certainty: np.ndarray) -> None:
     """Joints that turn a finger as a whole the way in which it closes."""
-    for j in np.flatnonzero((sign == 0.0) & fingers.moves.any(axis=0)):
+    for j in np.flatnonzero((sign == 0.0) & fingers.moves.any(axis=0)).tolist():
         slope = fingers.slopes(q, j)
         speed = np.linalg.norm(slope, axis=1)
         mine = fingers.moves[:, j] & (speed > 1e-4) & (certainty > 0.0)

@@ -1,7 +1,7 @@
 """A URDF as onboarding sees it: links, bodies, joints that are set, forward kinematics, and points on its surface.
 
-A *body* is a set of links joined by fixed joints. What a URDF leaves out (limits, speeds) or gets wrong is replaced by an assumption
-that is kept, so that it can be written into the `hand.yaml` where its owner sees it.
+A *body* is a set of links joined by fixed joints. What a URDF leaves out (limits, speeds) is replaced by an assumption that
+is kept, so that it can be written into the `hand.yaml` where its owner sees it.
 """
 
 from __future__ import annotations

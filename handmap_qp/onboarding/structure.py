@@ -7,6 +7,7 @@ fingers), the innermost common one wins.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,7 +139,7 @@ def _fingerlike(robot: Robot, body: str) -> set[str]:
 def _reach(robot: Robot, chain: list[tuple[str, str]]) -> float:
     """Length of a chain from its first joint to its last, and to the end of the last body where its links are long [m]."""
     links = [link for _, link in chain]
-    steps = [np.linalg.norm(robot.pose_in(link, before)[:3, 3]) for before, link in zip(links[:-1], links[1:], strict=True)]
+    steps = [np.linalg.norm(robot.pose_in(link, before)[:3, 3]) for before, link in itertools.pairwise(links)]
     end = find_tip(robot, links[-1], links[-2] if len(links) > 1 else None)
     return float(sum(steps) + np.linalg.norm(robot.pose_in(end.link, links[-1])[:3, 3] + end.xyz))
 

@@ -37,7 +37,9 @@ class SpeedGuard:
     def __init__(self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> None:
         self._robot = robot
         self._workspace = robot.configuration()
-        self._speed = robot.model.velocityLimit.copy()
+        # Followers (mimic joints) have limits of their own only through their leaders'.
+        self._speed = np.full(robot.model.nv, np.inf)
+        self._speed[robot.v_indices] = robot.velocity_limits
         if robot.is_floating:
             self._speed[:3] = robot.spec.wrist.max_linear_speed
             self._speed[3:6] = robot.spec.wrist.max_angular_speed

@@ -1,0 +1,272 @@
+"""Whether a `hand.yaml` says what its URDF shows: `check_hand`, with findings that say what to change."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from handmap_qp.errors import HandError, HandmapError
+from handmap_qp.hand import Hand
+from handmap_qp.library import load_hand
+from handmap_qp.onboarding.detect import Detection, detect_text
+from handmap_qp.onboarding.measure import FingerReach, MotionPart, Size, colliding_links, measure_reach, measure_size, try_motion
+from handmap_qp.urdf_files import urdf_path
+
+Level = Literal["error", "warning", "advice", "fine"]
+
+# The detection contradicts a description only where it is sure of itself.
+_SURE = 0.65
+# A robot's fingertip this far from where it should be is out of reach [m].
+_OUT_OF_REACH = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing found out about a description.
+
+    Attributes:
+        level: `error`: it cannot be used; `warning`: it will not do what it says; `advice`: it could be better; `fine`.
+        where: The key of the `hand.yaml`.
+        what: What was found.
+        change: What to change; empty for nothing.
+    """
+
+    level: Level
+    where: str
+    what: str
+    change: str = ""
+
+
+@dataclass(eq=False)
+class Report:
+    """What was found out about a hand.
+
+    Attributes:
+        name: What was checked.
+        hand: The hand; None where it cannot be built.
+        findings: All findings.
+        reach: How fingertips move.
+        size: How large the hand is; None where that was not measured.
+        motion: How it follows a standard motion; empty where that was not tried.
+    """
+
+    name: str
+    hand: Hand | None = None
+    findings: list[Finding] = field(default_factory=list)
+    reach: tuple[FingerReach, ...] = ()
+    size: Size | None = None
+    motion: tuple[MotionPart, ...] = ()
+
+    def add(self, level: Level, where: str, what: str, change: str = "") -> None:
+        """Add a finding."""
+        self.findings.append(Finding(level, where, what, change))
+
+    def raise_if_unusable(self) -> None:
+        """Raise the first error, if there is one.
+
+        Raises:
+            HandError: With the finding.
+        """
+        for finding in self.findings:
+            if finding.level == "error":
+                raise HandError(f"{finding.what}; {finding.change}" if finding.change else finding.what, key=finding.where)
+
+    def tables(self) -> dict[str, list[dict[str, Any]]]:
+        """Everything as tables for people: rows by title."""
+        size = self.size
+        findings = [{"": f.level, "key": f.where, "found": f.what, "change": f.change} for f in self.findings]
+        tables: dict[str, list[dict[str, Any]]] = {f"{self.name}: findings": findings}
+        if self.hand is not None:
+            tables["Joints"] = _joint_rows(self.hand)
+        tables["Fingers"] = [
+            {
+                "point": row.point,
+                "span mm": 1e3 * row.span,
+                "moves in": f"{row.directions} of 3 directions",
+                "least motion mm/rad": 1e3 * row.slowest,
+                "manipulability": f"{row.manipulability:.2e}",
+            }
+            for row in self.reach
+        ]
+        if size is not None:
+            rows = {
+                "length, palm to fingertip": f"{1e3 * size.length:.0f} mm, {size.ratio:.2f} human hands",
+                "fingertips at rest, from their middle": f"{1e3 * size.cloud:.0f} mm, a person's {1e3 * size.human_cloud:.0f} mm",
+                "suggested scale": f"1 (a translation stays as long as it is), or {size.ratio:.2f} in proportion to the hand",
+            }
+            tables["Size"] = [{"what": what, "value": value} for what, value in rows.items()]
+        tables["A standard motion"] = [
+            {
+                "human": row.name,
+                "farthest point": row.worst_point,
+                "from its target mm": 1e3 * row.error,
+                "joints at a limit": ", ".join(row.limited),
+            }
+            for row in self.motion
+        ]
+        return {title: rows for title, rows in tables.items() if rows}
+
+    def document(self, picture: Path | None) -> dict[str, Any]:
+        """Everything as JSON holds it."""
+        tables = self.tables()
+        tables["findings"] = [
+            {"level": f.level, "key": f.where, "found": f.what, "change": f.change} for f in self.findings
+        ]
+        tables.pop(f"{self.name}: findings")
+        return {"name": self.name, **tables, "picture": None if picture is None else str(picture)}
+
+
+def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
+    """Check a description.
+
+    Args:
+        hand: Path of a `hand.yaml` or name of a hand.
+        has_motion: Whether to map a standard motion to it.
+
+    Returns:
+        What was found; an error among the findings if the hand cannot be built.
+    """
+    report = Report(str(hand))
+    try:
+        with warnings.catch_warnings():
+            # They come back as findings.
+            warnings.simplefilter("ignore")
+            report.hand = built = load_hand(hand)
+    except HandError as error:
+        report.add("error", error.key or "hand", str(error))
+        return report
+    report.name = built.name
+    _check_joints(report, built)
+    _check_points(report, built)
+    _check_anatomy(report, built)
+    _check_collisions(report, built)
+    report.reach = measure_reach(built)
+    for row in report.reach:
+        if row.directions == 0:
+            report.add("warning", "points", f"no joint moves {row.point}", "put it on a link that moves, or leave it out")
+    tips = built.with_points("fingertips") if "fingertips" in built.spec.sets else built
+    report.size = measure_size(tips)
+    _check_size(report, report.size)
+    if has_motion:
+        _check_motion(report, built)
+    if not any(finding.level in ("error", "warning") for finding in report.findings):
+        report.add("fine", "", "description and URDF agree")
+    report.findings.sort(key=lambda finding: ("error", "warning", "advice", "fine").index(finding.level))
+    return report
+
+
+def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
+    """Every joint of the URDF with its role; limits of those that are set."""
+    rest = hand.all_joints(hand.rest)
+    rows = []
+    for i, (joint, role) in enumerate(zip(hand.all_joint_names, hand.all_joint_roles, strict=True)):
+        is_set = i < len(hand.joint_names)
+        limits = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]" if is_set else ""
+        speed = f"{hand.velocity_limits[i]:.3g}" if is_set else ""
+        rows.append({"joint": joint, "role": role, "limits": limits, "speed": speed, "rest": float(rest[i])})
+    return rows
+
+
+def _check_joints(report: Report, hand: Hand) -> None:
+    for note in hand.notes:
+        report.add("warning", "mimic", note, "correct the URDF, or give the rule in `mimic` or the limits in `limits`")
+    width = hand.upper_limits - hand.lower_limits
+    for i, joint in enumerate(hand.joint_names):
+        edge = min(hand.rest[i] - hand.lower_limits[i], hand.upper_limits[i] - hand.rest[i])
+        if edge < 0.01 * width[i]:
+            report.add("advice", f"rest.{joint}", "rests at its limit, so it can move one way only", "move it inwards")
+        if width[i] < 0.002:
+            report.add("warning", "limits", f"{joint} has a range of {width[i]:.2g}", "give its true limits, or lock it")
+        if hand.velocity_limits[i] > 60.0 or hand.velocity_limits[i] < 0.02:
+            speed = hand.velocity_limits[i]
+            report.add("advice", f"limits.{joint}", f"a speed of {speed:.3g} per second is unusual", "check its unit")
+    followers = hand.all_joint_roles.count("follower")
+    if followers:
+        report.add("fine", "mimic", f"{followers} joints follow others, within their own limits")
+
+
+def _check_points(report: Report, hand: Hand) -> None:
+    points, names = hand.points(hand.rest), {point.name for point in load_hand("human").spec.points}
+    for i, point in enumerate(hand.reference_points):
+        if (point.partner or point.name) not in names:
+            wanted = point.partner or point.name
+            report.add("advice", f"points.{point.name}", f"the human hand has no point {wanted!r}", "name a partner")
+        for j in range(i):
+            if np.linalg.norm(points[i] - points[j]) < 1e-3:
+                other = hand.reference_points[j].name
+                report.add("warning", f"points.{point.name}", f"lies on {other}", "one of them will do")
+    weights = hand.point_weights
+    if weights.max() > 100.0 * weights.min():
+        report.add("advice", "points.weight", f"weights are {weights.max() / weights.min():.0f}-fold apart", "stay within 100")
+    if len(points) < 3:
+        report.add("advice", "sets", f"{len(points)} points leave some of the hand's motion open", "add points of the same links")
+
+
+def _check_anatomy(report: Report, hand: Hand) -> None:
+    """Compare with what would be found in the URDF."""
+    try:
+        found = detect_text(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
+    except HandError as error:
+        report.add("advice", "palm", f"nothing to compare with: {error}")
+        return
+    clues = {clue.what: clue for clue in found.clues}
+    palm = np.linalg.inv(hand.frame_pose(found.spec.palm.link, hand.rest)) @ hand.frame_pose("palm", hand.rest)
+    for column, name in ((1, "distal"), (2, "dorsal")):
+        other = np.array(getattr(found.spec.palm, name))
+        angle = float(np.degrees(np.arccos(np.clip(palm[:3, column] @ other, -1.0, 1.0))))
+        if angle > 40.0 and clues[name].confidence > _SURE:
+            link_of = hand.frame_pose(hand.spec.palm.link, hand.rest)[:3, :3].T @ hand.frame_pose(found.spec.palm.link, hand.rest)[:3, :3]
+            better = ", ".join(f"{value:.3f}" for value in link_of @ other)
+            what = f"is {angle:.0f} degrees from {clues[name].how}"
+            report.add("warning", f"palm.{name}", what, f"try [{better}]")
+    if found.spec.side != hand.side and clues["side"].confidence > _SURE:
+        report.add("warning", "side", f"{clues['side'].how}: a {found.spec.side} hand", f"side: {found.spec.side}")
+    if clues["fingers"].confidence > _SURE and found.spec.side == hand.side:
+        _check_fingers(report, hand, found)
+
+
+def _check_fingers(report: Report, hand: Hand, found: Detection) -> None:
+    """Compare the finger that each point is said to be of with the chain that moves it."""
+    for point in hand.reference_points:
+        joint = hand.model.frames[hand.model.getFrameId(point.link)].parentJoint
+        mover = hand.model.names[joint]
+        owner = next((finger for finger, chain in found.chains.items() if mover in chain), None)
+        if owner is not None and point.finger is not None and owner != point.finger:
+            what = f"is on the finger that stands where the {owner} does, and says {point.finger}"
+            report.add("warning", f"points.{point.name}", what, f"finger: {owner}, and a name and partner to go with it")
+
+
+def _check_collisions(report: Report, hand: Hand) -> None:
+    try:
+        pairs = colliding_links(hand, hand.rest)
+    except HandmapError as error:
+        report.add("advice", "urdf", f"self-collisions were not checked: {error}")
+        return
+    if pairs:
+        shown = ", ".join(f"{one} and {other}" for one, other in pairs[:4]) + (", ..." if len(pairs) > 4 else "")
+        report.add("warning", "rest", f"at rest {shown} overlap", "open the hand or spread its fingers a little more")
+    else:
+        report.add("fine", "rest", "no two links overlap at rest, but those that meet in a joint")
+
+
+def _check_size(report: Report, size: Size) -> None:
+    if not 0.3 < size.ratio < 4.0:
+        what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} human hands"
+        report.add("warning", "palm.xyz", what, "check the URDF's unit (metres) and the palm's origin")
+
+
+def _check_motion(report: Report, hand: Hand) -> None:
+    try:
+        report.motion = try_motion(hand)
+    except HandmapError as error:
+        report.add("advice", "", f"the standard motion was not tried: {error}")
+        return
+    for part in report.motion:
+        if part.error > _OUT_OF_REACH:
+            stops = f", {', '.join(part.limited[:3])} at a limit" if part.limited else ""
+            what = f"{part.name}: {part.worst_point} stays {1e3 * part.error:.0f} mm from its target{stops}"
+            report.add("advice", "reach", what)

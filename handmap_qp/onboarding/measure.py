@@ -1,0 +1,246 @@
+"""What a hand can do, in numbers: reach and manipulability of its fingers, its size beside a person's, self-collisions, a standard motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import HandmapError
+from handmap_qp.hand import Hand
+from handmap_qp.library import load_hand
+from handmap_qp.mapping import HandMapper
+from handmap_qp.urdf_files import find_mesh, urdf_path
+from handmap_qp.urdf_text import parse_urdf
+
+HUMAN_LENGTH = 0.19
+"""Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
+# Singular values of a fingertip's Jacobian below this are no direction that it can move in [m/rad].
+_LEAST_MOTION = 0.003
+_SAMPLES = 200
+_DT = 1.0 / 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class FingerReach:
+    """How one fingertip moves.
+
+    Attributes:
+        point: Name of the reference point.
+        finger: The finger that it belongs to.
+        span: Largest distance between two places that it reaches [m].
+        directions: In how many directions it can move at rest, 0 to 3.
+        slowest: The least of its motions at rest that is one [m/rad].
+        manipulability: Yoshikawa's measure at rest, the product of those motions [(m/rad)^directions].
+    """
+
+    point: str
+    finger: str
+    span: float
+    directions: int
+    slowest: float
+    manipulability: float
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How large a hand is.
+
+    Attributes:
+        length: From the palm's origin to the farthest fingertip, fingers straight or at rest, whichever is longer [m].
+        cloud: Root mean square distance of the fingertips from their middle at rest [m].
+        human_cloud: The same of a person's hand of usual length [m].
+    """
+
+    length: float
+    cloud: float
+    human_cloud: float
+
+    @property
+    def ratio(self) -> float:
+        """Size of the hand in human hands, by length."""
+        return self.length / HUMAN_LENGTH
+
+
+@dataclass(frozen=True, slots=True)
+class MotionPart:
+    """How well a robot follows one part of the standard motion.
+
+    Attributes:
+        name: What the human hand does.
+        error: Largest distance of a point from its target at the end of the part [m].
+        worst_point: The point that has it.
+        limited: Joints at a limit there.
+    """
+
+    name: str
+    error: float
+    worst_point: str
+    limited: tuple[str, ...]
+
+
+def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
+    """Reach and manipulability of every reference point in use that belongs to a finger.
+
+    Args:
+        hand: The hand; the arm that it may be on does not count.
+
+    Returns:
+        One row a point.
+    """
+    wrist = hand.v_indices if not hand.has_moving_wrist or hand.is_floating else None
+    fingers = np.array([wrist is not None or not _moves_wrist(hand, v) for v in hand.v_indices])
+    generator = np.random.default_rng(0)
+    shares = np.vstack([generator.random((_SAMPLES, len(hand.rest))), generator.integers(0, 2, (_SAMPLES, len(hand.rest)))])
+    postures = np.where(fingers, hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits), hand.rest)
+    places = np.array([hand.points(q) for q in postures])
+    jacobian = hand.point_jacobian(hand.rest)[:, fingers]
+    rows = []
+    for i, point in enumerate(hand.reference_points):
+        if point.finger is None:
+            continue
+        motions = np.linalg.svd(jacobian[3 * i : 3 * i + 3], compute_uv=False)
+        motions = motions[motions > _LEAST_MOTION]
+        gaps = places[:, None, i] - places[None, :: max(1, len(places) // 100), i]
+        rows.append(
+            FingerReach(
+                point.name,
+                point.finger,
+                float(np.linalg.norm(gaps, axis=2).max()),
+                len(motions),
+                float(motions.min()) if len(motions) else 0.0,
+                float(np.prod(motions)) if len(motions) else 0.0,
+            )
+        )
+    return tuple(rows)
+
+
+def measure_size(hand: Hand) -> Size:
+    """The size of a hand beside a person's.
+
+    Args:
+        hand: The hand, its reference points the fingertips.
+    """
+    human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
+    postures = (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits))
+    lengths = [np.linalg.norm(hand.points(q) - hand.frame_pose("palm", q)[:3, 3], axis=1).max() for q in postures]
+    return Size(float(max(lengths)), _spread(hand.points(hand.rest)), _spread(human.points(human.rest)))
+
+
+def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
+    """Pairs of links whose collision shapes overlap, without those that meet in a joint.
+
+    Args:
+        hand: The hand.
+        q: Joint angles [rad], shape (n,).
+
+    Returns:
+        Names of links, two and two.
+
+    Raises:
+        HandmapError: If the shapes cannot be read.
+    """
+    robot, folder = parse_urdf(hand.urdf_text), urdf_path(hand.spec).parent
+    for mesh in robot.iter("mesh"):
+        mesh.set("filename", str(find_mesh(mesh.get("filename", ""), folder).resolve()))
+    from xml.etree.ElementTree import tostring
+
+    try:
+        geometry = pin.buildGeomFromUrdfString(hand.model, tostring(robot, encoding="unicode"), pin.GeometryType.COLLISION)
+    except (RuntimeError, ValueError) as error:
+        raise HandmapError(" ".join(str(error).split())) from error
+    model, shapes = hand.model, geometry.geometryObjects
+    with_shape = {shape.parentJoint for shape in shapes}
+    for i, one in enumerate(shapes):
+        for j in range(i + 1, len(shapes)):
+            if not _meet(model, one.parentJoint, shapes[j].parentJoint, with_shape):
+                geometry.addCollisionPair(pin.CollisionPair(i, j))
+    data = geometry.createData()
+    pin.computeCollisions(model, model.createData(), geometry, data, hand.configuration_vector(q), False)
+    found: dict[tuple[str, str], None] = {}
+    for pair, result in zip(geometry.collisionPairs, data.collisionResults, strict=True):
+        if result.isCollision():
+            first, second = (model.frames[shapes[k].parentFrame].name for k in (pair.first, pair.second))
+            found[first, second] = None
+    return tuple(found)
+
+
+def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
+    """Map a standard motion of a person's hand: flat, spread, fist, pointing, and pinches, from rest and back each time.
+
+    Args:
+        hand: The robot hand.
+
+    Returns:
+        One row a part.
+    """
+    human = load_hand("human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH)
+    rigid = "wrist" if hand.is_floating else "none"
+    parts = []
+    for name, posture in standard_postures(human).items():
+        mapper = HandMapper(human, hand, rigid_from=rigid, dt=_DT)
+        mapper.map_step(human.rest, np.eye(4))
+        # Three quarters of a second to get there, and a quarter to settle.
+        shares = np.concatenate([0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)])
+        step = None
+        for share in shares:
+            step = mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
+        assert step is not None
+        worst = int(np.argmax(step.point_error))
+        q = step.command.q
+        room = 1e-4 * (hand.upper_limits - hand.lower_limits)
+        at_limit = (q <= hand.lower_limits + room) | (q >= hand.upper_limits - room)
+        limited = tuple(joint for joint, is_at in zip(hand.joint_names, at_limit, strict=True) if is_at)
+        parts.append(MotionPart(name, float(step.point_error[worst]), hand.reference_points[worst].name, limited))
+    return tuple(parts)
+
+
+def standard_postures(human: Hand) -> dict[str, np.ndarray]:
+    """Postures of the human hand that most tasks are made of, inside its limits [rad], shape (20,) each."""
+    names = human.joint_names
+
+    def posture(**flexions: float) -> np.ndarray:
+        q = human.rest.copy()
+        for i, name in enumerate(names):
+            finger, _, joint = name.partition("_")
+            if finger in flexions and "flexion" in joint:
+                q[i] = flexions[finger] * (0.8 if "DIP" in joint else 1.0) * (-0.6 if joint == "IP_flexion" else 1.0)
+            if "spread" in flexions and joint == "MCP_abduction":
+                q[i] = human.rest[i] * flexions["spread"]
+        return np.clip(q, human.lower_limits, human.upper_limits)
+
+    fingers = dict.fromkeys(("index", "middle", "ring", "little"), 0.05)
+    fist = dict.fromkeys(fingers, 1.4)
+    return {
+        "flat hand": posture(thumb=0.1, **fingers),
+        "spread": posture(thumb=0.0, spread=3.0, **fingers),
+        "fist": posture(thumb=0.7, **fist),
+        "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
+        "pinch": posture(thumb=0.6, index=0.9),
+    }
+
+
+def _moves_wrist(hand: Hand, v: int) -> bool:
+    """Whether a joint of the model is one of an arm's."""
+    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
+    return any(hand.model.joints[joint].idx_v == v for joint in hand.model.supports[wrist] if joint > 0)
+
+
+def _spread(points: np.ndarray) -> float:
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
+    """Whether two joints carry the same body or neighbours, bodies without a shape between them not counting."""
+    for near, far in ((one, other), (other, one)):
+        above = near
+        while above > 0:
+            if above == far:
+                return True
+            above = model.parents[above]
+            if above in with_shape or above == 0:
+                break
+        if above == far:
+            return True
+    return False

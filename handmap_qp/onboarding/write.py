@@ -1,0 +1,192 @@
+"""A `hand.yaml` with comments: every key says what it is for, and how its value was found."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hand_spec import HandSpec, LimitSpec, PointSpec
+from handmap_qp.onboarding.anatomy import Clue
+from handmap_qp.onboarding.detect import Detection
+from handmap_qp.urdf_files import package_share
+
+_WIDTH = 120
+_WORDS = ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
+
+
+def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> None:
+    """Write a `hand.yaml`.
+
+    Args:
+        detection: What was found.
+        path: The file; its folder is made if it does not exist.
+        overwrite: Whether a file that exists may be replaced.
+
+    Raises:
+        InvalidInputError: If the file exists, or cannot be written.
+    """
+    if path.exists() and not overwrite:
+        raise InvalidInputError(f"--out {path}: exists already; give --overwrite to replace it")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(hand_text(detection, path.parent), encoding="utf-8")
+    except OSError as error:
+        raise InvalidInputError(f"--out {path}: cannot be written: {error.strerror or error}") from error
+
+
+def hand_text(detection: Detection, folder: Path) -> str:
+    """The text of a `hand.yaml` that lies in a folder, which the URDF's path is made relative to."""
+    spec = detection.spec
+    clues = {clue.what: clue for clue in detection.clues}
+    lines = [
+        f"# {spec.name}: written by `handmap hands init`. Above a value stands how it was found and how sure that is;",
+        "# correct what is wrong, then look at it with `handmap hands check`.",
+        *(f"# Note: {line}" for note in detection.notes for line in _wrapped(note)),
+        f"name: {_quoted(spec.name)}",
+        f"urdf: {_quoted(_urdf_reference(Path(spec.urdf), folder))}",
+    ]
+    if spec.root is not None:
+        lines += ["# The hand is what hangs from this link; the rest of the robot is left away.", f"root: {_quoted(spec.root)}"]
+    lines += [*_comment(clues["side"]), f"side: {spec.side}"]
+    lines += _palm(spec, clues)
+    lines += _wrist(spec)
+    lines += _joints(detection)
+    lines += _rest(spec, clues["rest"])
+    if spec.locked:
+        lines += ["# Joints that hold still, and where [rad or m].", "locked:"]
+        lines += [f"  {_quoted(joint)}: {_number(value)}" for joint, value in spec.locked.items()]
+    if spec.limits:
+        lines += ["# Assumed, since the URDF does not say: put the true values here [rad or m, and per second].", "limits:"]
+        lines += [f"  {_quoted(joint)}: {_limit(limit)}" for joint, limit in spec.limits.items()]
+    if spec.mimic:
+        lines += ["# Joints that mimic one outside this part of the robot, taken for joints of their own.", "mimic:"]
+        lines += [f"  {_quoted(joint)}: null" for joint in spec.mimic]
+    lines += _points(spec, clues)
+    return "\n".join(lines) + "\n"
+
+
+def _palm(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
+    palm = spec.palm
+    return [
+        *_comment(clues["palm"], "the palm"),
+        "palm:",
+        f"  link: {_quoted(palm.link)}",
+        *_comment(clues["palm origin"], "origin, where a wrist would be [m]", "  "),
+        f"  xyz: {_vector(palm.xyz)}",
+        *_comment(clues["distal"], "distal, the direction of the stretched fingers", "  "),
+        f"  distal: {_vector(palm.distal)}",
+        *_comment(clues["dorsal"], "dorsal, out of the back of the hand", "  "),
+        f"  dorsal: {_vector(palm.dorsal)}",
+    ]
+
+
+def _wrist(spec: HandSpec) -> list[str]:
+    wrist = spec.wrist
+    how = "six free coordinates" if wrist.mount == "floating" else "to the world, or to an arm among the joints below"
+    lines = ["wrist:", f"  link: {_quoted(wrist.link)}", f"  mount: {wrist.mount}  # {how}"]
+    if wrist.mount == "floating":
+        lines += [
+            f"  max_linear_speed: {_number(wrist.max_linear_speed)}  # m/s",
+            f"  max_angular_speed: {_number(wrist.max_angular_speed)}  # rad/s",
+        ]
+    return lines
+
+
+def _joints(detection: Detection) -> list[str]:
+    """Joints with the finger that they belong to, where its first one stands."""
+    spec, lines = detection.spec, ["# The order of every q. Followers of other joints (mimic) are none of these.", "joints:"]
+    said = ""
+    for joint in spec.joints:
+        owners = [finger for finger, chain in detection.chains.items() if joint in chain]
+        owner = "all fingers" if len(owners) == len(detection.chains) > 1 else " and ".join(owners) or "arm"
+        lines.append(f"  - {_quoted(joint)}" + (f"  # {owner}" if owner != said else ""))
+        said = owner
+    return lines
+
+
+def _rest(spec: HandSpec, clue: Clue) -> list[str]:
+    return [
+        *_comment(clue, "rest posture [rad or m]"),
+        "rest:",
+        *(f"  {_quoted(joint)}: {_number(spec.rest[joint])}" for joint in spec.joints),
+    ]
+
+
+def _points(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
+    lines = ["# Reference points: places on links [m]; `partner` is the human point whose misfit a point may take over.", "points:"]
+    for point in spec.points:
+        if point.name in clues:
+            lines += _comment(clues[point.name], "", "  ")
+        lines.append(f"  - {_point(point)}")
+    lines.append("sets:")
+    lines += [f"  {name}: [{', '.join(members)}]" for name, members in spec.sets.items()]
+    lines.append(f"reference: {spec.reference}")
+    return lines
+
+
+def _comment(clue: Clue, what: str = "", indent: str = "") -> list[str]:
+    text = f"{what + ': ' if what else ''}{clue.how} ({clue.sureness})"
+    return [f"{indent}# {line}" for line in _wrapped(text)]
+
+
+def _wrapped(text: str) -> list[str]:
+    lines, line = [], ""
+    for word in text.split():
+        if line and len(line) + len(word) + 1 > _WIDTH:
+            lines.append(line)
+            line = word
+        else:
+            line = f"{line} {word}".strip()
+    return [*lines, line]
+
+
+def _urdf_reference(urdf: Path, folder: Path) -> str:
+    """How a `hand.yaml` in `folder` names a URDF: inside an installed package, relative, or from the root of the disk."""
+    file = urdf.resolve()
+    parts = file.parts
+    if "cmeel.prefix" in parts:
+        inside = parts[parts.index("cmeel.prefix") + 2 :]
+        try:
+            if package_share(inside[0]).resolve().joinpath(*inside) == file:
+                return f"package://{'/'.join(inside)}"
+        except MissingExtraError:
+            pass
+    relative = os.path.relpath(file, folder.resolve())
+    return relative if relative.count("..") <= 2 else str(file)
+
+
+def _point(point: PointSpec) -> str:
+    fields = [f"name: {point.name}", f"link: {_quoted(point.link)}"]
+    if any(point.xyz):
+        fields.append(f"xyz: {_vector(point.xyz)}")
+    if point.finger:
+        fields.append(f"finger: {point.finger}")
+    if point.partner:
+        fields.append(f"partner: {point.partner}")
+    return "{" + ", ".join(fields) + "}"
+
+
+def _limit(limit: LimitSpec) -> str:
+    given = ((key, getattr(limit, key)) for key in ("lower", "upper", "velocity"))
+    return "{" + ", ".join(f"{key}: {_number(value)}" for key, value in given if value is not None) + "}"
+
+
+def _vector(values: tuple[float, float, float]) -> str:
+    return "[" + ", ".join(_number(value) for value in values) + "]"
+
+
+def _number(value: float) -> str:
+    """All digits, never in a form that YAML 1.1 takes for text (1e-05)."""
+    text = repr(float(value))
+    return text if "e" not in text else f"{value:.12f}".rstrip("0")
+
+
+def _quoted(text: str) -> str:
+    """A string as YAML, in quotes where YAML would take it for something else."""
+    plain = text.replace("_", "").replace(".", "").replace("/", "").replace("-", "")
+    is_plain = (
+        plain.isalnum() and text[0].isalpha() and text.lower() not in ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
+    )
+    return text if is_plain or text.startswith(("package://", "../", "./")) else json.dumps(text)
