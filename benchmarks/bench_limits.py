@@ -126,7 +126,7 @@ def main(words: Sequence[str] | None = None) -> None:
             for way, make in WAYS.items():
                 trajectories = []
                 for scene in found:
-                    mapper = HandMapper(scene.motion.human.with_points("fingertips"), scenes.robot_for(family, scene.side))
+                    mapper = HandMapper(scene.motion.human.with_points(None), scenes.robot_for(family, scene.side))
                     mapper._ik = make(mapper.robot, IkOptions())
                     trajectories.append(map_motion(mapper, scene.motion))
                     advance()

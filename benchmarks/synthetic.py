@@ -28,13 +28,13 @@ def synergy_motion(samples: int) -> HumanMotion:
 
 
 def motion_or_synergies(folder: Path, name: str) -> HumanMotion:
-    """A recording as the motion of the human's fingertips, its samples without a hand left out; synergies where it is missing."""
+    """A recording as a motion of the human hand, its samples without a hand left out; synergies where it is missing."""
     file = folder / f"{name}.npz"
     if not file.is_file():
         return synergy_motion(750)
     motion = scenes.load_scene(file).motion
     seen = {key: getattr(motion, key)[motion.valid] for key in _columns()}
-    return replace(motion, human=motion.human.with_points("fingertips"), **seen)
+    return replace(motion, human=motion.human.with_points(None), **seen)
 
 
 def shortened(motion: HumanMotion, samples: int) -> HumanMotion:

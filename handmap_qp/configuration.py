@@ -25,6 +25,7 @@ class Configuration:
         model: Pinocchio model whose last frames are the reference points.
         wrist_frame: Index of the wrist frame.
         first_point: Index of the first reference point's frame.
+        expansion: From the active coordinates to the model's tangent space, shape (model.nv, k); None if all are active.
 
     Attributes:
         model: The model.
@@ -32,11 +33,12 @@ class Configuration:
         q: Configuration last placed, shape (nq,).
         points: Reference points in the world [m], shape (m, 3); a view that follows every placement.
         wrist: Wrist frame, a `pinocchio.SE3` view that follows every placement.
-        support: 1 where a velocity coordinate moves a point's row or the wrist's, shape (3 m + 6, nv).
+        support: 1 where a velocity coordinate of the model moves a point's row or the wrist's, shape (3 m + 6, model.nv).
     """
 
-    def __init__(self, model: pin.Model, *, wrist_frame: int, first_point: int) -> None:
+    def __init__(self, model: pin.Model, *, wrist_frame: int, first_point: int, expansion: np.ndarray | None = None) -> None:
         self.model = model
+        self.expansion = expansion
         self.data = model.createData()
         self.q = pin.neutral(model)
         self.points = _translation_view(self.data, first_point, len(model.frames))
@@ -56,8 +58,8 @@ class Configuration:
 
     @property
     def nv(self) -> int:
-        """Number of velocity coordinates."""
-        return self.model.nv
+        """Number of active velocity coordinates, k: those of the wrist and of the joints that follow no other."""
+        return self.model.nv if self.expansion is None else self.expansion.shape[1]
 
     def place(self, q: np.ndarray) -> None:
         """Put the model at `q` and place its frames, without Jacobians."""
@@ -70,14 +72,22 @@ class Configuration:
         pin.updateFramePlacements(self.model, self.data)
         self.q[:] = q
 
+    def displace(self, start: np.ndarray, displacement: np.ndarray) -> None:
+        """Update to where a displacement in the active coordinates, shape (k,), leads from a configuration."""
+        step = displacement if self.expansion is None else self.expansion.dot(displacement)
+        self.update(pin.integrate(self.model, start, step))
+
     def point_jacobian(self) -> np.ndarray:
-        """Jacobian of the points, world axes [m per unit], shape (3 m, nv)."""
-        rows = 3 * len(self.points)
-        return (self.stacked_jacobian(np.eye(6)) * self.support)[:rows]
+        """Jacobian of the points in the active coordinates, world axes [m per unit], shape (3 m, k)."""
+        return self.contracted((self.stacked_jacobian(np.eye(6)) * self.support)[: 3 * len(self.points)])
 
     def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
-        """Body Jacobian of the wrist, multiplied from the left by `error_jacobian` (6, 6); shape (6, nv)."""
-        return (self.stacked_jacobian(error_jacobian) * self.support)[-6:]
+        """Body Jacobian of the wrist in the active coordinates, with `error_jacobian` (6, 6) on its left, shape (6, k)."""
+        return self.contracted((self.stacked_jacobian(error_jacobian) * self.support)[-6:])
+
+    def contracted(self, jacobian: np.ndarray) -> np.ndarray:
+        """A Jacobian over the model's tangent space, shape (r, model.nv), over the active coordinates, shape (r, k)."""
+        return jacobian if self.expansion is None else jacobian @ self.expansion
 
     def stacked_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
         """Rows of all points and of the wrist as one product, to be masked by `support`.
@@ -86,7 +96,7 @@ class Configuration:
             error_jacobian: Derivative of the wrist task's error with respect to the wrist's body displacement, shape (6, 6).
 
         Returns:
-            Unmasked Jacobian, shape (3 m + 6, nv); an internal buffer, overwritten by the next call.
+            Unmasked Jacobian, shape (3 m + 6, model.nv); an internal buffer, overwritten by the next call.
         """
         np.dot(self.points, _CROSS, out=self._crosses)
         self._angular[:] = self._crosses_3

@@ -145,7 +145,10 @@ class Hand:
 
     def configuration(self) -> Configuration:
         """A new workspace for this hand, for one user at a time."""
-        return Configuration(self.model, wrist_frame=self.wrist_frame_id, first_point=self.first_point_frame)
+        expansion = None if self.expansion is None else self.expansion.matrix
+        return Configuration(
+            self.model, wrist_frame=self.wrist_frame_id, first_point=self.first_point_frame, expansion=expansion
+        )
 
     def configuration_vector(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Pinocchio's configuration vector for joint angles and a wrist pose.
@@ -215,10 +218,7 @@ class Hand:
             Jacobian [m/rad], rows x, y, z of each point in turn, columns in the order of `joint_names`, shape (3 m, n).
         """
         self._scratch.update(self.configuration_vector(q, wrist_pose))
-        jacobian = self._scratch.point_jacobian()
-        if self.expansion is None:
-            return jacobian[:, self.v_indices]
-        return jacobian @ self.expansion.matrix[:, self.joint_columns]
+        return self._scratch.point_jacobian()[:, self.joint_columns]
 
     def frame_pose(self, frame: str, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Pose of a link or joint, of `"palm"` or of `"wrist"` in the world.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import yaml
@@ -19,6 +19,7 @@ from handmap_qp.errors import HandError
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
+_Spec = TypeVar("_Spec")
 
 
 class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -126,6 +127,7 @@ class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         xyz: Origin of the hand's root link in the tip's frame [m].
         rpy: Its roll, pitch and yaw there, as in a URDF [rad].
         root: Link that stands still; the URDF's own root if omitted.
+        without: Links that are taken off, with all that hangs from them: a gripper, say.
         locked: Joints that hold still, and where [rad or m].
         limits: Limits by joint that replace the URDF's.
         directory: Where relative paths start; the folder of `arm.yaml` when it was read from one.
@@ -139,6 +141,7 @@ class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
     root: str | None = None
+    without: tuple[str, ...] = ()
     locked: dict[str, float] = {}
     limits: dict[str, LimitSpec] = {}
     directory: Path | None = None
@@ -252,9 +255,18 @@ def read_hand_spec(path: Path) -> HandSpec:
     Raises:
         HandError: If the file cannot be read, is no YAML, or has an unknown, missing or mistyped key.
     """
-    document = _read_document(path)
+    return _converted(_read_document(path), HandSpec, path)
+
+
+def read_arm_spec(path: Path) -> ArmSpec:
+    """Read an `arm.yaml`, as `read_hand_spec` does a `hand.yaml`; whether it fits is checked when a hand is mounted on it."""
+    return _converted(_read_document(path), ArmSpec, path)
+
+
+def _converted(document: dict[str, Any], kind: type[_Spec], path: Path) -> _Spec:
+    """A document as a typed value, with errors that name file, key and value."""
     try:
-        return msgspec.convert(document, HandSpec, dec_hook=lambda kind, value: kind(value))
+        return msgspec.convert(document, kind, dec_hook=lambda wanted, value: wanted(value))
     except msgspec.ValidationError as error:
         if isinstance(cause := error.__cause__, HandError):
             text = str(cause).removeprefix(f"{cause.file}: ").removeprefix(f"{cause.key}: ")

@@ -22,7 +22,7 @@ from handmap_qp.options import MappingOptions
 from handmap_qp.reference import Reference, make_reference, partner_pairs
 from handmap_qp.samples import MapStep, RobotCommand
 from handmap_qp.transfer import transfer_motion, wrist_displacement
-from handmap_qp.transform import PoseLike, QuatOrder, check_pose
+from handmap_qp.transform import FARTHEST, PoseLike, QuatOrder, check_pose
 
 
 class HandMapper:
@@ -217,8 +217,8 @@ class HandMapper:
             raise InvalidInputError(f"points: expected numbers, got {type(points).__name__}") from error
         if measured.shape != (count, 3):
             raise InvalidInputError(f"points: expected shape ({count}, 3), got {measured.shape}")
-        if not np.isfinite(measured).all():
-            raise InvalidInputError(f"points: expected finite numbers, got {measured.tolist()}")
+        if not (np.abs(measured) <= FARTHEST).all():
+            raise InvalidInputError(f"points: expected coordinates within {FARTHEST:g} m, got {measured.tolist()}")
         return measured
 
     def _check_robot(self, robot_q: npt.ArrayLike) -> np.ndarray:
@@ -321,7 +321,7 @@ def _check_hands(human: Hand, robot: Hand, options: MappingOptions) -> None:
         raise InvalidOptionsError(
             f"human: {human.name} has a fixed wrist; load it with mount='floating', since its pose comes with each sample"
         )
-    if not robot.is_floating and options.rigid_from != "none":
+    if not robot.has_moving_wrist and options.rigid_from != "none":
         raise InvalidOptionsError(
             f"rigid_from={options.rigid_from!r} moves the wrist, and {robot.name}'s is fixed: give rigid_from='none', "
             "or load the robot with mount='floating'"

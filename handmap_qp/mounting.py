@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from handmap_qp.errors import HandError
@@ -59,6 +60,7 @@ def compose_urdf(spec: HandSpec, text: str, arm_text: str | None = None) -> Comp
         if spec.arm is not None and arm_text is not None:
             arm = parse_urdf(arm_text)
             check_tree(arm)
+            _take_off(arm, spec.arm)
             locked = {**prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits), **locked}
             robot = mount_on_arm(arm, robot, spec.arm)
         check_limits(robot)
@@ -66,6 +68,23 @@ def compose_urdf(spec: HandSpec, text: str, arm_text: str | None = None) -> Comp
         return ComposedUrdf(mirrored_urdf(text) if spec.mirror else text, locked)
     except HandError as error:
         raise spec.error(str(error).removeprefix(f"{error.key}: "), key=error.key or "urdf", value=error.value) from error
+
+
+def mounted(hand: HandSpec, arm: ArmSpec, *, xyz: Vector | None = None, rpy: Vector | None = None, name: str = "") -> HandSpec:
+    """The description of a hand on an arm.
+
+    Args:
+        hand: The hand.
+        arm: The arm.
+        xyz: Origin of the hand's root link in the frame of the arm's tip [m]; the arm's own if omitted.
+        rpy: Its roll, pitch and yaw there [rad]; the arm's own if omitted.
+        name: Name of the two; `ARM_HAND` if omitted.
+
+    Returns:
+        The description: the arm's joints come first in every `q`.
+    """
+    arm = msgspec.structs.replace(arm, xyz=xyz or arm.xyz, rpy=rpy or arm.rpy)
+    return msgspec.structs.replace(hand, name=name or f"{arm.name}_{hand.name}", arm=arm)
 
 
 def cut_subtree(robot: ET.Element, root: str) -> None:
@@ -96,6 +115,27 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
             robot.remove(joint)
     for other in (element for element in list(robot) if element.tag not in ("link", "joint", "material")):
         robot.remove(other)
+
+
+def _take_off(arm: ET.Element, spec: ArmSpec) -> None:
+    """Remove what an arm carries and shall not: the links of `without` and all that hangs from them."""
+    links = link_names(arm)
+    for name in spec.without:
+        if name not in links:
+            raise HandError(f"the arm has no link {name!r}", key="arm.without", value=name)
+    outwards = list(edges(arm))
+    gone, todo = set(spec.without), list(spec.without)
+    while todo:
+        parent = todo.pop()
+        found = [child for _, other, child in outwards if other == parent]
+        gone.update(found)
+        todo.extend(found)
+    for link in arm.findall("link"):
+        if link.get("name") in gone:
+            arm.remove(link)
+    for joint, parent, child in outwards:
+        if parent in gone or child in gone:
+            arm.remove(joint)
 
 
 def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:

@@ -23,6 +23,9 @@ QuatOrder = Literal["wxyz", "xyzw"]
 _ROTATION_TOLERANCE = 1e-3
 _ROTATION_EXACT = 1e-12
 
+FARTHEST = 1e9
+"""Coordinates beyond this are refused [m]: no hand is there, and squares and differences of larger ones lose what matters."""
+
 _IDENTITY = np.eye(4)
 
 
@@ -208,8 +211,11 @@ def check_pose(value: PoseLike, name: str = "pose", quat_order: QuatOrder | None
         abs(b * c + e * f + h * i),
     )
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if bottom != [0.0, 0.0, 0.0, 1.0] or (x + y + z) * 0.0 != 0.0:
-        raise InvalidInputError(f"{name}: expected finite numbers with a last row of 0, 0, 0, 1, got {pose.tolist()}")
+    # Written so that a NaN, which compares false with everything, is refused too.
+    if bottom != [0.0, 0.0, 0.0, 1.0] or not max(abs(x), abs(y), abs(z)) + 0.0 * (x + y + z) <= FARTHEST:
+        raise InvalidInputError(
+            f"{name}: expected finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1, got {pose.tolist()}"
+        )
     # Written so that a NaN, which compares false with everything, is refused too.
     if not (defect <= _ROTATION_TOLERANCE and determinant > 0.0):
         raise InvalidInputError(

@@ -6,7 +6,7 @@ import asyncio
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from handmap_qp.client import Client
 from handmap_qp.service.messages import PROTOCOL, Open, Pose, Step
-from handmap_qp.service.opening import Calibration, HandShelf, Hands, prepare_hands
+from handmap_qp.service.opening import Calibration, Hands, HandShelf, prepare_hands
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Session
 
@@ -99,8 +99,9 @@ def serving(settings: Settings = LOCAL, **changes: Any) -> Iterator[Server]:
     try:
         yield started.result(timeout=10.0)
     finally:
-        if ended.done():
-            ended.result()()
+        # The loop is closed already where the server could not start.
+        with suppress(RuntimeError):
+            ended.result(timeout=10.0)()
         thread.join(timeout=10.0)
 
 

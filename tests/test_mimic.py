@@ -112,11 +112,11 @@ def test_a_step_in_the_active_coordinates_keeps_every_rule(hand: Hand, q: np.nda
 
 @every_mount
 @given(q=angles, generator=generators)
-def test_the_full_jacobian_times_s_moves_the_points(hand: Hand, q: np.ndarray, generator: np.random.Generator) -> None:
+def test_the_jacobian_of_the_active_coordinates_moves_the_points(hand: Hand, q: np.ndarray, generator: np.random.Generator) -> None:
     assert hand.expansion is not None
     workspace = hand.configuration()
     workspace.update(hand.configuration_vector(q))
-    slope = workspace.point_jacobian() @ hand.expansion.matrix @ (step := generator.normal(size=len(hand.active_columns)))
+    slope = workspace.point_jacobian() @ (step := generator.normal(size=len(hand.active_columns)))
     ends = []
     for sign in (1e-6, -1e-6):
         workspace.place(pin.integrate(hand.model, hand.configuration_vector(q), hand.expansion.matrix @ (sign * step)))

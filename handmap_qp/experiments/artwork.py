@@ -43,14 +43,19 @@ class Artwork:
             self.figure.savefig(folder / f"{self.name}.png")
             # Without a date the same numbers give the same file.
             self.figure.savefig(folder / f"{self.name}.svg", metadata={"Date": None})
-        with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(self.rows[0]))
+        self.write_csv(folder / f"{self.name}.csv", self.rows)
+
+    @staticmethod
+    def write_csv(path: Path, rows: Sequence[Row]) -> None:
+        """Write rows that have the same columns."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
             writer.writeheader()
-            writer.writerows({key: _text(value) for key, value in row.items()} for row in self.rows)
+            writer.writerows({key: _text(value) for key, value in row.items()} for row in rows)
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
-    """Rows as a Markdown table; numbers with three significant digits."""
+    """Rows as a Markdown table; numbers with four significant digits."""
     lines = [list(rows[0]), *([_short(value) for value in row.values()] for row in rows)]
     rule = ["---:" if isinstance(value, int | float) else "---" for value in rows[0].values()]
     return "\n".join("| " + " | ".join(line) + " |" for line in [lines[0], rule, *lines[1:]])
@@ -61,4 +66,4 @@ def _text(value: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value).replace("|", "/")
+    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("|", "/")

@@ -17,13 +17,16 @@ from handmap_qp.experiments.followers import Fingers
 from handmap_qp.experiments.held_object import object_error
 from handmap_qp.experiments.section_four import Pivot, Run, Scene, Setting, limited_hand, paper_scene, run_experiment
 from handmap_qp.grasp_planning import PlannedGrasp, plan_grasps
+from handmap_qp.grasp_preshape import default_closing
 from handmap_qp.library import load_hand
 
 SYNERGIES = (1, 2, 3)
 STEPS = 20
+COUNTS = (3, 4, 5, 6, 7)
+"""How many of the seven human contacts are chosen."""
 RIDGE = 0.1
 """Ridge of eq. (6) where fewer than four points, or points near a plane, are to give T; the library's default."""
-PLANS = 120
+PLANS = 240
 """Grasps planned for each hand."""
 SEED = 1
 PAIRS = 30
@@ -32,6 +35,8 @@ MARGINS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 """How far joints may go either way from where they start [deg]."""
 DISTANCES = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Distances of the scene from the world's origin [m]."""
+_OPPOSITION = {"allegro_right": "joint_12.0"}
+"""The joint that opposes the thumb to the fingers, which closing leaves where it starts."""
 HUMAN_SETS = ("contacts", "fingertips", "fingertips_middle", "joints")
 ROBOT_SETS = ("contacts", "fingertips", "fingertips_middle")
 
@@ -85,10 +90,9 @@ def subset_rows() -> list[Row]:
     """Every choice of three or more of the seven human contacts as reference points."""
     base = paper_scene("ours")
     rows: list[Row] = []
-    for count in range(3, 8):
+    for count in COUNTS:
         for chosen in combinations(base.human.point_specs, count):
             scene = replace(base, human_points=base.human.hand.with_points(chosen))
-            fingers = len({point.finger for point in chosen})
             for ridge, synergy in product((0.0, RIDGE), SYNERGIES):
                 # Three points never determine T without a ridge, and four in a plane neither.
                 try:
@@ -96,7 +100,8 @@ def subset_rows() -> list[Row]:
                 except DegeneratePointsError:
                     continue
                 names = " ".join(point.name.removeprefix("contact_") for point in chosen)
-                rows.append({"points": count, "contacts": names, "on_fingers": fingers, "ridge": ridge, "synergy": synergy, **measures})
+                head = {"points": count, "contacts": names, "ridge": ridge, "synergy": synergy}
+                rows.append({**head, **measures})
     return rows
 
 
@@ -108,7 +113,10 @@ def placement_rows() -> list[Row]:
     for human_set, robot_set, synergy in product(HUMAN_SETS, ROBOT_SETS, SYNERGIES):
         scene = replace(base, human_points=human.with_points(human_set), robot_points=robot.with_points(robot_set))
         run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=RIDGE))
-        counts = {"human_points": len(scene.human_points.reference_points), "robot_points": len(scene.robot_points.reference_points)}
+        counts = {
+            "human_points": len(scene.human_points.reference_points),
+            "robot_points": len(scene.robot_points.reference_points),
+        }
         rows.append({"human_set": human_set, "robot_set": robot_set, **counts, "synergy": synergy, **_measures(run)})
     return rows
 
@@ -116,28 +124,25 @@ def placement_rows() -> list[Row]:
 Plans = dict[str, list[PlannedGrasp]]
 
 
-def plan_all(progress: Callable[[int], None] | None = None) -> Plans:
-    """Grasps of the reference cube by the hands of the paper and by the Allegro hand, as found by the planner.
+def plan(hand: str, progress: Callable[[int], None] | None = None) -> list[PlannedGrasp]:
+    """Grasps of the reference cube, as found by the planner; best first.
 
     Args:
+        hand: Name of the hand.
         progress: Called with the number of grasps made after each one.
-
-    Returns:
-        By name of the hand; best first.
     """
-    cube = paper_scene("ours").human
-    plans: Plans = {}
-    for name in ("human", "three_finger", "allegro_right"):
-        done = sum(map(len, plans.values()))
-
-        def advance(count: int, done: int = done) -> None:
-            if progress is not None:
-                progress(done + count)
-
-        plans[name] = plan_grasps(
-            load_hand(name), cube.shape, samples=PLANS, seed=SEED, object_pose=cube.object_pose, progress=advance
-        )
-    return plans
+    cube, model = paper_scene("ours").human, load_hand(hand)
+    if cube.shape is None:
+        raise TypeError("the reference grasp has no shape")
+    closing = default_closing(model)
+    if hand in _OPPOSITION:
+        # With its thumb at rest, and from as far as the planner starts, this large hand never gets all round so small a cube.
+        joint, start = model.joint_names.index(_OPPOSITION[hand]), closing.start.copy()
+        start[joint] = model.upper_limits[joint]
+        closing = replace(closing, start=start, clearance=0.0)
+    return plan_grasps(
+        model, cube.shape, samples=PLANS, seed=SEED, object_pose=cube.object_pose, closing=closing, progress=progress
+    )
 
 
 def start_rows(plans: Plans) -> list[Row]:
@@ -189,6 +194,16 @@ def origin_rows() -> list[Row]:
         for pivot, synergy in product(pivots if number < 3 else ("origin",), SYNERGIES):
             measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot=pivot)))
             rows.append({"distance_m": distance, **where, "pivot": pivot, "synergy": synergy, **measures})
+    return rows
+
+
+def nudged_rows() -> list[Row]:
+    """The scene a metre along x from the origin, T_def about the origin, and the same a tenth of a millimetre farther."""
+    rows: list[Row] = []
+    for nudge, synergy in product((0.0, 1e-4), SYNERGIES):
+        scene = paper_scene("ours").moved(np.array([1.0 + nudge, 0.0, 0.0]))
+        measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot="origin")))
+        rows.append({"nudge_m": nudge, "synergy": synergy, **measures})
     return rows
 
 

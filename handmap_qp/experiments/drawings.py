@@ -37,7 +37,7 @@ def draw_grasps(scene: Scene) -> Figure:
     panels = zip(solids, (scene.human, scene.robot), titles, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
     for column, (solid, grasp, title, colour) in enumerate(panels):
         axes = figure.add_axes((column / 3.0, 0.0, 1.0 / 3.0, 0.88))
-        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.88 * height)), margin=0.02, **CAMERA)
+        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.88 * height)), margin=0.045, **CAMERA)
         draw_hands(axes, solid, camera, marks=spheres(grasp.points, _BALL, colour), supersampling=3)
         heading(axes, camera, title, f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts")
     axes = figure.add_axes((2.0 / 3.0, 0.0, 1.0 / 3.0, 0.88))
@@ -139,7 +139,9 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
                     largest = float(np.linalg.norm(forces, axis=1).max())
                     for point, force in zip(grasp.points, forces, strict=True):
                         draw_arrow(axes, camera, point, 0.03 * force / largest, colour)
-                    axes.scatter(*camera.project(grasp.points).T[:2], s=26, color=colour, edgecolor="white", linewidth=0.6, zorder=3)
+                    axes.scatter(
+                        *camera.project(grasp.points).T[:2], s=26, color=colour, edgecolor="white", linewidth=0.6, zorder=3
+                    )
                 most = [1e3 * np.linalg.norm(forces, axis=1).max() for forces in (soft.human_forces, soft.robot_forces)]
                 heading(axes, camera, title, f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN")
     note = "Blue: human; red: robot. Motions are all drawn at one length, forces of each hand to the scale of its largest."

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from handmap_qp.estimation import estimate_motion
 from handmap_qp.experiments.artwork import Artwork, Row
 from handmap_qp.experiments.drawings import draw_first_step, draw_grasps, draw_sensitivity, draw_ways
 from handmap_qp.experiments.held_object import UNIT, Stiffnesses, in_hand_step, object_error, object_poses
-from handmap_qp.experiments.section_four import Setting, paper_scene, run_experiment
+from handmap_qp.experiments.section_four import Setting, human_motion, paper_scene, rms, run_experiment
 
 GAMMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 """The paper's range of gamma."""
@@ -32,9 +33,9 @@ def figure_4() -> Artwork:
     ]
     counts = len(scene.human.contacts), len(scene.robot.contacts)
     text = (
-        f"The human hand holds the 50 mm cube with {counts[0]} contacts and the three-fingered hand with {counts[1]}: the reference "
-        "grasps that come with the package, of the toolbox that the paper used. The contacts lie on the bones' axes, as that "
-        "toolbox takes fingers for lines; our fingers have thickness and are drawn reaching into the cube."
+        f"The human hand holds the 50 mm cube with {counts[0]} contacts and the three-fingered hand with {counts[1]}: the "
+        "reference grasps that come with the package, of the toolbox that the paper used. The contacts lie on the bones' axes, as "
+        "that toolbox takes fingers for lines; our fingers have thickness and are drawn reaching into the cube."
     )
     facts = {"human_contacts": counts[0], "robot_contacts": counts[1]}
     return Artwork("figure_4", "Figure 4: both hands on the cube", draw_grasps(scene), rows, text, facts)
@@ -64,11 +65,12 @@ def figure_5(steps: int = 50) -> Artwork:
     length = 1e3 * float(np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum())
     ends = {model: 1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1])) for model in MODELS}
     text = (
-        f"The object's centre travels {length:.0f} mm in the human's hand. At the end the robot's is {ends['rigid']:.1f} mm away from it "
-        f"where the object follows the contacts as a rigid body, and {ends['quasi-static']:.1f} mm by the quasi-static model at unit "
-        "stiffness, in which the human's object hardly moves in the yielding hand, while T_rb carries the robot's wrist all the same."
+        f"The object's centre travels {length:.0f} mm in the human's hand. At the end the robot's is {ends['rigid']:.1f} mm "
+        f"away from it where the object follows the contacts as a rigid body, and {ends['quasi-static']:.1f} mm by the "
+        "quasi-static model at unit stiffness, in which the human's object hardly moves in the yielding hand, while T_rb "
+        "carries the robot's wrist all the same."
     )
-    facts = {"way": length, "end_rigid": ends["rigid"], "end_quasistatic": ends["quasi-static"]}
+    facts = {"way": length, "end_rigid": ends["rigid"], "end_quasistatic": ends["quasi-static"], "misfit": _misfits()}
     return Artwork("figure_5", "Figure 5: the object's way", draw_ways(done["ours"], ways), rows, text, facts)
 
 
@@ -97,12 +99,14 @@ def figure_6(steps: int = 50) -> Artwork:
     text = (
         "Without the wrist's own motion, the first step of synergies 1 to 3 moves the object's centre in directions that are "
         f"{listed(angles['rigid'], 0)} degrees apart in the two hands where the object follows the contacts as a rigid body, and "
-        f"{listed(angles['quasi-static'], 0)} degrees by the quasi-static model. The lengths do not agree as well: at unit stiffness the "
-        f"robot's object moves {listed(sizes)} times as far as the human's, because T_rb carries it with the wrist, which does not "
-        "yield. Force changes are in balance on each hand; with 7 contacts on one and 3 on the other they cannot be compared one by "
-        "one, as the paper says."
+        f"{listed(angles['quasi-static'], 0)} degrees by the quasi-static model. The lengths do not agree as well: at unit "
+        f"stiffness the robot's object moves {listed(sizes)} times as far as the human's, because T_rb carries it with the wrist, "
+        "which does not yield. Force changes are in balance on each hand; with 7 contacts on one and 3 on the other they cannot be "
+        "compared one by one, as the paper says."
     )
-    facts = {"angles_rigid": angles["rigid"], "angles_quasistatic": angles["quasi-static"]}
+    changes = [forces for one in found["quasi-static"] for forces in (one.human_forces, one.robot_forces)]
+    balance = max(float(np.abs(forces.sum(axis=0)).max() / np.abs(forces).max()) for forces in changes)
+    facts = {"angles_rigid": angles["rigid"], "angles_quasistatic": angles["quasi-static"], "force_balance": balance}
     return Artwork("figure_6", "Figure 6: the first step", draw_first_step(scene, found), rows, text, facts)
 
 
@@ -118,15 +122,25 @@ def figure_7() -> Artwork:
             row = {"sweep": sweep, "synergy": setting.synergy, "gamma": setting.gamma, "steps": setting.steps}
             rows.append({"geometry": geometry, **row, **errors, "point_rms_mm": 1e3 * run.point_rms})
     by_gamma = [_column(rows, "gamma", s, "error_rigid_mm") for s in SYNERGIES]
-    by_steps = [_column(rows, "steps", s, "error_rigid_mm", at_least=5) for s in SYNERGIES]
     growth = [values[-1] / values[0] for values in by_gamma]
-    change = [100.0 * (max(values) - min(values)) / values[-1] for values in by_steps]
-    text = (
-        f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to {listed([v[-1] for v in by_gamma])} mm (the "
-        f"object follows the contacts as a rigid body). From 5 to 200 steps it changes by {listed(change, 0)} % of its value at 200. "
-        "Solid lines: the robot hand as the toolbox's planner had it, its fingers 50/3 mm farther out; dashed: the hand as it is."
+    change, soft_change = (
+        [_variation(_column(rows, "steps", s, f"error_{model}_mm", at_least=5)) for s in SYNERGIES] for model in MODELS
     )
-    facts = {"by_gamma": by_gamma, "growth": growth, "step_change": change}
+    text = (
+        f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "
+        f"{listed([v[-1] for v in by_gamma])} mm (the object follows the contacts as a rigid body). From 5 to 200 steps it "
+        f"varies by {listed(change, 0)} % of its value at 200. Solid lines: the robot hand as the toolbox's planner had it, its "
+        "fingers 50/3 mm farther out; dashed: the hand as it is."
+    )
+    facts = {
+        "by_gamma": by_gamma,
+        "growth": growth,
+        "step_change": change,
+        "step_change_quasistatic": soft_change,
+        "step_change_from_20": [_variation(_column(rows, "steps", s, "error_rigid_mm", at_least=20)) for s in SYNERGIES],
+        "ends_quasistatic": [_column(rows, "gamma", s, "error_quasi-static_mm")[-1] for s in SYNERGIES],
+        "point_rms": [1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="initial")).point_rms for s in SYNERGIES],
+    }
     return Artwork("figure_7", "Figure 7: sensitivity to gamma and to the step", draw_sensitivity(rows), rows, text, facts)
 
 
@@ -134,6 +148,13 @@ def listed(values: Iterable[float], digits: int = 1) -> str:
     """Numbers in a sentence: `1.0, 2.0 and 3.0`."""
     words = [f"{value:.{digits}f}" for value in values]
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
+
+
+def _misfits() -> list[float]:
+    """RMS distance of the human's contacts from where T takes them, over the whole way at gamma = 1, by synergy [mm]."""
+    scene = paper_scene("ours")
+    ways = [human_motion(scene, Setting(synergy=synergy)).points for synergy in SYNERGIES]
+    return [1e3 * rms(estimate_motion(points[0], points[-1]).misfit) for points in ways]
 
 
 def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:
@@ -144,3 +165,8 @@ def _column(rows: list[Row], sweep: str, synergy: int, name: str, at_least: int 
     """One curve of the sensitivities, of the toolbox's geometry."""
     wanted = ("toolbox", sweep, synergy)
     return [row[name] for row in rows if (row["geometry"], row["sweep"], row["synergy"]) == wanted and row["steps"] >= at_least]
+
+
+def _variation(values: list[float]) -> float:
+    """Range in percent of the last value."""
+    return 100.0 * (max(values) - min(values)) / values[-1]

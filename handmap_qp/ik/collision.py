@@ -48,6 +48,7 @@ class CollisionLimit:
         if not 0.0 < gain <= 1.0:
             raise InvalidOptionsError(f"gain: expected a number in (0, 1], got {gain}")
         self._gain = gain
+        self._model = hand.model
         self._geometry = _collision_geometry(hand)
         self.pairs = _add_pairs(hand, spec.pairs, self._geometry)
         self._data = self._geometry.createData()
@@ -81,10 +82,10 @@ class CollisionLimit:
             configuration: Of the hand, updated to where it is.
 
         Returns:
-            G, shape (k, nv); h [m], shape (k,), negative where a pair is nearer than the margin.
+            G, shape (k, n) over the active coordinates; h [m], shape (k,), negative where a pair is nearer than the margin.
         """
         self._measure(configuration)
-        G = -(self._wrenches @ configuration.data.J) * self._relative_support
+        G = configuration.contracted(-(self._wrenches @ configuration.data.J) * self._relative_support)
         return G, self._gain * (self._distances - self.margin)
 
     def feasible_rows(self, configuration: Configuration, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,11 +97,11 @@ class CollisionLimit:
 
         Args:
             configuration: Of the hand, updated to where it is.
-            lower: Lower bound of the displacement, shape (nv,).
-            upper: Upper bound, shape (nv,).
+            lower: Lower bound of the displacement, shape (n,).
+            upper: Upper bound, shape (n,).
 
         Returns:
-            G, shape (k, nv), and h, shape (k,).
+            G, shape (k, n), and h, shape (k,).
         """
         G, h = self.rows(configuration)
         witness = np.minimum(np.maximum(0.0, lower), upper)
@@ -115,7 +116,7 @@ class CollisionLimit:
 
     def _measure(self, configuration: Configuration) -> None:
         """Distances, and the wrenches (n, p x n) of a unit force along each normal."""
-        pin.updateGeometryPlacements(configuration.model, configuration.data, self._geometry, self._data)
+        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
         pin.computeDistances(self._geometry, self._data)
         for i, result in enumerate(self._data.distanceResults):
             self._distances[i] = result.min_distance

@@ -41,7 +41,7 @@ class BoxLimits:
         first_v = 6 if hand.is_floating else 0
         # The solver's order is the model's, not that of `joint_names`.
         order = np.argsort(hand.v_indices)
-        self._q_indices = _as_slice(hand.q_indices[order])
+        self._q_indices = as_slice(hand.q_indices[order])
         self._joints = slice(first_v, None)
         # Only joints have position limits; a free-flyer's are +-1.8e308 in Pinocchio and stay out of all arithmetic.
         self._lower, self._upper = hand.lower_limits[order], hand.upper_limits[order]
@@ -99,7 +99,7 @@ class BoxLimits:
         return np.minimum(np.maximum(least, lower), upper), np.minimum(np.maximum(most, lower), upper)
 
 
-def _as_slice(indices: np.ndarray) -> slice | np.ndarray:
+def as_slice(indices: np.ndarray) -> slice | np.ndarray:
     """Consecutive indices as a slice, which is quicker and makes no copy."""
     first, count = int(indices[0]), len(indices)
     return slice(first, first + count) if np.array_equal(indices, np.arange(first, first + count)) else indices

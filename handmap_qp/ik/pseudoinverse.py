@@ -59,13 +59,13 @@ class PseudoinverseIk:
         self.configuration = hand.configuration()
         self._damping = damping
         self._box = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits) if limits == "clip" else None
-        nv = hand.model.nv
+        nv = self.configuration.nv
         position, orientation = wrist_costs(options)
         self._costs = np.concatenate([np.repeat(point_costs(hand, options), 3), [position] * 3, [orientation] * 3])
         regularisation = np.full(nv, float(options.damping) ** 2)
-        regularisation[hand.v_indices] += options.rest_weight**2
+        regularisation[hand.joint_columns] += options.rest_weight**2
         self._scale = 1.0 / np.sqrt(regularisation)
-        self._rest_gain = options.rest_weight**2 * self._scale[hand.v_indices]
+        self._rest_gain = options.rest_weight**2 * self._scale[hand.joint_columns]
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration.
@@ -96,32 +96,32 @@ class PseudoinverseIk:
             is_kept = s > RANK_TOLERANCE * s[0]
             inverse = np.divide(1.0, s, out=np.zeros_like(s), where=is_kept)
         homogeneous = np.zeros(A.shape[1])
-        homogeneous[self.hand.v_indices] = self._rest_gain * (self.hand.rest - self.configuration.q[self.hand.q_indices])
+        homogeneous[self.hand.joint_columns] = self._rest_gain * (self.hand.rest - self.configuration.q[self.hand.q_indices])
         # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside their span.
         along = Vt @ homogeneous
         return self._scale * (homogeneous + Vt.T @ (inverse * (U.T @ b) - inverse * s * along))
 
     def solve(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> IkResult:
         """Move the hand towards its targets for one sample; arguments and result as of `PointIk.solve`."""
-        start, model = self.configuration.q.copy(), self.hand.model
+        start, nv = self.configuration.q.copy(), self.configuration.nv
         lower, upper = self._bounds(start, dt)
-        total, last_step, iterations = np.zeros(model.nv), np.inf, 0
+        total, last_step, iterations = np.zeros(nv), np.inf, 0
         end: End = "solved"
         while last_step > self.options.step_tolerance and iterations < self.options.max_iterations:
             iterations += 1
             step = self._finite_step(point_targets, wrist_target)
             if step is None:
-                total, last_step, end = np.zeros(model.nv), 0.0, "failed"
+                total, last_step, end = np.zeros(nv), 0.0, "failed"
             else:
                 total = np.clip(total + step, lower, upper)
                 last_step = float(np.linalg.norm(step))
-            self.configuration.update(pin.integrate(model, start, total))
+            self.configuration.displace(start, total)
         return self._result(end, point_targets, total, lower, upper, iterations, last_step)
 
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
-        free = np.full(self.hand.model.nv, np.inf)
-        return self._result("released", self.configuration.points, np.zeros(self.hand.model.nv), -free, free, 0, 0.0)
+        free = np.full(self.configuration.nv, np.inf)
+        return self._result("released", self.configuration.points, np.zeros(self.configuration.nv), -free, free, 0, 0.0)
 
     def _result(
         self,
@@ -142,7 +142,7 @@ class PseudoinverseIk:
             displacement=total,
             lower=lower,
             upper=upper,
-            joint_columns=self.hand.v_indices,
+            joint_columns=self.hand.joint_columns,
             iterations=iterations,
             last_step=last_step,
         )
@@ -157,7 +157,7 @@ class PseudoinverseIk:
     def _bounds(self, q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
         if self._box is not None:
             return self._box.bounds(q, dt)
-        return np.full(self.hand.model.nv, -np.inf), np.full(self.hand.model.nv, np.inf)
+        return np.full(self.configuration.nv, -np.inf), np.full(self.configuration.nv, np.inf)
 
     def _weighted_task(self, point_targets: np.ndarray, wrist_target: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """`W J M^(-1/2)`, shape (k, nv), and `W e`, shape (k,)."""

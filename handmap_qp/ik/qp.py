@@ -21,7 +21,7 @@ import pinocchio as pin
 from handmap_qp.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
-from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.limits import BoxLimits, as_slice
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
 
@@ -41,9 +41,10 @@ class IkResult:
         points: Reference points [m], shape (m, 3).
         errors: Target minus point [m], shape (m, 3).
         point_tolerance: Length of an error that counts as none [m].
-        displacement: From the sample before to this one, in the tangent space, shape (nv,).
-        lower: Its lower bounds from position and speed limits, shape (nv,).
-        upper: Its upper bounds, shape (nv,).
+        displacement: From the sample before to this one, in the active coordinates (wrist, and joints that follow no other),
+            shape (k,).
+        lower: Its lower bounds from position and speed limits, shape (k,).
+        upper: Its upper bounds, shape (k,).
         joint_columns: Where in those the hand's joints are, in the order of `Hand.joint_names`, shape (n,).
         iterations: QPs solved.
         last_step: Euclidean norm of the last iteration's step [rad or m].
@@ -62,7 +63,7 @@ class IkResult:
 
     @property
     def active(self) -> np.ndarray:
-        """-1 at a lower bound, +1 at an upper one, 0 between, shape (nv,)."""
+        """-1 at a lower bound, +1 at an upper one, 0 between, shape (k,)."""
         return (self.displacement >= self.upper).astype(np.int8) - (self.displacement <= self.lower)
 
     @property
@@ -98,16 +99,16 @@ class PointIk:
         self.hand = hand
         self.options = options
         self.configuration = hand.configuration()
-        model, nv = hand.model, hand.model.nv
+        nv = self.configuration.nv
         count = len(hand.reference_points)
         self._collisions = CollisionLimit(hand) if options.avoids_self_collision else None
         self._solver = make_solver(options.solver, nv, len(self._collisions.pairs) if self._collisions else 0)
-        self._first_joint_q = 7 if hand.is_floating else 0
-        self._first_joint_v = 6 if hand.is_floating else 0
+        # In the order of the active coordinates, which is the model's and not that of `joint_names`.
+        order = np.argsort(hand.joint_columns)
+        first_joint = nv - len(order)
+        self._joint_angles = as_slice(hand.q_indices[order])
+        self._rest = hand.rest[order]
         self._limits = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits, max_acceleration=options.max_acceleration)
-        rest = np.zeros(model.nq)
-        rest[hand.q_indices] = hand.rest
-        self._rest = rest[self._first_joint_q :]
         position, orientation = wrist_costs(options)
         self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
         self._mask = self.configuration.support * self._row_weights[:, None]
@@ -116,12 +117,12 @@ class PointIk:
         self._point_error = self._error[: 3 * count].reshape(count, 3)
         self._rest_weight = options.rest_weight**2
         self._diagonal = np.full(nv, float(options.damping) ** 2)
-        self._diagonal[self._first_joint_v :] += self._rest_weight
-        self._weighted = np.empty((3 * count + 6, nv))
+        self._diagonal[first_joint:] += self._rest_weight
+        self._weighted_all = np.empty((3 * count + 6, hand.model.nv))
         self._H = np.empty((nv, nv))
         self._H_diagonal = self._H.reshape(-1)[:: nv + 1]
         self._c = np.empty(nv)
-        self._c_joints = self._c[self._first_joint_v :]
+        self._c_joints = self._c[first_joint:]
         self._velocity = np.zeros(nv)
         self._zero_step = np.zeros(nv)
         self._zero_step.setflags(write=False)
@@ -165,17 +166,17 @@ class PointIk:
                 total = np.maximum(np.minimum(total + step, upper), lower)
                 last_step = math.sqrt(step.dot(step))
             # One displacement from the start, not a chain of steps: a floating wrist's twist then keeps its limits exactly.
-            configuration.update(pin.integrate(self.hand.model, start, total))
+            configuration.displace(start, total)
         self._velocity = total / dt
         points = configuration.points.copy()
-        columns, tolerance = self.hand.v_indices, options.point_tolerance
+        columns, tolerance = self.hand.joint_columns, options.point_tolerance
         return IkResult(end, points, point_targets - points, tolerance, total, lower, upper, columns, iterations, last_step)
 
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
-        self._velocity = self._zero_step
-        points, free = self.configuration.points.copy(), np.full(self.hand.model.nv, np.inf)
-        columns, tolerance = self.hand.v_indices, self.options.point_tolerance
+        self._velocity, configuration = self._zero_step, self.configuration
+        points, free = configuration.points.copy(), np.full(configuration.nv, np.inf)
+        columns, tolerance = self.hand.joint_columns, self.options.point_tolerance
         return IkResult("released", points, np.zeros_like(points), tolerance, self._zero_step, -free, free, columns, 0, 0.0)
 
     def problem(
@@ -184,7 +185,7 @@ class PointIk:
         """The QP of the first iteration, for a look at it; arguments as of `solve`.
 
         Returns:
-            H, shape (nv, nv); c, lower and upper bound, shape (nv,) each.
+            H, shape (k, k); c, lower and upper bound, shape (k,) each.
         """
         self._linearise(point_targets, None if wrist_target is None else pin.SE3(wrist_target))
         lower, upper = self._limits.bounds(self.configuration.q, dt, self._velocity)
@@ -201,13 +202,14 @@ class PointIk:
             offset = wrist_target.actInv(configuration.wrist)
             error[-6:] = pin.log6(offset).vector
             jacobian = configuration.stacked_jacobian(pin.Jlog6(offset))
-        np.multiply(jacobian, self._mask, out=self._weighted)
+        np.multiply(jacobian, self._mask, out=self._weighted_all)
+        weighted = configuration.contracted(self._weighted_all)
         np.multiply(error, self._row_weights, out=weighted_error)
-        np.dot(self._weighted.T, self._weighted, out=self._H)
+        np.dot(weighted.T, weighted, out=self._H)
         self._H_diagonal += self._diagonal
         self._H_diagonal += self.options.error_damping * math.sqrt(weighted_error.dot(weighted_error))
-        np.dot(weighted_error, self._weighted, out=self._c)
-        self._c_joints += self._rest_weight * (configuration.q[self._first_joint_q :] - self._rest)
+        np.dot(weighted_error, weighted, out=self._c)
+        self._c_joints += self._rest_weight * (configuration.q[self._joint_angles] - self._rest)
 
 
 _NO_WRIST = np.zeros((6, 6))

@@ -9,6 +9,7 @@ The slow way, which `handmap_qp.ik.qp` is tested against, and the one to extend:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import mink
@@ -22,17 +23,8 @@ from handmap_qp.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.solvers import EXACT
 from handmap_qp.ik.tasks import make_tasks
-
-# What it takes for an answer nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6, and quadprog needs nothing.
-# Interior-point methods (clarabel, piqp) report failure when asked for more.
-EXACT: dict[str, dict[str, Any]] = {
-    "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
-    "daqp": {"primal_tol": 1e-12},
-    "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000, "raise_error": False},
-    "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "eps_duality_gap_abs": 1e-10, "eps_duality_gap_rel": 0.0},
-    "proxqp": {"eps_abs": 1e-11, "eps_rel": 0.0},
-}
 
 
 class BoxLimit(mink.Limit):
@@ -93,6 +85,17 @@ def make_limits(hand: Hand, options: IkOptions, previous_velocity: np.ndarray | 
     return [box, SelfCollisionLimit(CollisionLimit(hand), box)] if options.avoids_self_collision else [box]
 
 
+class _ActiveConfiguration:
+    """A configuration whose `model.nv`, which `mink.build_ik` reads, counts the active coordinates alone."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._configuration = configuration
+        self.model = SimpleNamespace(nv=configuration.nv)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._configuration, name)
+
+
 def build_problem(
     hand: Hand,
     options: IkOptions,
@@ -123,7 +126,7 @@ def build_problem(
     if limits is None:
         limits = make_limits(hand, options)
     # Our configuration offers what build_ik and our tasks read of mink's own, which is one of MuJoCo.
-    return mink.build_ik(configuration, tasks, dt, damping=0.0, limits=limits)  # type: ignore[arg-type]
+    return mink.build_ik(_ActiveConfiguration(configuration), tasks, dt, damping=0.0, limits=limits)  # type: ignore[arg-type]
 
 
 def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:

@@ -74,8 +74,8 @@ class RestTask(mink.Task):
     def __init__(self, hand: Hand, cost: float) -> None:
         super().__init__(cost=np.full(len(hand.joint_names), cost))
         self._hand = hand
-        self._jacobian = np.zeros((len(hand.joint_names), hand.model.nv))
-        self._jacobian[np.arange(len(hand.joint_names)), hand.v_indices] = 1.0
+        self._jacobian = np.zeros((len(hand.joint_names), len(hand.active_columns)))
+        self._jacobian[np.arange(len(hand.joint_names)), hand.joint_columns] = 1.0
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
         """Joint angle minus rest angle [rad], shape (n,)."""
@@ -132,5 +132,5 @@ def make_tasks(hand: Hand, options: IkOptions, point_targets: np.ndarray, wrist_
     tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options))]
     if wrist_target is not None:
         tasks.append(WristTask(wrist_target, *wrist_costs(options)))
-    damping = DampingTask(hand.model.nv, options.damping, options.error_damping, tasks)
+    damping = DampingTask(len(hand.active_columns), options.damping, options.error_damping, tasks)
     return [*tasks, RestTask(hand, options.rest_weight), damping]

@@ -158,7 +158,7 @@ def _find_distal(closing: Closing, fingers: list[int]) -> tuple[np.ndarray, Clue
         mean = closing.tips_closed.mean(axis=0) - closing.bases.mean(axis=0)
     mean = _snapped(mean / np.linalg.norm(mean))
     how = f"the mean direction of the stretched fingers, which agree to {agreement:.2f} of 1"
-    return mean, Clue("distal", _shown(mean), how, 0.95 if agreement > 0.85 else 0.7 if agreement > 0.4 else 0.4)
+    return mean, Clue("distal", _shown(mean), how, 0.95 if agreement > 0.85 else 0.7 if agreement > 0.6 else 0.4)
 
 
 def _find_dorsal(closing: Closing, fingers: list[int], thumb: int | None, distal: np.ndarray) -> tuple[np.ndarray, Clue]:

@@ -113,9 +113,7 @@ class Report:
     def document(self, picture: Path | None) -> dict[str, Any]:
         """Everything as JSON holds it."""
         tables = self.tables()
-        tables["findings"] = [
-            {"level": f.level, "key": f.where, "found": f.what, "change": f.change} for f in self.findings
-        ]
+        tables["findings"] = [{"level": f.level, "key": f.where, "found": f.what, "change": f.change} for f in self.findings]
         tables.pop(f"{self.name}: findings")
         return {"name": self.name, **tables, "picture": None if picture is None else str(picture)}
 
@@ -130,12 +128,16 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     Returns:
         What was found; an error among the findings if the hand cannot be built.
     """
+    with warnings.catch_warnings():
+        # They come back as findings.
+        warnings.simplefilter("ignore")
+        return _check(hand, has_motion)
+
+
+def _check(hand: str | Path, has_motion: bool) -> Report:
     report = Report(str(hand))
     try:
-        with warnings.catch_warnings():
-            # They come back as findings.
-            warnings.simplefilter("ignore")
-            report.hand = built = load_hand(hand)
+        report.hand = built = load_hand(hand)
     except HandError as error:
         report.add("error", error.key or "hand", str(error))
         return report
@@ -144,7 +146,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     _check_points(report, built)
     _check_anatomy(report, built)
     _check_collisions(report, built)
-    report.reach = measure_reach(built)
+    report.reach = _best_of_each_finger(measure_reach(built))
     for row in report.reach:
         if row.directions == 0:
             report.add("warning", "points", f"no joint moves {row.point}", "put it on a link that moves, or leave it out")
@@ -157,6 +159,15 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         report.add("fine", "", "description and URDF agree")
     report.findings.sort(key=lambda finding: ("error", "warning", "advice", "fine").index(finding.level))
     return report
+
+
+def _best_of_each_finger(rows: tuple[FingerReach, ...]) -> tuple[FingerReach, ...]:
+    """Of every finger the point that gets farthest."""
+    best: dict[str, FingerReach] = {}
+    for row in rows:
+        if row.finger not in best or row.span > best[row.finger].span:
+            best[row.finger] = row
+    return tuple(best.values())
 
 
 def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
@@ -214,14 +225,14 @@ def _check_anatomy(report: Report, hand: Hand) -> None:
         report.add("advice", "palm", f"nothing to compare with: {error}")
         return
     clues = {clue.what: clue for clue in found.clues}
-    palm = np.linalg.inv(hand.frame_pose(found.spec.palm.link, hand.rest)) @ hand.frame_pose("palm", hand.rest)
-    for column, name in ((1, "distal"), (2, "dorsal")):
-        other = np.array(getattr(found.spec.palm, name))
-        angle = float(np.degrees(np.arccos(np.clip(palm[:3, column] @ other, -1.0, 1.0))))
+    own, theirs = hand.link_poses([hand.spec.palm.link, found.spec.palm.link], hand.rest)[:, :3, :3]
+    for name in ("distal", "dorsal"):
+        # The direction found, in the coordinates of the link that the description uses.
+        other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
+        angle = float(np.degrees(np.arccos(np.clip(np.array(getattr(hand.spec.palm, name)) @ other, -1.0, 1.0))))
         if angle > 40.0 and clues[name].confidence > _SURE:
-            link_of = hand.frame_pose(hand.spec.palm.link, hand.rest)[:3, :3].T @ hand.frame_pose(found.spec.palm.link, hand.rest)[:3, :3]
-            better = ", ".join(f"{value:.3f}" for value in link_of @ other)
-            what = f"is {angle:.0f} degrees from {clues[name].how}"
+            better = ", ".join(f"{value:.3f}" for value in other)
+            what = f"is {angle:.0f} degrees from what the fingers say: {clues[name].how}"
             report.add("warning", f"palm.{name}", what, f"try [{better}]")
     if found.spec.side != hand.side and clues["side"].confidence > _SURE:
         report.add("warning", "side", f"{clues['side'].how}: a {found.spec.side} hand", f"side: {found.spec.side}")

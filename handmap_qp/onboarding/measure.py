@@ -1,7 +1,8 @@
-"""What a hand can do, in numbers: reach and manipulability of its fingers, its size beside a person's, self-collisions, a standard motion."""
+"""What a hand can do, in numbers: how its fingers reach, its size beside a person's, self-collisions, a standard motion."""
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
 # Singular values of a fingertip's Jacobian below this are no direction that it can move in [m/rad].
 _LEAST_MOTION = 0.003
+# Parts of a compact joint, which overlap when it bends [m].
+_SHORT = 0.025
 _SAMPLES = 200
 _DT = 1.0 / 60.0
 
@@ -129,7 +132,7 @@ def measure_size(hand: Hand) -> Size:
 
 
 def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
-    """Pairs of links whose collision shapes overlap, without those that meet in a joint.
+    """Pairs of links whose collision shapes overlap in one posture, without those that meet in a joint or overlap in most postures.
 
     Args:
         hand: The hand.
@@ -144,10 +147,8 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     robot, folder = parse_urdf(hand.urdf_text), urdf_path(hand.spec).parent
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str(find_mesh(mesh.get("filename", ""), folder).resolve()))
-    from xml.etree.ElementTree import tostring
-
     try:
-        geometry = pin.buildGeomFromUrdfString(hand.model, tostring(robot, encoding="unicode"), pin.GeometryType.COLLISION)
+        geometry = pin.buildGeomFromUrdfString(hand.model, ET.tostring(robot, encoding="unicode"), pin.GeometryType.COLLISION)
     except (RuntimeError, ValueError) as error:
         raise HandmapError(" ".join(str(error).split())) from error
     model, shapes = hand.model, geometry.geometryObjects
@@ -156,14 +157,19 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         for j in range(i + 1, len(shapes)):
             if not _meet(model, one.parentJoint, shapes[j].parentJoint, with_shape):
                 geometry.addCollisionPair(pin.CollisionPair(i, j))
-    data = geometry.createData()
-    pin.computeCollisions(model, model.createData(), geometry, data, hand.configuration_vector(q), False)
-    found: dict[tuple[str, str], None] = {}
-    for pair, result in zip(geometry.collisionPairs, data.collisionResults, strict=True):
-        if result.isCollision():
-            first, second = (model.frames[shapes[k].parentFrame].name for k in (pair.first, pair.second))
-            found[first, second] = None
-    return tuple(found)
+    data, posture = geometry.createData(), model.createData()
+
+    def overlaps(angles: np.ndarray) -> np.ndarray:
+        pin.computeCollisions(model, posture, geometry, data, hand.configuration_vector(angles), False)
+        return np.array([result.isCollision() for result in data.collisionResults], dtype=bool)
+
+    generator = np.random.default_rng(0)
+    others = [hand.lower_limits + generator.random(len(q)) * (hand.upper_limits - hand.lower_limits) for _ in range(8)]
+    # Shapes that overlap nearly everywhere were drawn so; no joint parts them.
+    found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
+    pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
+    frames = [(shapes[pair.first].parentFrame, shapes[pair.second].parentFrame) for pair in pairs]
+    return tuple(dict.fromkeys((model.frames[one].name, model.frames[other].name) for one, other in frames))
 
 
 def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
@@ -232,14 +238,15 @@ def _spread(points: np.ndarray) -> float:
 
 
 def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
-    """Whether two joints carry the same body or neighbours, bodies without a shape between them not counting."""
+    """Whether two joints carry the same body or neighbours; bodies between them that are short or have no shape do not count."""
     for near, far in ((one, other), (other, one)):
         above = near
         while above > 0:
             if above == far:
                 return True
-            above = model.parents[above]
-            if above in with_shape or above == 0:
+            length = float(np.linalg.norm(model.jointPlacements[above].translation))
+            is_first, above = above == near, model.parents[above]
+            if above == 0 or (above in with_shape and (is_first or length > _SHORT)):
                 break
         if above == far:
             return True

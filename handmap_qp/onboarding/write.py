@@ -121,7 +121,9 @@ def _points(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
             lines += _comment(clues[point.name], "", "  ")
         lines.append(f"  - {_point(point)}")
     lines.append("sets:")
-    lines += [f"  {name}: [{', '.join(members)}]" for name, members in spec.sets.items()]
+    for name, members in spec.sets.items():
+        rows = _wrapped(f"[{', '.join(members)}]")
+        lines += [f"  {name}: {rows[0]}"] if len(rows) == 1 else [f"  {name}:", *(f"    {row}" for row in rows)]
     lines.append(f"reference: {spec.reference}")
     return lines
 

@@ -17,7 +17,7 @@ class Caps:
         sessions: Sessions open at a time.
         rate: Messages a second from one connection.
         total_rate: Messages a second from all of them.
-        opens: Sessions opened a second.
+        opens: Sessions opened a second, once as many as there may be have been opened.
         message_size: Length of a message [bytes].
         idle: A session that is not heard of for so long is closed [s].
         allows_client_time: Whether sessions may count time by the client's stamps (simulations).
@@ -33,16 +33,17 @@ class Caps:
 
 
 class Bucket:
-    """A rate limit that lets short bursts through: a quarter of a second's worth, at least one.
+    """A rate limit that lets short bursts through.
 
     Args:
         rate: Events a second.
         now: The present [s].
+        burst: Events at once; a quarter of a second's worth if omitted.
     """
 
-    def __init__(self, rate: float, now: float) -> None:
+    def __init__(self, rate: float, now: float, burst: float | None = None) -> None:
         self._rate = rate
-        self._burst = self._left = max(1.0, 0.25 * rate)
+        self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
         self._then = now
         self._told = -1.0
 

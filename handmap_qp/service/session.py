@@ -182,14 +182,13 @@ class Session:
         after = self.request.return_after
         wants_return = after is not None and self._engaged == "following" and now - self._held_since >= after
         if self._watch == "hold" and wants_return and not is_at_rest:
-            self._watch, self._last_output = "returning", now
+            self._watch = "returning"
             self._is_apart = self._needs_reference = True
-            self._clock.grant_tick(now)
         if now - self._last_output < (RETURN_PERIOD if self._watch == "returning" else HEARTBEAT):
             return None
-        self._last_output, self._dt = now, 0.0
+        # A heartbeat counts too: to a driver, the next motion starts there.
+        self._last_output, self._dt = now, self._clock.grant_tick(now)
         if self._watch == "returning":
-            self._dt = self._clock.grant_tick(now)
             is_at_rest = self._guard.advance(self.robot.rest, None, self._dt, self.request.return_speed)
         command = self._command(self._watch, ["watchdog", "at_rest"] if is_at_rest else ["watchdog"])
         if is_at_rest:

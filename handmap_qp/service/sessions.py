@@ -65,7 +65,7 @@ class Sessions:
         self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
         # One thread: what is slow shall be slow for those who open sessions, and not take the processor from those who have one.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
-        self._opens = Bucket(caps.opens, clock())
+        self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
         self._names_opening: set[str] = set()
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._last_name = 0

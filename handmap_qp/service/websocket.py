@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import hmac
 import http
+import logging
 import re
 import ssl
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,15 +23,20 @@ from websockets.asyncio.server import Server as WebServer
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.logs import log
 from handmap_qp.service.metrics import is_loopback
 
-SUBPROTOCOL = "handmap.v1"
+SUBPROTOCOL = Subprotocol("handmap.v1")
 """What a browser names besides `bearer.TOKEN`, since it cannot set headers."""
 _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d+)?")
+# Whoever knocks with something else than a handshake would fill the log with tracebacks.
+_LOG = logging.getLogger(f"{log.name}.websocket")
+_LOG.setLevel(logging.CRITICAL)
 _SEND_TIMEOUT = 5.0
 _CONNECTIONS_PER_SESSION = 2
 
@@ -96,7 +103,8 @@ class WebDoor:
                 settings.port,
                 ssl=tls,
                 process_request=self._check,
-                subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
+                select_subprotocol=_choose_subprotocol,
+                logger=_LOG,
                 compression=None,
                 max_size=self._caps.message_size,
                 max_queue=16,
@@ -202,6 +210,11 @@ class _Outbox:
     async def _send(self, message: bytes | str) -> None:
         async with asyncio.timeout(_SEND_TIMEOUT):
             await self._connection.send(message)
+
+
+def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
+    """The messages' own name where a client asks for it; clients need not."""
+    return SUBPROTOCOL if SUBPROTOCOL in offered else None
 
 
 def _has_token(request: Request, token: str) -> bool:

@@ -1,0 +1,220 @@
+"""The mapping service under load: round trips beside those of a bare echo of the same transport, in the same run.
+
+A client at 1 kHz for a minute, with no step lost; thirty clients at 60 Hz; a client over WebSocket. A part of the round trips goes to
+the echo, which reads and maps nothing, from the same client and with messages of the same length: what the machine does to one it
+does to the other.
+
+    python benchmarks/bench_service.py --picture service.png --json service.json
+"""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import common
+import msgspec
+import numpy as np
+import zmq
+from service_process import HumanMotion, ServiceProcess, echoing, pace, serving
+
+from handmap_qp.client import AsyncClient, Client
+
+# One echo to so many steps.
+_ECHO_EVERY = 5
+_CLIENTS_A_PROCESS = 10
+
+
+def one_client(service: ServiceProcess, echo: str, robot: str, rate: float, duration: float) -> dict[str, Any]:
+    """One client at a steady rate, which waits for each answer."""
+    motion, steps, echoes, late = HumanMotion(), [], [], 0.0
+    with Client(service.address, timeout=5.0) as client, zmq.Context() as context, context.socket(zmq.DEALER) as bare:
+        bare.linger = 0
+        bare.connect(echo)
+        client.open(robot, max_dt=max(1e-3, 2.0 / rate))
+        payload = msgspec.msgpack.encode({"type": "step", "q": [0.0] * 20, "wrist": [[0.0] * 3, [0.0] * 4], "session": "s" * 32})
+        before, started = service.cpu(), time.monotonic()
+        for i, now in enumerate(pace(rate, duration)):
+            late = max(late, now - i / rate)
+            steps.append(timed(lambda now=now: client.step(**motion(now))))
+            if i % _ECHO_EVERY == 0:
+                echoes.append(timed(lambda: (bare.send(payload), bare.recv())))
+        elapsed, cpu = time.monotonic() - started, service.cpu() - before
+        counted = client.status().counts["steps"]
+    return row(f"1 client, {rate:g} Hz", steps, echoes, lost=round(rate * duration) - counted, rate=len(steps) / elapsed) | {
+        "late_ms": 1e3 * late,
+        "server_%": 100.0 * cpu / elapsed,
+    }
+
+
+def many_clients(service: ServiceProcess, echo: str, robot: str, count: int, rate: float, duration: float) -> dict[str, Any]:
+    """Clients that do not wait for each other, some in a process."""
+    parts = [range(first, min(first + _CLIENTS_A_PROCESS, count)) for first in range(0, count, _CLIENTS_A_PROCESS)]
+    before, started = service.cpu(), time.monotonic()
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(len(parts)) as pool:
+        found = pool.starmap(_some_clients, [(service.address, echo, robot, list(part), rate, duration) for part in parts])
+    elapsed, cpu = time.monotonic() - started, service.cpu() - before
+    steps, echoes = (np.concatenate([part[key] for part in found]) for key in ("steps", "echoes"))
+    counted = sum(part["counted"] for part in found)
+    lost = round(rate * duration) * count - counted
+    return row(f"{count} clients, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / duration) | {
+        "late_ms": 1e3 * max(part["late"] for part in found),
+        "server_%": 100.0 * cpu / elapsed,
+    }
+
+
+def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: float, duration: float) -> dict[str, Any]:
+    """The clients of one process; at top level, for it is found by name there."""
+
+    async def one(seed: int, opened: asyncio.Barrier) -> tuple[list[float], list[float], float, int]:
+        motion, steps, echoes, late = HumanMotion(seed), [], [], 0.0
+        bare = zmq.asyncio.Context.instance().socket(zmq.DEALER)
+        bare.linger = 0
+        bare.connect(echo)
+        async with AsyncClient(address, timeout=5.0) as client:
+            await client.open(robot)
+            await opened.wait()
+            # Spread over a period, as clients are that know nothing of each other.
+            started = time.monotonic() + (seed * 0.618 % 1.0) / rate
+            for i in range(round(rate * duration)):
+                await asyncio.sleep(max(0.0, started + i / rate - time.monotonic()))
+                late = max(late, time.monotonic() - started - i / rate)
+                sample, before = motion(i / rate), time.perf_counter()
+                await client.step(**sample)
+                steps.append(time.perf_counter() - before)
+                if i % _ECHO_EVERY == 0:
+                    before = time.perf_counter()
+                    await bare.send(b"x" * 400)
+                    await bare.recv()
+                    echoes.append(time.perf_counter() - before)
+            counted = (await client.status()).counts["steps"]
+        bare.close()
+        return steps, echoes, late, counted
+
+    async def every() -> list[tuple[list[float], list[float], float, int]]:
+        opened = asyncio.Barrier(len(seeds))
+        return await asyncio.gather(*(one(seed, opened) for seed in seeds))
+
+    found = asyncio.run(every())
+    return {
+        "steps": np.concatenate([part[0] for part in found]),
+        "echoes": np.concatenate([part[1] for part in found]),
+        "late": max(part[2] for part in found),
+        "counted": sum(part[3] for part in found),
+    }
+
+
+def over_websocket(service: ServiceProcess, echo: int, robot: str, rate: float, duration: float) -> dict[str, Any]:
+    """One client over WebSocket, which waits for each answer."""
+    from websockets.sync.client import connect
+
+    motion, steps, echoes, late = HumanMotion(), [], [], 0.0
+    head = {"protocol": 1, "session": "a-secret-of-the-benchmark"}
+    with (
+        connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None) as connection,
+        connect(f"ws://127.0.0.1:{echo}", compression=None) as bare,
+    ):
+
+        def ask(message: dict[str, Any]) -> dict[str, Any]:
+            connection.send(msgspec.msgpack.encode(head | message))
+            return msgspec.msgpack.decode(connection.recv())
+
+        ask({"type": "open", "seq": 1, "robot": robot})
+        before, started = service.cpu(), time.monotonic()
+        for i, now in enumerate(pace(rate, duration)):
+            late = max(late, now - i / rate)
+            sample = motion(now)
+            wrist = {"position": sample["wrist"][:3], "quat_xyzw": sample["wrist"][3:]}
+            message = {"type": "step", "seq": i + 2, "time": now, "q": sample["q"].tolist(), "wrist": wrist}
+            steps.append(timed(lambda message=message: ask(message)))
+            if i % _ECHO_EVERY == 0:
+                echoes.append(timed(lambda: (bare.send(b"x" * 400), bare.recv())))
+        elapsed, cpu = time.monotonic() - started, service.cpu() - before
+        counted = ask({"type": "status", "seq": len(steps) + 2})["counts"]["steps"]
+        ask({"type": "close", "seq": len(steps) + 3})
+    lost = round(rate * duration) - counted
+    return row(f"WebSocket, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / elapsed) | {
+        "late_ms": 1e3 * late,
+        "server_%": 100.0 * cpu / elapsed,
+    }
+
+
+def timed(call: Any) -> float:
+    """Wall time of a call [s]."""
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def row(
+    load: str, steps: Sequence[float] | np.ndarray, echoes: Sequence[float] | np.ndarray, *, lost: int, rate: float
+) -> dict[str, Any]:
+    """What is told of a load; times in microseconds."""
+    step, echo = 1e6 * np.asarray(steps), 1e6 * np.asarray(echoes)
+    quantiles = {"p50": 50, "p99": 99, "p99.9": 99.9}
+    return {
+        "load": load,
+        "steps": len(step),
+        "lost": lost,
+        "rate": rate,
+        **{f"{name}_us": float(np.percentile(step, q)) for name, q in quantiles.items()},
+        "max_us": float(step.max()),
+        **{f"echo_{name}_us": float(np.percentile(echo, q)) for name, q in quantiles.items() if name != "p99.9"},
+    }
+
+
+def draw(rows: list[dict[str, Any]]) -> Any:
+    """Round trips of every load beside the echo's."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 0.9 + 0.75 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    for i, entry in enumerate(rows):
+        for offset, prefix, colour in ((0.18, "echo_", common.PALETTE[5]), (-0.18, "", common.PALETTE[0])):
+            low, high = entry[f"{prefix}p50_us"] / 1e3, entry[f"{prefix}p99_us"] / 1e3
+            axes.plot([low, high], [i + offset] * 2, color=colour, lw=2.5, solid_capstyle="butt")
+            axes.plot(low, i + offset, "o", color=colour, ms=6)
+            axes.plot(high, i + offset, "|", color=colour, ms=12, mew=2.5)
+            axes.annotate(f"{low:.2f} to {high:.2f}", (high, i + offset), (6, 0), textcoords="offset points", va="center", size=8)
+    axes.plot([], [], "-o", color=common.PALETTE[0], label="step, p50 to p99")
+    axes.plot([], [], "-o", color=common.PALETTE[5], label="bare echo")
+    axes.set_yticks(range(len(rows)), [entry["load"] for entry in rows])
+    axes.set_ylim(-0.6, len(rows) - 0.4)
+    axes.set_xlim(left=0.0, right=1.2 * max(max(entry["p99_us"], entry["echo_p99_us"]) for entry in rows) / 1e3)
+    axes.set_xlabel("round trip [ms]")
+    axes.set_title("The mapping service beside an echo that maps nothing")
+    axes.grid(axis="y", visible=False)
+    axes.legend(loc="lower right")
+    return figure
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    parser = common.make_parser("Load on the mapping service, beside a bare echo of the same transport.")
+    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="time of each load [s]; 60 by default")
+    parser.add_argument("--clients", type=int, default=30, metavar="N", help="clients at 60 Hz; 30 by default")
+    parser.add_argument("--robot", default="three_finger", help="robot hand; three_finger by default")
+    arguments = common.parse_arguments(parser, words)
+    duration, clients = (2.0, 4) if arguments.quick else (arguments.duration, arguments.clients)
+    with serving(web=True, web_port=0) as service, echoing() as echo, common.progress("loads", 3) as advance:
+        bare = f"tcp://127.0.0.1:{echo['requests']}"
+        rows = [one_client(service, bare, arguments.robot, 1000.0, duration)]
+        advance()
+        memory = service.memory()
+        rows.append(many_clients(service, bare, arguments.robot, clients, 60.0, duration))
+        advance()
+        rows.append(over_websocket(service, echo["web"], arguments.robot, 200.0, duration / 2.0))
+        advance()
+        growth = service.memory() - memory
+    caption = f"Times of a round trip in us, wall. Resident memory grew by {growth:.1f} MB after the first load."
+    common.print_table("The mapping service under load", rows, to_stderr=arguments.json == "-", caption=caption)
+    common.write_json(arguments.json, "service", {"rows": rows, "memory_growth_MB": growth})
+    common.save_picture(arguments.picture, lambda: draw(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""The client in one file: what it needs, what it does when the server goes away, and that no call hangs."""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from service_tools import LOCAL, address_of, connected, human_q, serving
+from strategies import motion_of, rotations, translations
+
+import handmap_qp.client
+from handmap_qp.client import AsyncClient, Client, Pose, ServiceError, ServiceTimeoutError
+from handmap_qp.service.server import Server
+
+FILE = Path(handmap_qp.client.__file__)
+WRIST = np.eye(4)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as running:
+        yield running
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def test_it_needs_numpy_msgspec_and_zmq_and_nothing_else() -> None:
+    tree = ast.parse(FILE.read_text(encoding="utf-8"))
+    imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    imported |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert {name.split(".")[0] for name in imported} - set(sys.stdlib_module_names) == {"numpy", "msgspec", "zmq"}
+
+
+def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> None:
+    (tmp_path / "copied.py").write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
+    code = (
+        "import sys; sys.modules['handmap_qp'] = None; sys.path.insert(0, '.')\n"
+        f"import copied; client = copied.Client({address_of(server)!r}); client.open('three_finger')\n"
+        f"print(client.step(q={human_q().tolist()}, wrist=[0, 0, 0, 0, 0, 0, 1]).status); client.close()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=20)
+    assert done.stdout.strip() == "converged", done.stderr
+
+
+@given(st.builds(motion_of, rotations, translations))
+def test_poses_survive_the_wire(matrix: np.ndarray) -> None:
+    pose = Pose.of(matrix)
+    assert np.allclose(pose.matrix, matrix, atol=1e-12)
+    assert np.allclose(Pose.of([*pose.position, *pose.quat_xyzw]).matrix, matrix, atol=1e-12)
+
+
+def test_what_is_no_pose_is_refused_at_once() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        Pose.of(np.eye(3))
+
+
+def test_asyncio_is_the_same(server: Server) -> None:
+    async def main() -> None:
+        async with AsyncClient(address_of(server), timeout=3.0) as client:
+            await client.open("three_finger", mapping={"rigid_from": "wrist"})
+            await client.latest(0.1)
+            # Calls of several tasks take turns: every one is answered.
+            commands = await asyncio.gather(*(client.step(q=human_q(0.01 * i), wrist=WRIST) for i in range(20)))
+            assert len({command.seq for command in commands}) == 20
+            await client.send(q=human_q(), wrist=WRIST)
+            newest = await client.latest(1.0)
+            assert newest is not None
+            await client.release()
+            await client.clutch()
+            await client.reset()
+            assert (await client.status()).mode == "following"
+            with pytest.raises(ServiceError, match="invalid: q"):
+                await client.step(q=[0.0], wrist=WRIST)
+
+    asyncio.run(main())
+
+
+def test_a_call_that_is_cancelled_does_no_harm(server: Server) -> None:
+    async def main() -> None:
+        async with AsyncClient(address_of(server), timeout=3.0) as client:
+            await client.open("three_finger")
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(1e-5):
+                    await client.step(q=human_q(), wrist=WRIST)
+            assert (await client.step(q=human_q(), wrist=WRIST, time=7.0)).time == 7.0
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("timeout", [0.1, 0.5])
+def test_without_a_server_calls_end_in_time(free_port: int, timeout: float) -> None:
+    with Client(f"tcp://127.0.0.1:{free_port}", timeout=timeout) as client:
+        started = time.monotonic()
+        with pytest.raises(ServiceTimeoutError):
+            client.open("three_finger")
+        # A margin for a busy machine.
+        assert timeout * 0.9 <= time.monotonic() - started <= timeout + 0.5
+
+
+def test_a_server_that_says_nothing_costs_no_more_than_the_timeout(free_port: int) -> None:
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", free_port))
+        silent.listen()
+        with Client(f"tcp://127.0.0.1:{free_port}", timeout=0.3) as client:
+            started = time.monotonic()
+            with pytest.raises(ServiceTimeoutError):
+                client.status()
+            assert time.monotonic() - started <= 0.8
+
+
+def test_a_step_before_open_is_refused(server: Server) -> None:
+    with Client(address_of(server)) as client:
+        with pytest.raises(ServiceError, match="no_session"):
+            client.step(q=human_q(), wrist=WRIST)
+        with pytest.raises(RuntimeError, match="open a session"):
+            client.latest()
+
+
+@pytest.mark.parametrize("streams", [False, True], ids=["requests", "stream"])
+def test_after_a_restart_the_robot_goes_on_from_its_last_command(free_port: int, streams: bool) -> None:
+    with Client(f"tcp://127.0.0.1:{free_port}", timeout=1.0) as client:
+        with serving(LOCAL, port=free_port):
+            client.open("three_finger", watchdog=5.0)
+            last = [client.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(15)][-1]
+        with pytest.raises(ServiceTimeoutError):
+            client.step(q=human_q(), wrist=WRIST)
+        with serving(LOCAL, port=free_port) as server:
+            command, end = None, time.monotonic() + 5.0
+            while command is None and time.monotonic() < end:
+                if streams:
+                    client.send(q=human_q(1.0), wrist=WRIST)
+                    command = client.latest(0.05) if client.reopened else None
+                else:
+                    command = client.step(q=human_q(1.0), wrist=WRIST)
+            assert command is not None
+            assert client.reopened == 1
+            (entry,) = server.dispatcher.sessions.entries.values()
+            limits = entry.session.robot.velocity_limits
+            # The stream may have been joined a few commands late; each of them accounts for 1/30 s at most.
+            count = entry.session.counts["steps"] if streams else 1
+            assert (np.abs(np.subtract(command.q, last.q)) <= limits * count / 30.0 + 1e-9).all()
+            assert command.wrist is not None
+            assert last.wrist is not None
+            assert np.linalg.norm(np.subtract(command.wrist.position, last.wrist.position)) <= count * 3.0**0.5 * 3.0 / 30.0
+
+
+def test_other_commands_too_find_the_new_server(free_port: int) -> None:
+    with Client(f"tcp://127.0.0.1:{free_port}", timeout=1.0) as client:
+        with serving(LOCAL, port=free_port):
+            client.open("three_finger", mount="fixed", mapping={"rigid_from": "none"})
+            client.step(q=human_q(), wrist=WRIST)
+        with serving(LOCAL, port=free_port):
+            assert client.status().mode == "waiting"
+            client.clutch()
+            assert client.reopened == 1
+
+
+def test_closing_twice_is_closing_once(server: Server) -> None:
+    with connected(server) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        client.close()
+        client.close()
+
+
+def test_methods_say_what_they_do() -> None:
+    for name in ("open", "step", "send", "latest", "clutch", "release", "reset", "status", "close"):
+        assert getattr(Client, name).__doc__

@@ -1,0 +1,321 @@
+"""The server on its ZeroMQ sockets: answers, caps, streams, keys, restarts. All on loopback, on ports of the system's choice."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+import urllib.error
+import urllib.request
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import zmq
+from service_tools import HERE, SECRET, Sampler, address_of, connected, human_q, opening, serving
+
+from handmap_qp.client import Client, CurveKeys, ServiceError, ServiceTimeoutError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.keys import make_keys
+from handmap_qp.service.logs import JsonLines
+from handmap_qp.service.messages import PROTOCOL, Request, Status
+from handmap_qp.service.server import Server, Settings
+from handmap_qp.service.websocket import WebSettings
+
+WRIST = np.eye(4)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as running:
+        yield running
+
+
+def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER, timeout: float = 2.0) -> list[dict[str, object]]:
+    """Send messages as they are; the answers that come."""
+    with zmq.Context() as context, context.socket(kind) as socket:
+        socket.linger, socket.rcvtimeo = 0, int(1e3 * timeout)
+        socket.connect(address_of(server))
+        answers = []
+        for payload in payloads:
+            socket.send(payload)
+            try:
+                answers.append(msgspec.msgpack.decode(socket.recv()))
+            except zmq.Again:
+                break
+        return answers
+
+
+def encoded(request: Request) -> bytes:
+    return msgspec.msgpack.encode(request)
+
+
+def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
+    return raised.value.error.code, raised.value.error.field
+
+
+def test_a_step_names_joints_as_the_urdf_does_and_bears_its_number(server: Server) -> None:
+    with connected(server) as client:
+        command = client.step(q=human_q(), wrist=WRIST, time=12.5)
+        assert command.joint_names[0] == "f1_proximal"
+        assert len(command.q) == len(command.joint_names)
+        assert (command.seq, command.time) == (2, 12.5)
+
+
+def test_sessions_are_independent(server: Server) -> None:
+    with connected(server, name="a") as first, connected(server, name="b", robot="allegro_right") as second:
+        first.step(q=human_q(), wrist=WRIST)
+        before = first.step(q=human_q(), wrist=WRIST).q
+        for i in range(5):
+            second.step(q=human_q(0.2 * i), wrist=WRIST)
+        assert np.allclose(first.step(q=human_q(), wrist=WRIST).q, before, atol=1e-6)
+        assert set(first.status().names) == {"a"}
+        assert len(second.step(q=human_q(), wrist=WRIST).q) == 16
+
+
+def test_a_session_goes_on_after_bad_input(server: Server) -> None:
+    with connected(server) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        with pytest.raises(ServiceError) as raised:
+            client.step(q=human_q()[:5], wrist=WRIST)
+        assert code_of(raised) == ("invalid", "q")
+        assert client.step(q=human_q(), wrist=WRIST).status == "converged"
+        assert client.status().counts["refused"] == 1
+
+
+def test_the_same_request_twice_is_carried_out_once(server: Server) -> None:
+    step = encoded(Sampler()())
+    answers = ask(server, encoded(opening()), step, step, encoded(Status(protocol=PROTOCOL, seq=3, session=SECRET)))
+    assert answers[1] == answers[2]
+    assert answers[3]["counts"] == {"steps": 1}
+    # Another request with an old number is no repetition.
+    assert ask(server, encoded(Sampler()(q=human_q(1.0))))[0]["code"] == "stale"
+
+
+def test_a_req_socket_will_do(server: Server) -> None:
+    (answer,) = ask(server, encoded(Status(protocol=PROTOCOL, seq=1)), kind=zmq.REQ)
+    assert answer["type"] == "state"
+    assert "three_finger" in answer["robots"]  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xc1", b"GET / HTTP/1.1\r\n\r\n", b"\x80", b"\x93\x01\x02"], ids=repr)
+def test_garbage_is_answered_with_an_error(server: Server, payload: bytes) -> None:
+    (answer,) = ask(server, payload)
+    assert (answer["type"], answer["code"]) == ("error", "invalid")
+
+
+def test_a_guessed_session_is_refused(server: Server) -> None:
+    (answer,) = ask(server, encoded(msgspec.structs.replace(Sampler()(), session="somebody-elses-one")))
+    assert answer["code"] == "no_session"
+
+
+def test_secrets_have_to_be_long(server: Server) -> None:
+    (answer,) = ask(server, encoded(msgspec.structs.replace(opening(), session="short")))
+    assert (answer["code"], answer["field"]) == ("invalid", "session")
+
+
+def test_the_newest_sample_wins(server: Server) -> None:
+    with connected(server) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        # The subscription is made by the first look, and needs a moment to arrive.
+        client.latest(0.2)
+        for i in range(200):
+            client.send(q=human_q(), wrist=WRIST, time=float(i))
+        newest = None
+        while (command := client.latest(0.2)) is not None:
+            newest = command
+            if command.time == 199.0:
+                break
+        assert newest is not None
+        assert newest.time == 199.0
+        assert client.status().counts["steps"] <= 201
+
+
+def test_the_stream_tells_what_is_wrong_with_a_sample(server: Server) -> None:
+    with connected(server) as client:
+        client.latest(0.2)
+        client.send(q=human_q()[:3], wrist=WRIST)
+        with pytest.raises(ServiceError) as raised:
+            client.latest(1.0)
+        assert code_of(raised) == ("invalid", "q")
+
+
+def test_the_watchdog_speaks_in_the_stream(server: Server) -> None:
+    with connected(server, watchdog=0.05) as client:
+        client.latest(0.1)
+        client.step(q=human_q(), wrist=WRIST)
+        flags, end = set(), time.monotonic() + 1.0
+        while "watchdog" not in flags and time.monotonic() < end:
+            command = client.latest(0.2)
+            flags |= set(command.flags) if command else set()
+        assert "watchdog" in flags
+
+
+def test_release_clutch_reset_close(server: Server) -> None:
+    with connected(server) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        client.release()
+        assert client.step(q=human_q(1.0), wrist=WRIST).status == "released"
+        client.clutch()
+        assert client.step(q=human_q(1.0), wrist=WRIST).status != "released"
+        client.reset()
+        client.reset(robot_q=np.zeros(8), robot_wrist=WRIST)
+        assert client.status().q == (0.0,) * 8
+        client.close()
+        with pytest.raises(ServiceError) as raised:
+            client.step(q=human_q(), wrist=WRIST)
+        assert code_of(raised) == ("no_session", "session")
+
+
+def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
+    with connected(server, name="mine") as first:
+        last = [first.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
+        with Client(address_of(server)) as second:
+            with pytest.raises(ServiceError) as raised:
+                second.open("three_finger", name="mine")
+            assert code_of(raised) == ("invalid", "name")
+            opened = second.open("three_finger", name="mine", restore=True)
+            assert opened.q == last.q
+            with pytest.raises(ServiceError) as taken:
+                first.step(q=human_q(), wrist=WRIST)
+            assert code_of(taken)[0] == "taken"
+
+
+def test_restore_needs_something_to_restore(server: Server) -> None:
+    with Client(address_of(server)) as client:
+        with pytest.raises(ServiceError) as raised:
+            client.open("three_finger", name="new", restore=True)
+        assert code_of(raised) == ("invalid", "restore")
+        assert client.open("three_finger", name="new", restore=True, robot_q=np.zeros(8)).q == (0.0,) * 8
+
+
+@pytest.mark.parametrize("wants_restore", [True, False])
+def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_restore: bool) -> None:
+    with serving(state=tmp_path / "state") as before, connected(before, name="mine") as client:
+        last = [client.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
+    with serving(state=tmp_path / "state") as after, Client(address_of(after)) as client:
+        opened = client.open("three_finger", name="mine", restore=wants_restore)
+        assert (opened.q == last.q) == wants_restore
+
+
+def test_sessions_are_capped() -> None:
+    with serving(caps=Caps(sessions=2)) as server, connected(server), connected(server), Client(address_of(server)) as third:
+        with pytest.raises(ServiceError) as raised:
+            third.open("three_finger")
+        assert code_of(raised)[0] == "busy"
+
+
+def test_rates_are_capped_and_recover() -> None:
+    with serving(caps=Caps(rate=40.0)) as server, connected(server) as client:
+        with pytest.raises(ServiceError) as raised:
+            deque((client.step(q=human_q(), wrist=WRIST) for _ in range(100)), maxlen=0)
+        assert code_of(raised)[0] == "rate"
+        time.sleep(0.2)
+        assert client.step(q=human_q(), wrist=WRIST).status == "converged"
+
+
+def test_a_message_that_is_too_long_costs_the_connection_and_nothing_else(server: Server) -> None:
+    assert ask(server, b"x" * 20_000, timeout=0.3) == []
+    assert ask(server, encoded(Status(protocol=PROTOCOL, seq=1)))[0]["type"] == "state"
+
+
+def test_idle_sessions_are_closed() -> None:
+    with serving(caps=Caps(idle=0.2)) as server, connected(server) as client:
+        time.sleep(0.4)
+        assert ask(server, encoded(Status(protocol=PROTOCOL, seq=1)))[0]["names"] == []
+        assert client.step(q=human_q(), wrist=WRIST).status == "converged"
+        assert client.reopened == 1
+
+
+def test_simulated_time_needs_leave(server: Server) -> None:
+    with Client(address_of(server)) as client, pytest.raises(ServiceError) as raised:
+        client.open("three_finger", time_from="client")
+    assert code_of(raised) == ("denied", "time_from")
+    with serving(caps=Caps(allows_client_time=True)) as other, connected(other, time_from="client") as client:
+        client.step(q=human_q(), wrist=WRIST, time=0.0)
+        assert client.step(q=human_q(), wrist=WRIST, time=0.02).dt == pytest.approx(0.02)
+
+
+# -- keys -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.2", "::", "example.org", "127.0.0.1.example.org"])
+def test_off_loopback_keys_are_needed(host: str) -> None:
+    with pytest.raises(InvalidOptionsError, match="keys"):
+        Settings(host=host)
+    with pytest.raises(InvalidOptionsError, match="token"):
+        WebSettings(host=host, token="x" * 20)
+
+
+def test_only_admitted_keys_come_in(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys", ["mine"])
+    make_keys(tmp_path / "others", ["theirs"])
+    server_key = tmp_path / "keys" / "server.key"
+    mine = CurveKeys.read(tmp_path / "keys" / "mine.key_secret", server_key)
+    theirs = CurveKeys.read(tmp_path / "others" / "theirs.key_secret", server_key)
+    wrong_server = CurveKeys(mine.public, mine.secret, CurveKeys.read(tmp_path / "others" / "theirs.key_secret", server_key).public)
+    with serving(keys=tmp_path / "keys") as server:
+        for keys in (None, theirs, wrong_server):
+            with Client(address_of(server), timeout=0.4, keys=keys) as client, pytest.raises(ServiceTimeoutError):
+                client.status()
+        with Client(address_of(server), keys=mine) as client:
+            client.open("three_finger")
+            client.latest(0.2)
+            client.send(q=human_q(), wrist=WRIST)
+            assert client.latest(1.0) is not None
+
+
+def test_secret_keys_are_for_their_owner_alone_and_stay(tmp_path: Path) -> None:
+    written = make_keys(tmp_path / "keys", ["a", "b"])
+    assert len(written) == 8
+    secrets = [file for file in written if file.suffix == ".key_secret"]
+    assert all(file.stat().st_mode & 0o777 == 0o600 for file in secrets)
+    before = secrets[0].read_bytes()
+    assert len(make_keys(tmp_path / "keys", ["a", "c"])) == 3
+    assert secrets[0].read_bytes() == before
+    secrets[0].chmod(0o644)
+    with pytest.raises(InvalidInputError, match="others can read"), serving(keys=tmp_path / "keys"):
+        pass
+
+
+@pytest.mark.parametrize("name", ["../up", "server", "", "a b"])
+def test_names_of_clients_are_file_names(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidInputError):
+        make_keys(tmp_path / "keys", [name])
+
+
+# -- what watches it ----------------------------------------------------------------------------------------------------
+
+
+def test_metrics_and_health_are_told_on_loopback() -> None:
+    with serving(health_port=0) as server, connected(server) as client:
+        for _ in range(3):
+            client.step(q=human_q(), wrist=WRIST)
+        base = f"http://127.0.0.1:{server.ports['health']}"
+        health = json.loads(urllib.request.urlopen(f"{base}/health", timeout=2.0).read())
+        assert (health["status"], health["sessions"]) == ("ok", 1)
+        text = urllib.request.urlopen(f"{base}/metrics", timeout=2.0).read().decode()
+        assert "handmap_steps_total 3" in text
+        assert "handmap_step_seconds_count 3" in text
+        for request in (f"{base}/other", urllib.request.Request(f"{base}/metrics", headers={"Host": "evil.example"})):
+            with pytest.raises(urllib.error.HTTPError) as raised:
+                urllib.request.urlopen(request, timeout=2.0)
+            assert raised.value.code in (404, 421)
+            raised.value.close()
+
+
+def test_a_taken_port_is_said(server: Server) -> None:
+    with pytest.raises(InvalidInputError, match="in use"), serving(port=server.ports["requests"]):
+        pass
+
+
+def test_logs_are_json_lines() -> None:
+    record = logging.LogRecord("x", logging.INFO, "", 0, "refused", None, None)
+    record.data = {"field": 'a"\n', "wrist": HERE}
+    line = JsonLines().format(record)
+    assert "\n" not in line
+    assert json.loads(line)["field"] == 'a"\n'
