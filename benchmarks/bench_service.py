@@ -1,8 +1,8 @@
 """The mapping service under load: round trips beside those of a bare echo of the same transport, in the same run.
 
-A client at 1 kHz for a minute, with no step lost; thirty clients at 60 Hz; a client over WebSocket. A part of the round trips goes to
-the echo, which reads and maps nothing, from the same client and with messages of the same length: what the machine does to one it
-does to the other.
+A client at 1 kHz for a minute, with no step lost; thirty clients at 60 Hz; a client over WebSocket. A part of the round trips goes
+to the echo, which reads and maps nothing, from the same client and with messages of the same length: what the machine does to one
+it does to the other.
 
     python benchmarks/bench_service.py --picture service.png --json service.json
 """
@@ -19,6 +19,7 @@ import common
 import msgspec
 import numpy as np
 import zmq
+import zmq.asyncio
 from service_process import HumanMotion, ServiceProcess, echoing, pace, serving
 
 from handmap_qp.client import AsyncClient, Client
@@ -128,7 +129,7 @@ def over_websocket(service: ServiceProcess, echo: int, robot: str, rate: float, 
         for i, now in enumerate(pace(rate, duration)):
             late = max(late, now - i / rate)
             sample = motion(now)
-            wrist = {"position": sample["wrist"][:3], "quat_xyzw": sample["wrist"][3:]}
+            wrist = {"position": sample["wrist"][:3].tolist(), "quat_xyzw": sample["wrist"][3:].tolist()}
             message = {"type": "step", "seq": i + 2, "time": now, "q": sample["q"].tolist(), "wrist": wrist}
             steps.append(timed(lambda message=message: ask(message)))
             if i % _ECHO_EVERY == 0:

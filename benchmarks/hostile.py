@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -116,6 +116,8 @@ class IkRun:
         self.name = f"ik on {hand.name}, {hand.mount}, seed {seed}"
         self._hand = hand
         self._rng = np.random.default_rng(seed)
+        if hand.spec.collision is None:
+            options = replace(options, avoids_self_collision=False)
         self._ik = PointIk(hand, options)
         self._place()
 
@@ -329,10 +331,11 @@ def _available_hands() -> tuple[tuple[str, Mount], ...]:
     found: list[tuple[str, Mount]] = []
     for name in hand_names():
         try:
-            load_hand(name)
+            hand = load_hand(name)
         except MissingExtraError:
             continue
-        found.extend(((name, "floating"), (name, "fixed")))
+        # A hand on an arm or on a robot stands on the arm's foot.
+        found.extend(((name, "floating"), (name, "fixed")) if hand.is_floating else ((name, "fixed"),))
     return tuple(found)
 
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zmq
 
 from handmap_qp import load_hand
 from handmap_qp.client import Client, Command
@@ -147,7 +146,7 @@ class HumanMotion:
         """The sample at an instant [s]: `q` and `wrist`."""
         phase = 2.0 * np.pi * self._frequency * time + self._phase
         q = 0.5 * (self._rest + self._middle) + self._span * np.sin(phase)
-        wrist = [0.1 * np.sin(0.5 * phase), 0.05 * np.cos(0.3 * phase), 0.2, 0.0, 0.0, 0.0, 1.0]
+        wrist = np.array([0.1 * np.sin(0.5 * phase), 0.05 * np.cos(0.3 * phase), 0.2, 0.0, 0.0, 0.0, 1.0])
         return {"q": q, "wrist": wrist}
 
 

@@ -1,4 +1,4 @@
-"""The command `handmap`: demo, map, view, hands.
+"""The command `handmap`: demo, map, view, hands, figures, serve, keys.
 
 Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130. Results go to stdout, progress to stderr.
 """
@@ -18,8 +18,11 @@ from typing import Annotated, Any, Protocol
 import tyro
 
 from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.experiments.cli import Figures
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.options import MappingOptions
+from handmap_qp.service.cli import Keys, Serve
 from handmap_qp.viewer.cli import View
 
 
@@ -116,6 +119,9 @@ class Map:
 class Hands:
     """List the hands that come with the package, or describe one.
 
+    `handmap hands init ROBOT.urdf` writes the description of a hand of your own, and `handmap hands check hand.yaml` looks it over;
+    both have their own --help.
+
     Attributes:
         hand: Name of a hand or path of a hand.yaml to describe; lists all hands if omitted.
         json: Print one JSON object instead of a table.
@@ -147,7 +153,13 @@ _Any = (
     | Annotated[Map, tyro.conf.subcommand("map", prefix_name=False)]
     | Annotated[View, tyro.conf.subcommand("view", prefix_name=False)]
     | Annotated[Hands, tyro.conf.subcommand("hands", prefix_name=False)]
+    | Annotated[Figures, tyro.conf.subcommand("figures", prefix_name=False)]
+    | Annotated[Serve, tyro.conf.subcommand("serve", prefix_name=False)]
+    | Annotated[Keys, tyro.conf.subcommand("keys", prefix_name=False)]
 )
+
+_NESTED: dict[tuple[str, str], Any] = {("hands", "init"): HandsInit, ("hands", "check"): HandsCheck}
+"""Commands of a command that can also be used alone."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -187,9 +199,14 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: After help was asked for and printed.
     """
     complaint = io.StringIO()
+    command, words, name = _Any, list(arguments), "handmap"
+    for (first, second), nested in _NESTED.items():
+        if words[:2] == [first, second]:
+            command, words, name = nested, words[2:], f"handmap {first} {second}"
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(_Any, prog="handmap", description=__doc__.partition("\n")[0], args=list(arguments))  # type: ignore[arg-type]
+            description = __doc__.partition("\n")[0] if command is _Any else None
+            return tyro.cli(command, prog=name, description=description, args=words)  # type: ignore[arg-type]
     except SystemExit as end:
         if not end.code:
             raise

@@ -6,9 +6,9 @@
         client.send(q=human_q, wrist=wrist_pose)              # or samples in and commands out, where the newest counts
         command = client.latest(timeout=0.1)
 
-`AsyncClient` is the same with `await`. No call takes longer than the client's timeout: then it raises `ServiceTimeoutError`, and
-may simply be made again. On a server that was restarted the session is opened anew, with the robot where the last command left
-it. `handmap serve --schema` describes all fields. SI and radians. A client is for one thread, or one event loop.
+`AsyncClient` is the same with `await`. A call that gets no answer within the client's timeout raises `ServiceTimeoutError`, and may
+be made again. On a server that was restarted, the session is opened anew where the last command left the robot. SI and radians;
+`handmap serve --schema` describes all fields. A client is for one thread, or one event loop.
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ import secrets
 import time as clock
 from collections.abc import Awaitable, Callable, Generator
 from pathlib import Path
-from typing import Any, Concatenate, Generic, NamedTuple, ParamSpec, Self, TypedDict, TypeVar, Unpack, overload
+from typing import Any, Concatenate, Generic, NamedTuple, ParamSpec, Self, TypeVar, overload
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 import zmq
-import zmq.asyncio
 import zmq.auth
 
 PROTOCOL = 1
@@ -131,16 +130,6 @@ class Error(_Reply, frozen=True):
     field: str = ""
 
 
-class HumanSample(TypedDict, total=False):
-    """One sample: `q` (n,) [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s] if not now."""
-
-    q: npt.ArrayLike
-    landmarks: npt.ArrayLike
-    points: npt.ArrayLike
-    wrist: Pose | npt.ArrayLike
-    time: float
-
-
 class ServiceError(RuntimeError):
     """The server has refused a request: `error` says why, and names the field."""
 
@@ -163,8 +152,8 @@ class CurveKeys(NamedTuple):
     @classmethod
     def read(cls, secret_file: Path | str, server_file: Path | str) -> CurveKeys:
         """Read what `handmap keys` made: this client's `NAME.key_secret`, and `server.key`."""
-        public, secret = zmq.auth.load_certificate(secret_file)
-        return cls(public, secret or b"", zmq.auth.load_certificate(server_file)[0])
+        (public, secret), (server, _) = map(zmq.auth.load_certificate, (secret_file, server_file))
+        return cls(public, secret or b"", server)
 
 
 P = ParamSpec("P")
@@ -205,10 +194,9 @@ class _Connection:
     def __init__(self, address: str = ADDRESS, *, timeout: float = 2.0, attempts: int = 2, keys: CurveKeys | None = None) -> None:
         self.address, self.timeout, self.attempts, self.keys = address, timeout, attempts, keys
         self.opened: Opened | None = None
-        self.reopened = 0
         self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
         self._sockets: dict[str, zmq.Socket] = {}
-        self._seq, self._request = 0, dict[str, Any]()
+        self.reopened, self._seq, self._request = 0, 0, dict[str, Any]()
         self._last: Command | None = None
         self._turn = asyncio.Lock()
 
@@ -227,8 +215,7 @@ class _Connection:
             address = f"{address.rpartition(':')[0]}:{self.opened.stream_port}"
             socket.setsockopt(zmq.SUBSCRIBE, self.opened.name.encode() + b"\0")
         socket.connect(address)
-        self._sockets[use] = socket
-        return socket
+        return self._sockets.setdefault(use, socket)
 
     def _drop(self, *uses: str) -> None:
         for use in self._sockets.keys() & uses:
@@ -245,20 +232,22 @@ class _Connection:
         return self._exchange(_message("open", robot=robot, session=secrets.token_urlsafe(24), **choices), Opened)
 
     @_Call
-    def step(self, **sample: Unpack[HumanSample]) -> _Work[Command]:
-        """Map one sample."""
-        return self._exchange(_message("step", **sample), Command)
+    def step(
+        self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None
+    ) -> _Work[Command]:
+        """Map one sample: `q` (n,) [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s]."""
+        return self._exchange(_message("step", q=q, landmarks=landmarks, points=points, wrist=wrist, time=time), Command)
 
     @_Call
-    def send(self, **sample: Unpack[HumanSample]) -> _Work[None]:
-        """Send a sample and do not wait for its command, which comes in the stream; the newest counts."""
+    def send(self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None) -> _Work[None]:
+        """Send a sample as of `step` and do not wait for its command, which comes in the stream; the newest counts."""
+        sample = _message("sample", q=q, landmarks=landmarks, points=points, wrist=wrist, time=time)
         socket = self._socket("samples")
         if socket.poll(0):
             reply = self._decode(socket.recv(zmq.NOBLOCK))
-            # Only said of the session there is now, for the socket goes with its session.
             if isinstance(reply, Error) and reply.code == "no_session":
                 yield from self._reopen(clock.monotonic() + self.timeout)
-        self._socket("samples").send(msgspec.msgpack.encode(self._number(_message("sample", **sample))), zmq.NOBLOCK)
+        self._socket("samples").send(msgspec.msgpack.encode(self._number(sample)), zmq.NOBLOCK)
 
     @_Call
     def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
@@ -268,10 +257,11 @@ class _Connection:
         if not (yield (socket := self._socket("stream")), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
             return None
         reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
+        if isinstance(reply, Command):
+            self._last = reply
+            return reply
         if isinstance(reply, Error) and reply.code != "no_session":
             raise ServiceError(reply)
-        self._last = reply if isinstance(reply, Command) else self._last
-        return reply if isinstance(reply, Command) else None
 
     @_Call
     def clutch(self) -> _Work[Done]:
@@ -384,14 +374,26 @@ class AsyncClient(_Connection):
     async def _run(self, work: _Work[R]) -> R:
         async with self._turn:
             try:
-                socket, event, until = next(work)
+                wanted = next(work)
                 while True:
-                    ready = zmq.asyncio.Poller()
-                    ready.register(socket, event)
-                    left = max(0, math.ceil(1e3 * (until - clock.monotonic())))
-                    socket, event, until = work.send(bool(await ready.poll(left)))
+                    wanted = work.send(await self._wait(*wanted))
             except StopIteration as end:
                 return end.value
+
+    async def _wait(self, socket: zmq.Socket, event: int, until: float) -> bool:
+        """Whether the event comes in time. ZeroMQ's descriptor tells that something has changed, and `EVENTS` what."""
+        changed, loop = asyncio.Event(), asyncio.get_running_loop()
+        loop.add_reader(socket.FD, changed.set)
+        try:
+            async with asyncio.timeout_at(loop.time() + until - clock.monotonic()):
+                while not int(socket.EVENTS) & event:
+                    await changed.wait()
+                    changed.clear()
+            return True
+        except TimeoutError:
+            return False
+        finally:
+            loop.remove_reader(socket.FD)
 
     async def __aenter__(self) -> Self:
         return self

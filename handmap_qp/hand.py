@@ -146,9 +146,7 @@ class Hand:
     def configuration(self) -> Configuration:
         """A new workspace for this hand, for one user at a time."""
         expansion = None if self.expansion is None else self.expansion.matrix
-        return Configuration(
-            self.model, wrist_frame=self.wrist_frame_id, first_point=self.first_point_frame, expansion=expansion
-        )
+        return Configuration(self.model, wrist_frame=self.wrist_frame_id, first_point=self.first_point_frame, expansion=expansion)
 
     def configuration_vector(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Pinocchio's configuration vector for joint angles and a wrist pose.
@@ -344,7 +342,7 @@ def _tangent_expansion(joints: Expansion, active: np.ndarray, columns: np.ndarra
     """S and offset over the model's tangent space, where the wrist's coordinates stand for themselves."""
     nv, count = len(active) + len(follower_v), len(columns)
     matrix, offset = np.eye(nv)[:, active], np.zeros(nv)
-    matrix[np.ix_(follower_v, columns)] = joints.matrix[count:]
+    matrix[np.ix_(follower_v, columns.tolist())] = joints.matrix[count:]
     offset[follower_v] = joints.offset[count:]
     return Expansion(_frozen(matrix), _frozen(offset))
 

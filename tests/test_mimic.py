@@ -162,14 +162,15 @@ def test_a_followers_limit_that_contradicts_its_rule_is_dropped_with_a_warning()
 @given(generator=generators)
 def test_tightened_limits_map_into_the_followers(multiplier: float, generator: np.random.Generator) -> None:
     low, offset = generator.uniform(-1.0, 0.0), generator.uniform(-0.2, 0.2)
-    ranges = {"l": JointRange(low, low + 1.5, 2.0), "f": JointRange(*sorted(generator.uniform(-2.0, 2.0, 2).tolist()), 3.0)}
+    ends = generator.uniform(-2.0, 2.0, 2).tolist()
+    ranges = {"l": JointRange(low, low + 1.5, 2.0), "f": JointRange(min(ends), max(ends), 3.0)}
     tightened, dropped = tighten_limits([MimicRule("f", "l", multiplier, offset)], ranges)
     lower, upper, speed = tightened["l"]
     assert ranges["l"].lower <= lower < upper <= ranges["l"].upper
     assert speed == pytest.approx(min(2.0, 3.0 / abs(multiplier)))
     if not dropped:
-        ends = multiplier * np.array([lower, upper]) + offset
-        assert ranges["f"].lower - 1e-12 <= ends.min() <= ends.max() <= ranges["f"].upper + 1e-12
+        reached = multiplier * np.array([lower, upper]) + offset
+        assert ranges["f"].lower - 1e-12 <= reached.min() <= reached.max() <= ranges["f"].upper + 1e-12
 
 
 @given(generator=generators, count=st.integers(1, 12))

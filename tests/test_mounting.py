@@ -200,7 +200,9 @@ def test_a_hand_cut_from_a_robot_moves_as_on_it(name: str) -> None:
         angles = dict(zip(hand.all_joint_names, hand.all_joints(q), strict=True))
         foot = np.linalg.inv(pose_of(model, root, angles))
         for point, place in zip(hand.reference_points, hand.points(q), strict=True):
-            np.testing.assert_allclose(place, transform_points(foot @ pose_of(model, point.link, angles), point.xyz), atol=1e-12)
+            np.testing.assert_allclose(
+                place, transform_points(foot @ pose_of(model, point.link, angles), np.array(point.xyz)), atol=1e-12
+            )
 
 
 @pytest.mark.parametrize("name", ["g1_arm_left", "tiago_arm"])

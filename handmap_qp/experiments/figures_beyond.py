@@ -260,7 +260,9 @@ def _draw_start(rows: list[Row]) -> Figure:
         axes.set_yscale("log")
         axes.set_xlabel(_LABELS[_POINTS])
     panels[0].set_ylabel(_LABELS[_OBJECT])
-    panels[0].legend(loc="lower right")
+    # Room for the legend below all points.
+    panels[0].set_ylim(bottom=0.25 * min(_pick(rows, _OBJECT)))
+    panels[0].legend(loc="lower left", ncols=2)
     return figure
 
 

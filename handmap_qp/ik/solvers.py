@@ -30,6 +30,10 @@ EXACT: dict[str, dict[str, Any]] = {
 }
 
 
+# OSQP asked for more has often used up its iterations before.
+_EXACT_ENOUGH: dict[str, dict[str, Any]] = {"osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False}}
+
+
 class QpSolver(Protocol):
     """A solver of one size of problem, which may start from its last solution."""
 
@@ -174,4 +178,4 @@ def make_solver(name: str, size: int, row_count: int = 0) -> QpSolver:
     if name not in qpsolvers.available_solvers:
         known = ", ".join(sorted({"daqp", "proxqp", *qpsolvers.available_solvers}))
         raise InvalidOptionsError(f"solver: expected one of {known}; got {name!r}")
-    return QpsolversSolver(name, **EXACT.get(name, {}))
+    return QpsolversSolver(name, **{**EXACT, **_EXACT_ENOUGH}.get(name, {}))

@@ -239,15 +239,15 @@ def _spread(points: np.ndarray) -> float:
 
 def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
     """Whether two joints carry the same body or neighbours; bodies between them that are short or have no shape do not count."""
+    if one == other:
+        return True
     for near, far in ((one, other), (other, one)):
-        above = near
-        while above > 0:
-            if above == far:
+        at = near
+        while at > 0:
+            parent = model.parents[at]
+            if parent == far:
                 return True
-            length = float(np.linalg.norm(model.jointPlacements[above].translation))
-            is_first, above = above == near, model.parents[above]
-            if above == 0 or (above in with_shape and (is_first or length > _SHORT)):
+            if parent in with_shape and np.linalg.norm(model.jointPlacements[at].translation) > _SHORT:
                 break
-        if above == far:
-            return True
+            at = parent
     return False
