@@ -122,7 +122,7 @@ def over_websocket(service: ServiceProcess, echo: int, robot: str, rate: float, 
 
         def ask(message: dict[str, Any]) -> dict[str, Any]:
             connection.send(msgspec.msgpack.encode(head | message))
-            return msgspec.msgpack.decode(connection.recv())
+            return msgspec.msgpack.decode(connection.recv(decode=False))
 
         ask({"type": "open", "seq": 1, "robot": robot})
         before, started = service.cpu(), time.monotonic()

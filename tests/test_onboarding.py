@@ -209,6 +209,61 @@ def test_where_no_hand_is_found_the_next_step_is_said(urdf: Path, root: str | No
         detect(urdf, root=root)
 
 
+def urdf_of(*joints: str) -> str:
+    """A URDF from lines `name parent child x y z`, every joint turning about y from -0.1 to 1.5 rad; a leader may follow."""
+    rows = [line.split() for line in joints]
+    links = dict.fromkeys(name for row in rows for name in row[1:3])
+    text = "".join(f'<link name="{name}"/>' for name in links)
+    for name, parent, child, x, y, z, *leader in rows:
+        mimic = f'<mimic joint="{leader[0]}" multiplier="{leader[1]}"/>' if leader else ""
+        kind = "fixed" if name.startswith("end") else "revolute"
+        limits = (
+            '<limit lower="-2" upper="1.5" effort="1" velocity="1"/>'
+            if leader
+            else '<limit lower="-0.1" upper="1.5" effort="1" velocity="1"/>'
+        )
+        text += (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{x} {y} {z}"/>'
+            f'<axis xyz="0 1 0"/>{limits}{mimic}</joint>'
+        )
+    return f'<robot name="x">{text}</robot>'
+
+
+def test_a_metacarpal_that_carries_two_fingers_is_no_palm() -> None:
+    fingers = [
+        line
+        for name, root, y in (("i", "palm", 0.03), ("m", "palm", 0.01), ("r", "arch", -0.01), ("l", "arch", -0.03))
+        for line in (
+            f"{name}1 {root} {name}_1 0.08 {y} 0",
+            f"{name}2 {name}_1 {name}_2 0.04 0 0",
+            f"end_{name} {name}_2 {name}_tip 0.03 0 0",
+        )
+    ]
+    found = detect_text(urdf_of("arch0 palm arch 0.01 0 0", *fingers), DATA / "x.urdf", thumb="i_1")
+    assert found.spec.palm.link == "palm"
+    assert len(tips(found)) == 4
+    assert "arch0" in found.spec.joints
+    assert sum("arch0" in chain for chain in found.chains.values()) == 2
+
+
+def test_the_bar_of_a_linkage_is_no_finger() -> None:
+    """A parallelogram: crank and bar turn together, the finger on the crank turns back, so the bar's end stays at a place of it."""
+    sides = [
+        line
+        for name, y, sign in (("a", 0.03, 1), ("b", -0.03, 1))
+        for line in (
+            f"{name}_crank palm {name}_1 0.02 {y} 0" + ("" if name == "a" else " a_crank 1"),
+            f"{name}_finger {name}_1 {name}_2 0.05 0 0 a_crank -1",
+            f"end_{name} {name}_2 {name}_tip 0.03 0 0",
+            f"{name}_bar palm {name}_3 0.02 {y} {0.02 * sign} a_crank 1",
+            f"end_{name}3 {name}_3 {name}_bar_end 0.05 0 0",
+        )
+    ]
+    found = detect_text(urdf_of(*sides), DATA / "x.urdf")
+    assert set(tips(found).values()) == {"a_tip", "b_tip"}
+    assert sum("linkage" in note for note in found.notes) == 2
+
+
 def test_a_urdf_in_millimetres_is_told_from_a_small_one() -> None:
     text = (DATA / "one_finger.urdf").read_text()
     large = re.sub(r'(xyz|size)="([^"]*)"', lambda m: f'{m[1]}="{" ".join(str(1e3 * float(x)) for x in m[2].split())}"', text)

@@ -127,6 +127,15 @@ def test_fingers_in_the_wrong_order_are_found(tmp_path: Path) -> None:
     assert "finger: index" in wrong["points.ring_tip"]
 
 
+def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
+    points = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))["points"]
+    points[1] |= {"link": "a_l3", "xyz": [0.0, 0.0, 0.1]}
+    report = check_hand(str(described(tmp_path, {"points": points})), has_motion=False)
+    (found,) = (finding for finding in report.findings if finding.level == "warning")
+    # The bone is 14 mm thick: 100 - 7 mm.
+    assert (found.where, "93 mm outside" in found.what) == ("points.index_tip", True)
+
+
 def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
     report = check_hand(str(described(tmp_path, {"wrist": {"link": "a_l1"}})))
     assert levels(report) == ["error"]

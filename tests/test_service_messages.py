@@ -6,12 +6,16 @@ import json
 from typing import Any, get_args
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from strategies import motion_of, rotations, translations
+
 from handmap_qp import client
 from handmap_qp.service import messages
+from handmap_qp.service.convert import to_matrix, to_pose
 from handmap_qp.service.messages import PROTOCOL, AnyReply, AnyRequest, Error, Sample, Step, decode_request, encode_reply
 from handmap_qp.service.schema import CODES, FLAGS, json_schema, schema_text
 
@@ -119,6 +123,22 @@ def test_clients_have_every_field_of_every_reply() -> None:
         assert theirs.__struct_config__.tag == kind.__struct_config__.tag
     assert client.Pose.__struct_fields__ == messages.Pose.__struct_fields__
     assert client.PROTOCOL == PROTOCOL
+
+
+@given(st.builds(motion_of, rotations, translations))
+def test_poses_survive_both_ways(matrix: np.ndarray) -> None:
+    pose = to_pose(matrix)
+    assert pose is not None
+    assert np.allclose(to_matrix(pose), matrix, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_half_turns_have_a_quaternion_too(axis: int) -> None:
+    rotation = -np.eye(3)
+    rotation[axis, axis] = 1.0
+    pose = to_pose(motion_of(rotation, np.zeros(3)))
+    assert pose is not None
+    assert np.abs(pose.quat_xyzw).tolist() == np.eye(4)[axis].tolist()
 
 
 def test_flags_and_codes_are_single_words() -> None:

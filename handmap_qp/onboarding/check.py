@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hand import Hand
 from handmap_qp.library import load_hand
 from handmap_qp.onboarding.detect import Detection, detect_text
 from handmap_qp.onboarding.measure import FingerReach, MotionPart, Size, colliding_links, measure_reach, measure_size, try_motion
+from handmap_qp.onboarding.robot import Robot
+from handmap_qp.transform import transform_points
 from handmap_qp.urdf_files import urdf_path
 
 Level = Literal["error", "warning", "advice", "fine"]
@@ -22,6 +25,8 @@ Level = Literal["error", "warning", "advice", "fine"]
 _SURE = 0.65
 # A robot's fingertip this far from where it should be is out of reach [m].
 _OUT_OF_REACH = 0.02
+# A reference point may stand off its link by this much: a sensor's frame, say [m].
+_OFF_THE_LINK = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +92,7 @@ class Report:
                 "point": row.point,
                 "span mm": 1e3 * row.span,
                 "moves in": f"{row.directions} of 3 directions",
-                "least motion mm/rad": 1e3 * row.slowest,
+                "least motion, mm per rad or m": 1e3 * row.slowest,
                 "manipulability": f"{row.manipulability:.2e}",
             }
             for row in self.reach
@@ -195,9 +200,21 @@ def _check_joints(report: Report, hand: Hand) -> None:
         if hand.velocity_limits[i] > 60.0 or hand.velocity_limits[i] < 0.02:
             speed = hand.velocity_limits[i]
             report.add("advice", f"limits.{joint}", f"a speed of {speed:.3g} per second is unusual", "check its unit")
+    _check_followers(report, hand)
+
+
+def _check_followers(report: Report, hand: Hand) -> None:
     followers = hand.all_joint_roles.count("follower")
-    if followers:
-        report.add("fine", "mimic", f"{followers} joints follow others, within their own limits")
+    if not followers:
+        return
+    plain = pin.buildModelFromXML(hand.urdf_text)
+    for i, joint in enumerate(hand.joint_names):
+        at = plain.joints[plain.getJointId(joint)].idx_q
+        lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
+        if hand.lower_limits[i] > lower + 1e-9 or hand.upper_limits[i] < upper - 1e-9:
+            now = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
+            report.add("fine", f"limits.{joint}", f"its followers narrow [{lower:.3g}, {upper:.3g}] to {now}")
+    report.add("fine", "mimic", f"{followers} joints follow others" + ("" if hand.notes else ", within their own limits"))
 
 
 def _check_points(report: Report, hand: Hand) -> None:
@@ -210,11 +227,31 @@ def _check_points(report: Report, hand: Hand) -> None:
             if np.linalg.norm(points[i] - points[j]) < 1e-3:
                 other = hand.reference_points[j].name
                 report.add("warning", f"points.{point.name}", f"lies on {other}", "one of them will do")
+    _check_places(report, hand)
     weights = hand.point_weights
     if weights.max() > 100.0 * weights.min():
         report.add("advice", "points.weight", f"weights are {weights.max() / weights.min():.0f}-fold apart", "stay within 100")
     if len(points) < 3:
         report.add("advice", "sets", f"{len(points)} points leave some of the hand's motion open", "add points of the same links")
+
+
+def _check_places(report: Report, hand: Hand) -> None:
+    """Reference points far outside the shapes of the bodies that they are on."""
+    try:
+        robot = Robot(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
+    except HandError:
+        return
+    for point in hand.reference_points:
+        if point.link not in robot.links:
+            continue
+        body = robot.body(point.link)
+        cloud = robot.body_surface(body)
+        if len(cloud):
+            place = transform_points(robot.pose_in(point.link, body), np.array(point.xyz))
+            outside = np.maximum(np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0)), 0.0)
+            if (distance := float(np.linalg.norm(outside))) > _OFF_THE_LINK:
+                what = f"lies {1e3 * distance:.0f} mm outside the shape of {point.link}"
+                report.add("warning", f"points.{point.name}", what, "check its xyz, in metres in that link's frame")
 
 
 def _check_anatomy(report: Report, hand: Hand) -> None:

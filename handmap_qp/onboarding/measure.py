@@ -182,7 +182,7 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
         One row a part.
     """
     human = load_hand("human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH)
-    rigid = "wrist" if hand.is_floating else "none"
+    rigid = "wrist" if hand.has_moving_wrist else "none"
     parts = []
     for name, posture in standard_postures(human).items():
         mapper = HandMapper(human, hand, rigid_from=rigid, dt=_DT)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from handmap_qp.hand import Hand
 from handmap_qp.samples import MapStep
 from handmap_qp.service.messages import Detail, Pose
-from handmap_qp.transform import pose_from_xyz_quat, quat_wxyz_from_rotation
+from handmap_qp.transform import pose_from_xyz_quat
 
 
 def to_row(values: np.ndarray) -> tuple[float, ...]:
@@ -29,8 +31,20 @@ def to_pose(matrix: np.ndarray | None) -> Pose | None:
     """A pose (4, 4) as position and quaternion xyzw."""
     if matrix is None:
         return None
-    w, x, y, z = quat_wxyz_from_rotation(matrix[:3, :3]).tolist()
-    return Pose(tuple(matrix[:3, 3].tolist()), (x, y, z, w))
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
+    # The largest of the four squares is divided by: never a small one (Shepperd 1978). In plain floats, for every command has one.
+    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
+    largest = max(squares)
+    if largest == squares[3]:
+        quat = (h - f, c - g, d - b, largest)
+    elif largest == squares[0]:
+        quat = (largest, b + d, c + g, h - f)
+    elif largest == squares[1]:
+        quat = (b + d, largest, f + h, c - g)
+    else:
+        quat = (c + g, f + h, largest, d - b)
+    norm = math.hypot(*quat)
+    return Pose((x, y, z), (quat[0] / norm, quat[1] / norm, quat[2] / norm, quat[3] / norm))
 
 
 def to_matrix(pose: Pose | None) -> np.ndarray | None:

@@ -79,6 +79,7 @@ class Dispatcher:
         self._pending: dict[str, tuple[Sample, Answer, bool]] = {}
         self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._written = b""
         self._refusals, self._bugs = Throttle(), Throttle()
         metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
         metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
@@ -179,7 +180,10 @@ class Dispatcher:
             stale = RefusedError("stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq")
             return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
         entry.seq, entry.payload = request.seq, payload
-        entry.answer = encode_reply(self._carry_out(entry.session, request, now), is_json=is_json)
+        reply = self._carry_out(entry.session, request, now)
+        # A command has been written for the stream already.
+        written = None if is_json or not isinstance(reply, Command) else self._written
+        entry.answer = written or encode_reply(reply, is_json=is_json)
         return entry.answer
 
     def _carry_out(self, session: Session, request: AnyRequest, now: float) -> AnyReply:
@@ -243,7 +247,8 @@ class Dispatcher:
         """Note and publish a command."""
         if self._store is not None:
             self._store.note(session.name, session.robot.name, *session.posture)
-        self.sessions.send(session.name, encode_reply(command))
+        self._written = encode_reply(command)
+        self.sessions.send(session.name, self._written)
 
     def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> AnyReply:
         if subscribe is None:

@@ -46,6 +46,7 @@ class SpeedGuard:
         self.q = q.copy()
         self._wrist = wrist.copy() if wrist is not None and robot.is_floating else None
         self._last, self._wanted = np.empty(robot.model.nq), np.empty(robot.model.nq)
+        self._is_written = False
 
     @property
     def wrist(self) -> np.ndarray | None:
@@ -71,22 +72,26 @@ class SpeedGuard:
         if not (np.isfinite(q).all() and (wrist is None or np.isfinite(wrist).all())):
             return False
         if self._robot.is_floating and self._wrist is None and wrist is not None:
-            self._wrist = wrist.copy()
+            self._wrist, self._is_written = wrist.copy(), False
         start = np.eye(4) if self._wrist is None else self._wrist
         goal = start if wrist is None else wrist
-        self._robot.write_configuration(self._last, self.q, start)
+        if not self._is_written:
+            self._robot.write_configuration(self._last, self.q, start)
         self._robot.write_configuration(self._wanted, q, goal)
         change = pin.difference(self._robot.model, self._last, self._wanted)
         limit = self._speed * (dt * share)
         if (np.abs(change) <= limit * (1.0 + _ROUNDING) + _ROUNDING).all():
             self.q = q.copy()
             self._wrist = None if self._wrist is None else goal.copy()
+            # The next way starts where this one ends.
+            self._last, self._wanted, self._is_written = self._wanted, self._last, True
             return True
         allowed = np.clip(change, -limit, limit)
         if self._robot.is_floating:
             # The wrist keeps to its way: all six coordinates are slowed down alike.
             allowed[:6] = change[:6] * (limit[:6] / np.maximum(np.abs(change[:6]), 1e-300)).min(initial=1.0)
         reached = pin.integrate(self._robot.model, self._last, allowed)
+        self._is_written = False
         self.q = reached[self._robot.q_indices].copy()
         if self._wrist is not None:
             self._workspace.place(reached)
