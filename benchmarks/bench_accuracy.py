@@ -74,7 +74,7 @@ FACTORS = (
     Factor("residual_gain", (0.0, 0.25, 0.5, 0.75, 1.0), (FOLLOW_POINTS, FOLLOW_WRIST)),
     Factor("deformation_gain", (0.0, 0.5, 1.0), tuple({"residual_gain": gain} for gain in (0.0, 0.5, 1.0))),
     Factor("max_iterations", (1, 2, 3, 6)),
-    Factor("error_damping", (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)),
+    Factor("error_damping", (0.0, 0.1, 0.3, 0.7, 1.0, 3.0)),
     Factor("rest_weight", (0.0, 0.1, 0.2, 0.5, 1.0)),
     # In the table only.
     Factor(

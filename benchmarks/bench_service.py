@@ -20,7 +20,8 @@ import msgspec
 import numpy as np
 import zmq
 import zmq.asyncio
-from service_process import HumanMotion, ServiceProcess, echoing, pace, serving
+from service_clients import HumanMotion, pace
+from service_process import ServiceProcess, echoing, serving
 
 from handmap_qp.client import AsyncClient, Client
 

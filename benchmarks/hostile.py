@@ -341,7 +341,8 @@ def _available_hands() -> tuple[tuple[str, Mount], ...]:
 
 @cache
 def _hand(name: str, mount: Mount, points: str | None) -> Hand:
-    return load_hand(name, mount=mount, points=points)
+    hand = load_hand(name, mount=mount)
+    return hand.with_points(points) if points in hand.spec.sets else hand
 
 
 def _note(tally: Tally, name: str, error: Exception) -> None:

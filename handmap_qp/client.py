@@ -101,6 +101,7 @@ class Command(_Reply, frozen=True):
     residual: float = 0.0
     at_limit: Names = ()
     out_of_range: Names = ()
+    restarts: int = 0
     dt: float = 0.0
     solve_time: float = 0.0
     detail: dict[str, Any] | None = None
@@ -257,11 +258,10 @@ class _Connection:
         if not (yield (socket := self._socket("stream")), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
             return None
         reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
-        if isinstance(reply, Command):
-            self._last = reply
-            return reply
         if isinstance(reply, Error) and reply.code != "no_session":
             raise ServiceError(reply)
+        self._last = reply if isinstance(reply, Command) else self._last
+        return reply if isinstance(reply, Command) else None
 
     @_Call
     def clutch(self) -> _Work[Done]:
@@ -318,8 +318,7 @@ class _Connection:
         if last is not None and self.opened is not None:
             start = {"robot_q": last.q, "robot_wrist": last.wrist if self.opened.is_floating else None, "restore": False}
         yield from self._exchange(self._request | start | {"session": secrets.token_urlsafe(24)}, Opened, deadline)
-        self._last = last
-        self.reopened += 1
+        self._last, self.reopened = last, self.reopened + 1
 
     def _ask(self, request: dict[str, Any], deadline: float) -> _Work[_Reply]:
         """Send a request and wait for its answer, each time on a new connection."""
@@ -356,8 +355,7 @@ class Client(_Connection):
         try:
             socket, event, until = next(work)
             while True:
-                left = max(0, math.ceil(1e3 * (until - clock.monotonic())))
-                socket, event, until = work.send(socket.poll(left, event) != 0)
+                socket, event, until = work.send(socket.poll(max(0, math.ceil(1e3 * (until - clock.monotonic()))), event) != 0)
         except StopIteration as end:
             return end.value
 

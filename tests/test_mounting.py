@@ -92,7 +92,7 @@ def test_a_stretched_arm_stays_bounded_and_still(arm: str) -> None:
     """Asked for a place two metres beyond its reach an arm ends stretched, singular, and at rest there."""
     hand = ON_ARM[arm]
     # Levers of a metre want more of this damping than those of fingers.
-    ik = PointIk(hand, IkOptions(error_damping=100.0))
+    ik = PointIk(hand, IkOptions())
     ik.place(hand.configuration_vector(hand.rest))
     target = hand.frame_pose("wrist", hand.rest)
     target[:3, 3] *= 1.0 + 2.0 / np.linalg.norm(target[:3, 3])

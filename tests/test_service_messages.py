@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from strategies import motion_of, rotations, translations
 
 from handmap_qp import client
@@ -127,9 +126,9 @@ def test_clients_have_every_field_of_every_reply() -> None:
 
 @given(st.builds(motion_of, rotations, translations))
 def test_poses_survive_both_ways(matrix: np.ndarray) -> None:
-    pose = to_pose(matrix)
-    assert pose is not None
-    assert np.allclose(to_matrix(pose), matrix, atol=1e-12)
+    back = to_matrix(to_pose(matrix))
+    assert back is not None
+    assert np.allclose(back, matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -121,8 +121,13 @@ class MujocoIk:
             tasks.append(self._wrist)
             errors.append(self._wrist.cost * self._wrist.compute_error(self._configuration))
         # Not mink's DampingTask, which spares the floating base, nor its lm_damping, which takes the error squared.
-        damping = self.options.damping**2 + self.options.error_damping * float(np.linalg.norm(np.concatenate(errors)))
+        damping = self.options.damping**2
         problem = mink.build_ik(self._configuration, tasks, self.shrink * dt, damping=damping, limits=self._limits)
+        lever = np.diag(problem.P) - damping
+        lever[self._v_indices] -= self.options.rest_weight**2
+        lever[: 3 if self.hand.is_floating else 0] = 0.0
+        error_damping = self.options.error_damping * np.linalg.norm(np.concatenate(errors)) * np.sqrt(np.maximum(lever, 0.0))
+        problem.P += np.diag(error_damping)
         h = None if problem.h is None else problem.h / self.shrink
         return qpsolvers.Problem(problem.P, problem.q / self.shrink, problem.G, h)
 

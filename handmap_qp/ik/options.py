@@ -23,9 +23,9 @@ class IkOptions:
         wrist_orientation_weight: Of the wrist frame's orientation.
         rest_weight: Pull of every joint to its rest angle: the null-space term of eq. (8).
         damping: Cost of any motion; keeps the step short near singular postures.
-        error_damping: Further squared cost of any motion per weighted error (Levenberg-Marquardt): calms a hand that stretches
-            after points out of its reach. There the linearisation leaves out a curvature of the error times the finger's length,
-            which is some five units of 10 mm; half of that is the least that keeps the iterations from shaking.
+        error_damping: Further squared cost of every turning coordinate, per weighted error and per weighted lever (a
+            Levenberg-Marquardt term): calms a hand or an arm that stretches after points out of its reach. There the linearisation
+            leaves out a curvature of the error times the lever; half of that is the least that keeps the iterations from shaking.
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: Linearisations per sample, at most.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm]. At 0.1 the linearisation is wrong
@@ -41,7 +41,7 @@ class IkOptions:
     wrist_orientation_weight: float = 3.0
     rest_weight: float = 0.2
     damping: float = 0.1
-    error_damping: float = 3.0
+    error_damping: float = 0.7
     solver: str = "daqp"
     max_iterations: int = 3
     step_tolerance: float = 0.1

@@ -37,7 +37,8 @@ class IkResult:
     """Where the iterations of one sample ended.
 
     Attributes:
-        end: `solved`; `failed`: the solver found no answer and the hand stays where it was; `released`: nothing was asked of it.
+        end: `solved`; `failed`: the solver found no answer, and the hand stays where it was, or comes back into its limits;
+            `released`: nothing was asked of it.
         points: Reference points [m], shape (m, 3).
         errors: Target minus point [m], shape (m, 3).
         point_tolerance: Length of an error that counts as none [m].
@@ -118,6 +119,7 @@ class PointIk:
         self._rest_weight = options.rest_weight**2
         self._diagonal = np.full(nv, float(options.damping) ** 2)
         self._diagonal[first_joint:] += self._rest_weight
+        self._turning = options.error_damping * (np.arange(nv) >= (3 if hand.is_floating else 0))
         self._weighted_all = np.empty((3 * count + 6, hand.model.nv))
         self._H = np.empty((nv, nv))
         self._H_diagonal = self._H.reshape(-1)[:: nv + 1]
@@ -145,7 +147,7 @@ class PointIk:
             dt: Time since the last sample [s]; bounds the displacement through the speed limits.
 
         Returns:
-            Where it got to. On `failed`, the configuration is the one before the call.
+            Where it got to. On `failed`, the configuration is the one before the call, but for joints outside their limits.
         """
         configuration, options = self.configuration, self.options
         start = configuration.q.copy()
@@ -160,7 +162,8 @@ class PointIk:
             step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
             if step is None:
-                total, last_step, end = self._zero_step, 0.0, "failed"
+                # Outside its limits a joint comes back all the same: zero is then no displacement that the box allows.
+                total, last_step, end = np.minimum(np.maximum(self._zero_step, lower), upper), 0.0, "failed"
             else:
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
@@ -206,8 +209,10 @@ class PointIk:
         weighted = configuration.contracted(self._weighted_all)
         np.multiply(error, self._row_weights, out=weighted_error)
         np.dot(weighted.T, weighted, out=self._H)
-        self._H_diagonal += self._diagonal
-        self._H_diagonal += self.options.error_damping * math.sqrt(weighted_error.dot(weighted_error))
+        # The linearisation leaves out a curvature of the error times the lever; the lever is what the diagonal's root tells.
+        self._H_diagonal += self._diagonal + self._turning * (
+            np.sqrt(self._H_diagonal) * math.sqrt(weighted_error.dot(weighted_error))
+        )
         np.dot(weighted_error, weighted, out=self._c)
         self._c_joints += self._rest_weight * (configuration.q[self._joint_angles] - self._rest)
 

@@ -79,10 +79,11 @@ class DaqpSolver:
                 x, _, flag, _ = self._model.solve()
                 if flag > 0:
                     return x
-        # The first problem, or one that could not be solved from the last one's active set.
+        # The first problem, or one that could not be solved from the last one's active set: from scratch, at a Hessian near one.
+        scale = 1.0 / H.diagonal().max()
         self._model = daqp.Model()
         self._model.settings = {"primal_tol": _PRIMAL_TOLERANCE}
-        flag, _ = self._model.setup(H, c, G, upper, lower, self._sense)
+        flag, _ = self._model.setup(scale * H, scale * c, G, upper, lower, self._sense)
         self._is_set_up = flag > 0
         if self._is_set_up:
             x, _, flag, _ = self._model.solve()

@@ -92,21 +92,28 @@ class DampingTask(mink.Task):
     Args:
         nv: Number of velocity coordinates.
         cost: Weight of every coordinate's displacement.
-        error_damping: Squared cost of any motion per weighted error of the tasks in `of`.
-        of: Tasks whose errors count.
+        error_damping: Further squared cost of every coordinate, per weighted error and per weighted lever of the tasks in `of`.
+        of: Tasks whose errors and levers count.
+        free_translations: Number of leading coordinates that translate and so have no lever.
     """
 
-    def __init__(self, nv: int, cost: float, error_damping: float = 0.0, of: Sequence[mink.Task] = ()) -> None:
+    def __init__(
+        self, nv: int, cost: float, error_damping: float = 0.0, of: Sequence[mink.Task] = (), free_translations: int = 0
+    ) -> None:
         super().__init__(cost=np.full(nv, cost))
         self._jacobian = np.eye(nv)
         self._error_damping = error_damping
         self._of = tuple(of)
+        self._turns = np.arange(nv) >= free_translations
 
     def compute_qp_residual(self, configuration: Configuration) -> tuple[np.ndarray, np.ndarray, float]:  # type: ignore[override]
-        """Weighted Jacobian, zero error, and what the errors add to the diagonal."""
-        jacobian, error, _ = super().compute_qp_residual(configuration)  # type: ignore[arg-type]
+        """Diagonal weighted Jacobian, zero error, and no term besides."""
         errors = [task.cost * task.compute_error(configuration) for task in self._of]  # type: ignore[arg-type]
-        return jacobian, error, self._error_damping * math.sqrt(sum(e @ e for e in errors))
+        levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]  # type: ignore[arg-type]
+        error = math.sqrt(sum(e @ e for e in errors))
+        lever = np.sqrt(sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self._jacobian))))
+        squared_cost = self.cost**2 + self._error_damping * error * lever * self._turns
+        return np.diag(np.sqrt(squared_cost)), np.zeros(len(self._jacobian)), 0.0
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
         """Zero, shape (nv,)."""
@@ -132,5 +139,6 @@ def make_tasks(hand: Hand, options: IkOptions, point_targets: np.ndarray, wrist_
     tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options))]
     if wrist_target is not None:
         tasks.append(WristTask(wrist_target, *wrist_costs(options)))
-    damping = DampingTask(len(hand.active_columns), options.damping, options.error_damping, tasks)
+    free = 3 if hand.is_floating else 0
+    damping = DampingTask(len(hand.active_columns), options.damping, options.error_damping, tasks, free)
     return [*tasks, RestTask(hand, options.rest_weight), damping]

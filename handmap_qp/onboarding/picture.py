@@ -108,7 +108,9 @@ class _Scene:
         names = [point.name for point in self.hand.reference_points]
         for is_right in (False, True):
             chosen = [i for i in range(len(places)) if (places[i, 0] > middle) == is_right]
-            chosen.sort(key=lambda i: places[i, 1])
+            # Of points at one height the farthest from the edge is named on top, so that its line passes over the others.
+            towards = 1.0 if is_right else -1.0
+            chosen.sort(key=lambda i, towards=towards: (round(places[i, 1] / 20.0), towards * places[i, 0]))
             heights = _spaced(np.array([places[i, 1] for i in chosen]), 24.0, 50.0, _PANEL[1] - 20.0)
             for i, height in zip(chosen, heights, strict=True):
                 colour = self._colour(i)

@@ -16,7 +16,6 @@ class Caps:
     Attributes:
         sessions: Sessions open at a time.
         rate: Messages a second from one connection.
-        total_rate: Messages a second from all of them.
         opens: Sessions opened a second, once as many as there may be have been opened.
         message_size: Length of a message [bytes].
         idle: A session that is not heard of for so long is closed [s].
@@ -25,7 +24,6 @@ class Caps:
 
     sessions: int = 64
     rate: float = 2000.0
-    total_rate: float = 20000.0
     opens: float = 20.0
     message_size: int = 16384
     idle: float = 60.0
@@ -65,21 +63,21 @@ class Bucket:
 
 
 class RateLimit:
-    """A bucket for every connection and one for all of them; forgets connections that were silent for the longest time.
+    """A bucket for every connection; forgets those that were silent for the longest time.
+
+    There is none for all of them together: it would let a few that send too much shut out the others.
 
     Args:
-        caps: The rates.
-        now: The present [s].
+        rate: Messages a second from one connection.
     """
 
-    def __init__(self, caps: Caps, now: float) -> None:
-        self._rate = caps.rate
-        self._total = Bucket(caps.total_rate, now)
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
         self._peers: OrderedDict[Hashable, Bucket] = OrderedDict()
 
     def take(self, peer: Hashable, now: float) -> bool:
         """Whether one more message from this connection is allowed."""
-        return self._bucket(peer, now).take(now) and self._total.take(now)
+        return self._bucket(peer, now).take(now)
 
     def may_tell(self, peer: Hashable, now: float) -> bool:
         """Whether this connection should hear that it is not."""

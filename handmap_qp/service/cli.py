@@ -97,7 +97,6 @@ class Serve:
             caps=Caps(
                 sessions=self.sessions,
                 rate=self.rate,
-                total_rate=10.0 * self.rate,
                 idle=self.idle,
                 allows_client_time=self.simulated_time,
             ),

@@ -75,7 +75,7 @@ class Dispatcher:
         self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
         self._version = version("handmap-qp")
         self._started = clock()
-        self._rates = RateLimit(caps, self._started)
+        self._rates = RateLimit(caps.rate)
         self._pending: dict[str, tuple[Sample, Answer, bool]] = {}
         self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
@@ -92,7 +92,7 @@ class Dispatcher:
         *,
         is_json: bool = False,
         subscribe: Callable[[str], None] | None = None,
-    ) -> None:
+    ) -> bool:
         """Take a message; to be called from the event loop.
 
         Args:
@@ -101,6 +101,9 @@ class Dispatcher:
             answer: Called with the answer, now or later; not at all for a streamed sample that can be used.
             is_json: Whether message and answer are JSON.
             subscribe: How the connection takes streams; None where it does not.
+
+        Returns:
+            Whether it was looked at: False if there are too many.
         """
         now = self._clock()
         self._metrics.counts["requests"] += 1
@@ -108,7 +111,7 @@ class Dispatcher:
             self._metrics.refusals["rate"] += 1
             if self._rates.may_tell(peer, now):
                 answer(encode_reply(Error(code="rate", message="too many messages"), is_json=is_json))
-            return
+            return False
         request = decode_request(payload, is_json=is_json)
         if isinstance(request, Error):
             self._count(request)
@@ -127,6 +130,7 @@ class Dispatcher:
             answer(encode_reply(self._server_state(request.seq, now), is_json=is_json))
         else:
             answer(self._answer(request, payload, now, is_json))
+        return True
 
     def flush(self) -> None:
         """Map the newest of the streamed samples that have come since the last time, one a session."""

@@ -174,6 +174,7 @@ class Command(Reply, frozen=True):
     residual: Annotated[float, _doc("How far the human's motion is from a linear one: RMS over its points [m].")] = 0.0
     at_limit: Annotated[tuple[str, ...], _doc("Joints that a position or speed limit holds.")] = ()
     out_of_range: Annotated[tuple[str, ...], _doc("Human joints outside their limits, within the tolerance.")] = ()
+    restarts: Annotated[int, _doc("How often `reset` said where the robot is: only commands of one count are near each other.")] = 0
     dt: Annotated[float, _doc("Time that the speed limits were granted [s].")] = 0.0
     solve_time: Annotated[float, _doc("Time spent on the mapping [s].")] = 0.0
     detail: Detail | None = None

@@ -20,7 +20,6 @@ FLAGS = {
     "watchdog": "no sample has come in time: `status` is `hold` or `returning`",
     "at_rest": "the robot has arrived at rest",
     "resumed": "the first command after a hold",
-    "restarted": "the first command after a `reset` that said where the robot is: it need not be near the last one",
 }
 """What a command may be flagged with."""
 

@@ -80,7 +80,7 @@ class Session:
         self._engaged: Literal["waiting", "following", "released"] = "waiting"
         self._watch: Literal["hold", "returning"] | None = None
         self._is_apart = self._needs_reference = False
-        self._flags: list[str] = []
+        self._restarts = 0
         self._opened_at = self._last_sample = self._last_output = self._held_since = now
         self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
         self._seat()
@@ -227,7 +227,7 @@ class Session:
             wrist = self._guard.wrist if request.robot_wrist is None else to_matrix(request.robot_wrist)
             self._guard = SpeedGuard(self.robot, q, wrist)
             self._seat()
-            self._flags.append("restarted")
+            self._restarts += 1
         self._engaged = "waiting" if self._engaged == "waiting" else "following"
 
     # -- the way of one sample ------------------------------------------------------------------------------------------
@@ -283,9 +283,7 @@ class Session:
 
     def _note(self, sample: Step, now: float) -> list[str]:
         """A sample that can be used has come: end what the watchdog did. Flags for its command."""
-        flags, self._flags = self._flags, []
-        if self._watch is not None:
-            flags.append("resumed")
+        flags = [] if self._watch is None else ["resumed"]
         self._watch = None
         self._engaged = "following" if self._engaged == "waiting" else self._engaged
         self._last_sample = self._last_output = now
@@ -322,6 +320,7 @@ class Session:
             wrist=to_pose(self._guard.wrist),
             status=status,
             flags=tuple(flags),
+            restarts=self._restarts,
             dt=self._dt,
             **told,
         )

@@ -38,6 +38,7 @@ _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:
 _LOG = logging.getLogger(f"{log.name}.websocket")
 _LOG.setLevel(logging.CRITICAL)
 _SEND_TIMEOUT = 5.0
+_PENALTY = 0.02
 _CONNECTIONS_PER_SESSION = 2
 
 
@@ -144,15 +145,17 @@ class WebDoor:
             async for message in connection:
                 is_json = isinstance(message, str)
                 payload = message.encode() if isinstance(message, str) else message
-                self._dispatcher.receive(
+                is_taken = self._dispatcher.receive(
                     payload,
                     ("web", connection.id),
                     partial(outbox.answer, is_json=is_json),
                     is_json=is_json,
                     subscribe=partial(outbox.subscribe, is_json=is_json),
                 )
-                # Who does not read the answers is not read from either.
+                # Who does not read the answers is not read from either, and who sends too much is read slowly.
                 await outbox.answered()
+                if not is_taken:
+                    await asyncio.sleep(_PENALTY)
         except ConnectionClosed:
             pass
         finally:

@@ -40,7 +40,7 @@ _IK_SLIDERS = (
     _Slider("wrist_orientation_weight", 0.0, 10.0, 0.1, "Of the wrist's orientation, per 0.1 rad"),
     _Slider("rest_weight", 0.0, 3.0, 0.02, "Pull of every joint to its rest angle"),
     _Slider("damping", 0.01, 2.0, 0.01, "Cost of any motion"),
-    _Slider("error_damping", 0.0, 5.0, 0.05, "Cost of motion that grows with the error (Levenberg-Marquardt)"),
+    _Slider("error_damping", 0.0, 3.0, 0.05, "Cost of motion that grows with the error (Levenberg-Marquardt)"),
     _Slider("max_iterations", 1, 20, 1, "Linearisations per sample"),
 )
 _CHOICES = {

@@ -1,0 +1,240 @@
+"""What the mapping service does when things go wrong: commands, not tests, for they take minutes.
+
+Each scenario does its worst while honest clients go on, and then looks: did any call take longer than its timeout, did any robot
+get a command that its speed limits do not allow, has memory grown, did the service log a failure? The exit code is 1 if so.
+
+    python benchmarks/service_faults.py --json faults.json
+    python benchmarks/service_faults.py --only restarts fuzz --quick
+"""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import common
+import msgspec
+import zmq
+from service_clients import TIMEOUT, HumanMotion, honest, told
+from service_fuzz import fuzz
+from service_process import ServiceProcess, serving
+
+from handmap_qp.client import Client, CurveKeys, ServiceError, ServiceTimeoutError
+
+
+def restarts(duration: float) -> dict[str, Any]:
+    """The service is killed hard under load every three seconds, and started again; half of the clients stream."""
+    with tempfile.TemporaryDirectory() as folder, serving(state=Path(folder) / "state") as service:
+        restored, outages, end = 0, [], time.monotonic() + duration
+        with honest(service, 3) as asking, honest(service, 2, first=100, streams=True) as streaming:
+            clients = [*asking, *streaming]
+            while time.monotonic() < end:
+                time.sleep(3.0)
+                service.kill()
+                killed, counts = time.monotonic(), [client.answered for client in clients]
+                service.start()
+                while any(client.answered == before for client, before in zip(clients, counts, strict=True)):
+                    if time.monotonic() - killed > 15.0:
+                        break
+                    time.sleep(0.01)
+                outages.append(time.monotonic() - killed)
+        # One that knows nothing of the last command asks for it: it must get the very posture.
+        last = asking[0].last
+        service.kill()
+        service.start()
+        with Client(service.address, timeout=TIMEOUT) as fresh:
+            opened = fresh.open("three_finger", name="honest-0", restore=True)
+            restored = int(last is not None and opened.q == last.q)
+        reopened = sum(client.client.reopened for client in clients)
+        found = told(clients, kills=len(outages), reopened=reopened, longest_outage_s=max(outages), restored=restored)
+        if not restored:
+            found["wrong"].append("the posture was not restored")
+        return found
+
+
+def vanishing(duration: float) -> dict[str, Any]:
+    """Clients vanish in the middle of a message, over both doors, and processes of clients are killed."""
+    code = (
+        "import sys, numpy as np\nfrom handmap_qp.client import Client\nclient = Client(sys.argv[1]); client.open('three_finger')\n"
+        "print('open', flush=True)\nwhile True: client.step(q=np.full(20, 0.1), wrist=np.eye(4))"
+    )
+    greeting = b"\xff" + b"\x00" * 8 + b"\x7f\x03\x00NULL" + b"\x00" * 48
+    ready = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
+    halves = {
+        "requests": [b"", b"\xff", greeting[:20], greeting, greeting + ready, greeting + ready + b"\x00\xc8" + b"x" * 50],
+        "stream": [greeting, greeting + ready[:9]],
+        "web": [b"GET / HTTP/1.1\r\nHost:", b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00"],
+        "health": [b"GET /metr", b"\x00" * 100],
+    }
+    with serving(web=True, web_port=0, idle=2.0) as service, honest(service) as clients:
+        _touch(service, halves)
+        before, files, vanished, killed, end = service.memory(), service.files(), 0, 0, time.monotonic() + duration
+        while time.monotonic() < end:
+            vanished += _touch(service, halves)
+            if killed < duration / 5.0:
+                process = subprocess.Popen([sys.executable, "-c", code, service.address], stdout=subprocess.PIPE)
+                if process.stdout is not None and process.stdout.readline():
+                    process.send_signal(signal.SIGKILL)
+                    killed += 1
+                process.wait()
+        # Sessions of the dead end by themselves, and so do their connections.
+        time.sleep(8.0)
+        state = Client(service.address).status()
+        grown = service.memory() - before
+        found = {"vanished": vanished, "killed": killed, "files": service.files() - files, "sessions_left": len(state.names) - 2}
+    return told(clients, memory_MB=grown, failures=len(service.failures), **found)
+
+
+def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
+    """Connect, send half of something, be gone."""
+    count = 0
+    for door, payloads in halves.items():
+        for payload in payloads:
+            with suppress(OSError), socket.create_connection(("127.0.0.1", service.ports[door]), timeout=1.0) as connection:
+                # Gone without a goodbye.
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
+                connection.sendall(payload)
+            count += 1
+    return count
+
+
+def slow_readers(duration: float) -> dict[str, Any]:
+    """Twenty readers of each kind take nothing of what they asked for."""
+    from websockets.sync.client import connect
+
+    with serving(web=True, web_port=0) as service, honest(service) as clients, zmq.Context() as context:
+        step = msgspec.msgpack.encode({"type": "status", "protocol": 1, "seq": 1, "session": ""})
+        deaf, webs = [], []
+        for _ in range(20):
+            listener = context.socket(zmq.SUB)
+            listener.linger, listener.rcvhwm = 0, 1
+            listener.connect(f"tcp://127.0.0.1:{service.ports['stream']}")
+            listener.subscribe(b"")
+            asker = context.socket(zmq.DEALER)
+            asker.linger, asker.rcvhwm, asker.sndhwm = 0, 1, 10
+            asker.connect(service.address)
+            deaf += [listener, asker]
+            web = connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None, max_queue=1)
+            web.send(msgspec.msgpack.encode({"type": "subscribe", "protocol": 1, "seq": 1, "name": "honest-0"}))
+            webs.append(web)
+        memory, asked, end = 0.0, 0, time.monotonic() + duration
+        while time.monotonic() < end:
+            for asker in deaf[1::2]:
+                with suppress(zmq.Again):
+                    asker.send(step, zmq.NOBLOCK)
+                    asked += 1
+            for web in webs:
+                with suppress(Exception):
+                    web.socket.setblocking(False)
+                    web.socket.send(b"\x82\x80\x00\x00\x00\x00" * 50)
+            time.sleep(0.005)
+            if memory == 0.0 and time.monotonic() > end - 0.8 * duration:
+                memory = service.memory()
+        grown = service.memory() - memory
+        for each in deaf:
+            each.close()
+        for web in webs:
+            web.socket.close()
+    return told(clients, memory_MB=grown, failures=len(service.failures), readers=60, unread=asked)
+
+
+def clock_jumps(duration: float) -> dict[str, Any]:
+    """Time stamps jump back and forth by years."""
+    with serving() as service, honest(service, 3, jumps=True) as clients:
+        time.sleep(duration)
+    flags = sorted(set().union(*(client.driver.flags for client in clients)))
+    found = told(clients, failures=len(service.failures), flags=flags)
+    if not {"time_backwards", "time_jump"} <= set(flags):
+        found["wrong"].append("jumps were not flagged")
+    return found
+
+
+def wrong_keys(duration: float) -> dict[str, Any]:
+    """Clients without keys, with keys that nobody admitted, and with another server's key knock all the time."""
+    from handmap_qp.service.keys import make_keys
+
+    with tempfile.TemporaryDirectory() as folder:
+        ours, others = Path(folder) / "ours", Path(folder) / "others"
+        make_keys(ours, ["admitted"])
+        make_keys(others, ["stranger"])
+        admitted = CurveKeys.read(ours / "admitted.key_secret", ours / "server.key")
+        stranger = CurveKeys.read(others / "stranger.key_secret", ours / "server.key")
+        elsewhere = CurveKeys.read(ours / "admitted.key_secret", others / "server.key")
+        with serving(keys=ours) as service, honest(service, 2, keys=admitted) as clients:
+            memory, knocks, let_in, end = service.memory(), 0, 0, time.monotonic() + duration
+            while time.monotonic() < end:
+                for keys in (None, stranger, elsewhere):
+                    with Client(service.address, timeout=0.3, attempts=1, keys=keys) as client:
+                        knocks += 1
+                        with suppress(ServiceTimeoutError):
+                            client.status()
+                            let_in += 1
+            grown = service.memory() - memory
+        found = told(clients, memory_MB=grown, failures=len(service.failures), knocks=knocks, let_in=let_in)
+    if let_in:
+        found["wrong"].append("a wrong key was let in")
+    return found
+
+
+def sessions_come_and_go(duration: float) -> dict[str, Any]:
+    """Sessions are opened, used and closed all the time: what they took has to come back."""
+    with serving() as service, honest(service) as clients:
+        memory, opened, end = 0.0, 0, time.monotonic() + duration
+        motion = HumanMotion()
+        while time.monotonic() < end:
+            with Client(service.address, timeout=TIMEOUT) as client, suppress(ServiceTimeoutError):
+                try:
+                    client.open("three_finger", hand_length=0.15 + 0.0001 * (opened % 1000))
+                    client.step(**motion(0.0))
+                    opened += 1
+                except ServiceError:
+                    # More than the server opens in a second.
+                    time.sleep(0.05)
+            if memory == 0.0 and opened > 100:
+                memory = service.memory()
+        grown = service.memory() - memory
+    return told(clients, memory_MB=grown, failures=len(service.failures), opened=opened)
+
+
+SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
+    "restarts": restarts,
+    "vanishing": vanishing,
+    "fuzz": fuzz,
+    "slow_readers": slow_readers,
+    "clock_jumps": clock_jumps,
+    "wrong_keys": wrong_keys,
+    "sessions": sessions_come_and_go,
+}
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the scenarios."""
+    parser = common.make_parser("Faults of and around the mapping service.")
+    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="time of each scenario [s]; 60 by default")
+    parser.add_argument("--only", nargs="+", choices=SCENARIOS, default=list(SCENARIOS), help="scenarios to run; all by default")
+    arguments = common.parse_arguments(parser, words)
+    results = {}
+    with common.progress("scenarios", len(arguments.only)) as advance:
+        for name in arguments.only:
+            results[name] = SCENARIOS[name](6.0 if arguments.quick else arguments.duration)
+            advance()
+    for name, found in results.items():
+        wrong = found.pop("wrong")
+        rows = [{"what": key, "value": value} for key, value in found.items()]
+        common.print_table(f"{name}: {', '.join(wrong) or 'all well'}", rows, to_stderr=arguments.json == "-")
+        found["wrong"] = wrong
+    common.write_json(arguments.json, "service_faults", {"scenarios": results})
+    if any(found["wrong"] for found in results.values()):
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
