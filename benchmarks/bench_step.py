@@ -97,7 +97,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
         (handmap_qp.mapping, "check_pose", "checks"),
         (mapper, "_check_joints", "checks"),
         (mapper, "_human_points", "human FK"),
-        (reference.estimator, "estimate", "estimation"),
+        (reference.estimator if reference else None, "estimate", "estimation"),
         (handmap_qp.transfer, "polar", "decomposition"),
         (handmap_qp.mapping, "transfer_motion", "targets"),
         (ik._limits, "bounds", "limits"),

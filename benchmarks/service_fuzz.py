@@ -15,9 +15,6 @@ from service_process import ServiceProcess, serving
 
 from handmap_qp.client import Command
 
-SECRET = "a-secret-that-got-about"
-"""Of a session that the nonsense is sent to, so that it reaches more than the door."""
-
 # After a number that is too high, the session takes no other: that has to be seldom.
 _SELDOM = 500
 _NUMBERS = (0.0, -1.0, 1e-300, 1e9, 1e300, -1e308, math.nan, math.inf, -math.inf, 2**63, -(2**63), 0, 7)
@@ -31,18 +28,18 @@ _VICTIMS: tuple[dict[str, Any], ...] = (
     {"robot": "three_finger", "mount": "fixed", "mapping": {"rigid_from": "none"}, "return_after": 0.0},
 )
 # Messages to one victim, and between two looks at what has become of them.
-_TO_ONE, _AT_ONCE = 4000, 100
+_TO_ONE, _AT_ONCE = 4000, 50
 
 
 def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
     """A million altered and truncated messages, to sessions whose secret has got about; fewer in a short run."""
     if duration < 30.0:
         count = 40_000
-    with serving(rate=1e7, sessions=256, idle=1.0) as service, honest(service) as clients, zmq.Context() as context:
-        nonsense, codes, fastest, commands, memory = Nonsense(), Counter[str](), 0.0, 0, 0.0
+    with serving(rate=1e7, sessions=256, idle=5.0) as service, honest(service) as clients, zmq.Context() as context:
+        codes, fastest, commands, memory = Counter[str](), 0.0, 0, 0.0
         sent, started = 0, time.monotonic()
         while sent < count:
-            driver = _maltreat(service, context, nonsense, _VICTIMS[sent // _TO_ONE % len(_VICTIMS)], codes)
+            driver = _maltreat(service, context, sent // _TO_ONE, codes)
             fastest, commands, sent = max(fastest, driver.fastest), commands + driver.commands, sent + _TO_ONE
             # The first tenth loads what is loaded once.
             memory = service.memory() if memory == 0.0 and sent >= count // 10 else memory
@@ -54,21 +51,21 @@ def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
     return found | {"victims_commands": commands, "victims_fastest": fastest, "first_failure": "".join(service.failures[:1])}
 
 
-def _maltreat(
-    service: ServiceProcess, context: zmq.Context, nonsense: Nonsense, victim: dict[str, Any], codes: Counter[str]
-) -> Driver:
+def _maltreat(service: ServiceProcess, context: zmq.Context, number: int, codes: Counter[str]) -> Driver:
     """Open a session, send nonsense to it, close it; what its robot was told."""
-    head = {"protocol": 1, "session": SECRET}
+    secret = f"a-secret-that-got-about-{number}"
+    name = f"victim-{number}"
+    head, victim, nonsense = {"protocol": 1, "session": secret}, _VICTIMS[number % len(_VICTIMS)], Nonsense(secret, number)
     with context.socket(zmq.DEALER) as dealer, context.socket(zmq.SUB) as listener:
         for each in (dealer, listener):
             each.linger, each.rcvtimeo = 0, 5000
         dealer.connect(service.address)
         listener.connect(f"tcp://127.0.0.1:{service.ports['stream']}")
-        listener.subscribe(b"victim\0")
+        listener.subscribe(name.encode() + b"\0")
         opened: dict[str, Any] = {"type": "error"}
         while opened["type"] == "error":
             # Nonsense opens sessions too, by chance, up to the caps.
-            dealer.send(msgspec.msgpack.encode(head | victim | {"type": "open", "seq": 1, "name": "victim"}))
+            dealer.send(msgspec.msgpack.encode(head | victim | {"type": "open", "seq": 1, "name": name}))
             opened = msgspec.msgpack.decode(dealer.recv())
             if opened["type"] == "error":
                 if opened["code"] not in ("busy", "rate"):
@@ -96,20 +93,24 @@ class Nonsense:
     """Makes messages.
 
     Args:
+        secret: Of the session that they are for, so that they reach more than the door.
         seed: Which ones.
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, secret: str, seed: int = 0) -> None:
         self._generator = np.random.default_rng(seed)
         # Of five bytes on the wire, always.
         self._seq = 100_000
-        self._templates = _templates()
+        self._templates = _templates(secret)
 
     def __call__(self) -> bytes:
         """The next message."""
         self._seq += 1
         draw = self._generator.random()
         message = dict(self._templates[self._pick(len(self._templates))], seq=self._seq)
+        if draw < 0.1:
+            # An honest one, so that there is something to disturb.
+            return msgspec.msgpack.encode(message)
         if draw < 0.4:
             # Well-formed, with one or two values that are not.
             for _ in range(1 + self._pick(2)):
@@ -160,9 +161,9 @@ class Nonsense:
         return int(self._generator.integers(count))
 
 
-def _templates() -> list[dict[str, Any]]:
+def _templates(secret: str) -> list[dict[str, Any]]:
     """An honest message of every kind."""
-    head = {"protocol": 1, "session": SECRET}
+    head = {"protocol": 1, "session": secret}
     wrist = {"position": [0.0, 0.1, 0.2], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
     sample = head | {"time": 1.0, "q": [0.1] * 20, "wrist": wrist}
     points = [[0.01 * i, 0.02, 0.03 * (i % 3)] for i in range(21)]
@@ -176,7 +177,7 @@ def _templates() -> list[dict[str, Any]]:
         head | {"type": "release"},
         head | {"type": "reset", "robot_q": [0.1] * 8, "robot_wrist": wrist},
         head | {"type": "status"},
-        head | {"type": "subscribe", "name": "victim"},
+        head | {"type": "subscribe", "name": "honest-0"},
         {
             **head,
             "type": "open",

@@ -205,7 +205,7 @@ def parse(arguments: Sequence[str]) -> Command:
             command, words, name = nested, words[2:], f"handmap {first} {second}"
     try:
         with contextlib.redirect_stderr(complaint):
-            description = __doc__.partition("\n")[0] if command is _Any else None
+            description = (__doc__ or "").partition("\n")[0] if command is _Any else None
             return tyro.cli(command, prog=name, description=description, args=words)  # type: ignore[arg-type]
     except SystemExit as end:
         if not end.code:

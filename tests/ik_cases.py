@@ -33,7 +33,6 @@ _ARM = """
 """
 
 
-
 def _ways_to_hold(name: str) -> Iterator[tuple[str, str, str | None]]:
     spec = read_hand_spec(urdf_directory() / name / "hand.yaml")
     for mount in ("floating", "fixed") if spec.wrist.mount == "floating" and spec.arm is None else ("fixed",):

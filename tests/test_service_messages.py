@@ -93,6 +93,15 @@ def test_a_truncated_or_altered_message_is_read_or_refused(data: st.DataObject) 
     assert isinstance(decode_request(bytes(whole[:cut])), AnyRequest | Error)
 
 
+@pytest.mark.parametrize("place", range(0, 130, 3))
+def test_text_that_is_no_utf8_is_refused(place: int) -> None:
+    # Wherever it is, also where only the number of the request is looked for.
+    payload = bytearray(msgspec.msgpack.encode(STEP | {"session": "s" * 60, "other": "x"}))
+    payload[place : place + 2] = b"\xff\xfe"
+    assert isinstance(decode_request(bytes(payload)), Error)
+    assert isinstance(decode_request(json.dumps(STEP).encode().replace(b"s", b"\xff"), is_json=True), Error)
+
+
 def test_deep_nesting_is_refused() -> None:
     deep = b"\x91" * 100_000
     assert isinstance(decode_request(deep), Error)

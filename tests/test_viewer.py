@@ -67,8 +67,8 @@ def press(button: Any) -> None:
 def test_replay_gives_the_commands_of_map_motion() -> None:
     replay, motion = make_replay(), closing_motion()
     expected = map_motion(HandMapper(motion.human, replay.robot), motion)
-    np.testing.assert_array_equal([sample.robot_q for sample in replay.samples], expected.q)
-    np.testing.assert_array_equal([sample.is_seen for sample in replay.samples], motion.valid)
+    np.testing.assert_allclose([sample.robot_q for sample in replay.samples], expected.q, atol=1e-12)
+    np.testing.assert_allclose([sample.is_seen for sample in replay.samples], motion.valid, atol=1e-12)
 
 
 def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
@@ -76,7 +76,7 @@ def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     motion = replace(closing_motion(), valid=valid)
     replay = Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
     for sample in replay.samples[:7]:
-        np.testing.assert_array_equal(sample.robot_q, replay.samples[7].robot_q)
+        np.testing.assert_allclose(sample.robot_q, replay.samples[7].robot_q, atol=1e-12)
     assert [sample.is_seen for sample in replay.samples] == valid.tolist()
 
 
@@ -136,7 +136,7 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> Non
     # Two maps make the same body of a ball if they agree in A A^T.
     np.testing.assert_allclose(axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9)
     assert sample.pivot is not None
-    np.testing.assert_allclose(handle.position, sample.pivot)
+    np.testing.assert_allclose(handle.position, sample.pivot, atol=1e-12)
     assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
 
 
@@ -245,7 +245,7 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     viewer.tick(0.0)
     samples = viewer.replay.samples
     held = np.array([sample.robot_q for sample in samples[29:45]])
-    np.testing.assert_array_equal(held, np.tile(held[0], (16, 1)))
+    np.testing.assert_allclose(held, np.tile(held[0], (16, 1)))
     assert {sample.status for sample in samples[30:45]} == {"released"}
     # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
     assert samples[45].targets is not None
@@ -274,9 +274,9 @@ def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     seek(viewer, 40)
     samples = viewer.replay.samples
     error = viewer.gauges.error.data
-    np.testing.assert_allclose(error[1], [1e3 * sample.point_error.mean() for sample in samples])
+    np.testing.assert_allclose(error[1], [1e3 * sample.point_error.mean() for sample in samples], atol=1e-12)
     assert np.flatnonzero(np.isfinite(error[-1])).tolist() == [40]
-    np.testing.assert_allclose(viewer.gauges.timing.data[1], [1e6 * sample.duration for sample in samples])
+    np.testing.assert_allclose(viewer.gauges.timing.data[1], [1e6 * sample.duration for sample in samples], atol=1e-12)
     bars = viewer.gauges.joints.content
     for name, q in zip(viewer.replay.robot.joint_names, samples[40].robot_q, strict=True):
         assert name in bars

@@ -123,7 +123,7 @@ class MujocoIk:
         # Not mink's DampingTask, which spares the floating base, nor its lm_damping, which takes the error squared.
         damping = self.options.damping**2
         problem = mink.build_ik(self._configuration, tasks, self.shrink * dt, damping=damping, limits=self._limits)
-        lever = np.diag(problem.P) - damping
+        lever = np.diag(np.asarray(problem.P)) - damping
         lever[self._v_indices] -= self.options.rest_weight**2
         lever[: 3 if self.hand.is_floating else 0] = 0.0
         error_damping = self.options.error_damping * np.linalg.norm(np.concatenate(errors)) * np.sqrt(np.maximum(lever, 0.0))

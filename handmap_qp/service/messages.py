@@ -219,6 +219,8 @@ class _Head(msgspec.Struct):
     seq: Any = 0
 
 
+# Texts that are no UTF-8 and depths that no message has are told by errors of their own.
+_UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _DECODE = {False: msgspec.msgpack.Decoder(AnyRequest).decode, True: msgspec.json.Decoder(AnyRequest).decode}
 _DECODE_HEAD = {False: msgspec.msgpack.Decoder(_Head).decode, True: msgspec.json.Decoder(_Head).decode}
 _ENCODE = {False: msgspec.msgpack.Encoder().encode, True: msgspec.json.Encoder().encode}
@@ -242,7 +244,7 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
             return _wrong_protocol(seq, protocol)
         message, _, place = str(error).partition(" - at `$")
         return Error(seq=seq, code="invalid", message=message, field=place.rstrip("`").lstrip(".") or _field_in(message))
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+    except _UNREADABLE as error:
         kind = "JSON" if is_json else "msgpack"
         return Error(code="invalid", message=f"is no {kind} message: {error}"[:200])
     if request.protocol != PROTOCOL:
@@ -263,7 +265,7 @@ def _head(payload: bytes | str, is_json: bool) -> tuple[Any, int]:
     """Protocol and number of a request that is wrong elsewhere."""
     try:
         head = _DECODE_HEAD[is_json](payload)
-    except msgspec.MsgspecError:
+    except _UNREADABLE:
         return None, 0
     return head.protocol, head.seq if type(head.seq) is int and 0 <= head.seq <= 2**53 else 0
 

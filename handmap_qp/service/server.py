@@ -37,8 +37,10 @@ TICK = 0.005
 """Time between looks at the watchdogs [s]."""
 _BATCH = 64
 """Messages taken before others get their turn."""
-_QUEUE = 200
-"""Messages kept of a client that sends too fast, and of replies for one that reads too slowly."""
+_MOST_WAITING = 200
+"""Messages kept of a client that sends too fast, which then has to wait."""
+_MOST_UNREAD = 500
+"""Replies kept for a client that reads too slowly, which loses the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +164,8 @@ class Server:
         socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
         socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
-        socket.setsockopt(zmq.RCVHWM, _QUEUE)
-        socket.setsockopt(zmq.SNDHWM, _QUEUE)
+        socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
+        socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
         socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
         # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
