@@ -37,7 +37,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("robot", ["three_finger", "allegro_right"])
+@pytest.mark.parametrize("robot", ["three_finger", "allegro_right", "romeo_right"])
 def test_map_writes_the_trajectory_and_prints_its_summary(
     recording: Path, tmp_path: Path, robot: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,6 +54,9 @@ def test_map_writes_the_trajectory_and_prints_its_summary(
         error = np.linalg.norm(columns["targets"] - columns["points"], axis=2)
         np.testing.assert_allclose(columns["point_error"], error, atol=1e-12)
         np.testing.assert_array_equal(columns["q"][10:13], columns["q"][[9, 9, 9]])
+        assert columns["all_q"].shape == (30, len(columns["all_joint_names"]))
+        is_active = columns["all_joint_roles"] == "active"
+        np.testing.assert_array_equal(columns["all_q"][:, is_active], columns["q"])
         hand = load_hand(robot)
         replayed = [hand.points(q, wrist) for q, wrist in zip(columns["q"], columns["wrist"], strict=True)]
         np.testing.assert_allclose(replayed, columns["points"], atol=1e-9)
