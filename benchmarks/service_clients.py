@@ -176,7 +176,7 @@ def told(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
         wrong.append("a call hung")
     if not found["fastest_joint"] <= 1.0 + _ROUNDING:
         wrong.append("a robot jumped")
-    if found.get("memory_MB", 0.0) > _MEMORY:
+    if found.get("memory_growth_MB", 0.0) > _MEMORY:
         wrong.append("memory grew")
     if found.get("failures"):
         wrong.append("the service failed at a request")

@@ -25,7 +25,7 @@ import msgspec
 import zmq
 from service_clients import TIMEOUT, HumanMotion, honest, told
 from service_fuzz import fuzz
-from service_process import ServiceProcess, serving
+from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Client, CurveKeys, ServiceError, ServiceTimeoutError
 
@@ -74,9 +74,8 @@ def vanishing(duration: float) -> dict[str, Any]:
         "web": [b"GET / HTTP/1.1\r\nHost:", b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00"],
         "health": [b"GET /metr", b"\x00" * 100],
     }
-    with serving(web=True, web_port=0, idle=2.0) as service, honest(service) as clients:
-        _touch(service, halves)
-        before, files, vanished, killed, end = service.memory(), service.files(), 0, 0, time.monotonic() + duration
+    with serving(web=True, web_port=0, idle=2.0) as service, honest(service) as clients, MemoryWatch(service) as memory:
+        files, vanished, killed, end = service.files(), 0, 0, time.monotonic() + duration
         while time.monotonic() < end:
             vanished += _touch(service, halves)
             if killed < duration / 5.0:
@@ -87,10 +86,10 @@ def vanishing(duration: float) -> dict[str, Any]:
                 process.wait()
         # Sessions of the dead end by themselves, and so do their connections.
         time.sleep(8.0)
-        state = Client(service.address).status()
-        grown = service.memory() - before
+        with Client(service.address) as client:
+            state = client.status()
         found = {"vanished": vanished, "killed": killed, "files": service.files() - files, "sessions_left": len(state.names) - 2}
-    return told(clients, memory_MB=grown, failures=len(service.failures), **found)
+    return told(clients, **memory.found(), failures=len(service.failures), **found)
 
 
 def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
@@ -110,7 +109,12 @@ def slow_readers(duration: float) -> dict[str, Any]:
     """Twenty readers of each kind take nothing of what they asked for."""
     from websockets.sync.client import connect
 
-    with serving(web=True, web_port=0) as service, honest(service) as clients, zmq.Context() as context:
+    with (
+        serving(web=True, web_port=0) as service,
+        honest(service) as clients,
+        MemoryWatch(service) as memory,
+        zmq.Context() as context,
+    ):
         step = msgspec.msgpack.encode({"type": "status", "protocol": 1, "seq": 1, "session": ""})
         deaf, webs = [], []
         for _ in range(20):
@@ -122,10 +126,10 @@ def slow_readers(duration: float) -> dict[str, Any]:
             asker.linger, asker.rcvhwm, asker.sndhwm = 0, 1, 10
             asker.connect(service.address)
             deaf += [listener, asker]
-            web = connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None, max_queue=1)
+            web = connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None, max_queue=1, ping_interval=None)
             web.send(msgspec.msgpack.encode({"type": "subscribe", "protocol": 1, "seq": 1, "name": "honest-0"}))
             webs.append(web)
-        memory, asked, end = 0.0, 0, time.monotonic() + duration
+        asked, end = 0, time.monotonic() + duration
         while time.monotonic() < end:
             for asker in deaf[1::2]:
                 with suppress(zmq.Again):
@@ -136,14 +140,11 @@ def slow_readers(duration: float) -> dict[str, Any]:
                     web.socket.setblocking(False)
                     web.socket.send(b"\x82\x80\x00\x00\x00\x00" * 50)
             time.sleep(0.005)
-            if memory == 0.0 and time.monotonic() > end - 0.8 * duration:
-                memory = service.memory()
-        grown = service.memory() - memory
         for each in deaf:
             each.close()
         for web in webs:
             web.socket.close()
-    return told(clients, memory_MB=grown, failures=len(service.failures), readers=60, unread=asked)
+    return told(clients, **memory.found(), failures=len(service.failures), readers=60, unread=asked)
 
 
 def clock_jumps(duration: float) -> dict[str, Any]:
@@ -168,8 +169,8 @@ def wrong_keys(duration: float) -> dict[str, Any]:
         admitted = CurveKeys.read(ours / "admitted.key_secret", ours / "server.key")
         stranger = CurveKeys.read(others / "stranger.key_secret", ours / "server.key")
         elsewhere = CurveKeys.read(ours / "admitted.key_secret", others / "server.key")
-        with serving(keys=ours) as service, honest(service, 2, keys=admitted) as clients:
-            memory, knocks, let_in, end = service.memory(), 0, 0, time.monotonic() + duration
+        with serving(keys=ours) as service, honest(service, 2, keys=admitted) as clients, MemoryWatch(service) as memory:
+            knocks, let_in, end = 0, 0, time.monotonic() + duration
             while time.monotonic() < end:
                 for keys in (None, stranger, elsewhere):
                     with Client(service.address, timeout=0.3, attempts=1, keys=keys) as client:
@@ -177,8 +178,7 @@ def wrong_keys(duration: float) -> dict[str, Any]:
                         with suppress(ServiceTimeoutError):
                             client.status()
                             let_in += 1
-            grown = service.memory() - memory
-        found = told(clients, memory_MB=grown, failures=len(service.failures), knocks=knocks, let_in=let_in)
+        found = told(clients, **memory.found(), failures=len(service.failures), knocks=knocks, let_in=let_in)
     if let_in:
         found["wrong"].append("a wrong key was let in")
     return found
@@ -186,8 +186,8 @@ def wrong_keys(duration: float) -> dict[str, Any]:
 
 def sessions_come_and_go(duration: float) -> dict[str, Any]:
     """Sessions are opened, used and closed all the time: what they took has to come back."""
-    with serving() as service, honest(service) as clients:
-        memory, opened, end = 0.0, 0, time.monotonic() + duration
+    with serving() as service, honest(service) as clients, MemoryWatch(service) as memory:
+        opened, end = 0, time.monotonic() + duration
         motion = HumanMotion()
         while time.monotonic() < end:
             with Client(service.address, timeout=TIMEOUT) as client, suppress(ServiceTimeoutError):
@@ -198,10 +198,7 @@ def sessions_come_and_go(duration: float) -> dict[str, Any]:
                 except ServiceError:
                     # More than the server opens in a second.
                     time.sleep(0.05)
-            if memory == 0.0 and opened > 100:
-                memory = service.memory()
-        grown = service.memory() - memory
-    return told(clients, memory_MB=grown, failures=len(service.failures), opened=opened)
+    return told(clients, **memory.found(), failures=len(service.failures), opened=opened)
 
 
 SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
@@ -224,7 +221,7 @@ def main(words: Sequence[str] | None = None) -> None:
     results = {}
     with common.progress("scenarios", len(arguments.only)) as advance:
         for name in arguments.only:
-            results[name] = SCENARIOS[name](6.0 if arguments.quick else arguments.duration)
+            results[name] = SCENARIOS[name](12.0 if arguments.quick else arguments.duration)
             advance()
     for name, found in results.items():
         wrong = found.pop("wrong")

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import zmq
 from service_clients import Driver, honest, told
-from service_process import ServiceProcess, serving
+from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Command
 
@@ -35,17 +35,20 @@ def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
     """A million altered and truncated messages, to sessions whose secret has got about; fewer in a short run."""
     if duration < 30.0:
         count = 40_000
-    with serving(rate=1e7, sessions=256, idle=5.0) as service, honest(service) as clients, zmq.Context() as context:
-        codes, fastest, commands, memory = Counter[str](), 0.0, 0, 0.0
+    with (
+        serving(rate=1e7, sessions=16, idle=2.0) as service,
+        honest(service) as clients,
+        MemoryWatch(service) as memory,
+        zmq.Context() as context,
+    ):
+        codes, fastest, commands = Counter[str](), 0.0, 0
         sent, started = 0, time.monotonic()
         while sent < count:
             driver = _maltreat(service, context, sent // _TO_ONE, codes)
             fastest, commands, sent = max(fastest, driver.fastest), commands + driver.commands, sent + _TO_ONE
-            # The first tenth loads what is loaded once.
-            memory = service.memory() if memory == 0.0 and sent >= count // 10 else memory
-        elapsed, grown = time.monotonic() - started, service.memory() - memory
+        elapsed = time.monotonic() - started
     numbers = {"messages": sent, "per_second": sent / elapsed, "answers": dict(codes.most_common())}
-    found = told(clients, memory_MB=grown, failures=len(service.failures), **numbers)
+    found = told(clients, **memory.found(), failures=len(service.failures), **numbers)
     if fastest > 1.0 + 1e-6:
         found["wrong"].append("the victim jumped")
     return found | {"victims_commands": commands, "victims_fastest": fastest, "first_failure": "".join(service.failures[:1])}

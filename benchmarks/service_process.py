@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,6 +91,43 @@ def serving(**choices: Any) -> Iterator[ServiceProcess]:
         yield service
     finally:
         service.stop()
+
+
+class MemoryWatch(threading.Thread):
+    """Looks at a service's resident memory twice a second, as a context manager.
+
+    Args:
+        service: The service.
+    """
+
+    def __init__(self, service: ServiceProcess) -> None:
+        super().__init__(daemon=True)
+        self._service = service
+        self._seen: list[float] = []
+        self._ended = threading.Event()
+
+    def run(self) -> None:
+        """Look until told to end."""
+        while not self._ended.is_set():
+            self._seen.append(self._service.memory())
+            self._ended.wait(0.5)
+
+    def __enter__(self) -> MemoryWatch:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self.join()
+
+    def found(self) -> dict[str, float]:
+        """Memory at the start and at the end [MB], and how much it grew after two fifths of the time, when caches are filled."""
+        warm = max(self._seen[: max(1, 2 * len(self._seen) // 5)])
+        return {
+            "memory_start_MB": self._seen[0],
+            "memory_end_MB": self._seen[-1],
+            "memory_growth_MB": max(0.0, self._seen[-1] - warm),
+        }
 
 
 @contextmanager

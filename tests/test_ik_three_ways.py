@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
-from ik_cases import HANDS, Case, each_hand, each_plain_hand, hand_of, random_cases
+from ik_cases import HANDS, Case, each_hand, each_hand_without_followers, hand_of, random_cases
 
 from handmap_qp import IkOptions
 from handmap_qp.configuration import Configuration
@@ -105,7 +105,7 @@ def test_ways_1_and_2_agree_on_self_collision_and_acceleration(which: tuple[str,
             velocity = step / case.dt
 
 
-@each_plain_hand
+@each_hand_without_followers
 def test_way_3_takes_the_same_step(which: tuple[str, str, str | None]) -> None:
     # Inside the limits: outside them mink's stacked limits contradict each other.
     hand = hand_of(which)
@@ -160,7 +160,7 @@ def test_every_step_is_optimal(which: tuple[str, str, str | None]) -> None:
         np.testing.assert_allclose(np.clip(x - slope, lower, upper), x, atol=1e-9)
 
 
-@each_plain_hand
+@each_hand_without_followers
 def test_tangent_map_takes_steps_from_one_library_to_the_other(which: tuple[str, str, str | None]) -> None:
     hand = hand_of(which)
     mujoco = MujocoIk(hand, ONE_STEP)
