@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -212,6 +212,15 @@ SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
 }
 
 
+def _flat(found: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Values by name, those of inner dictionaries among them."""
+    for key, value in found.items():
+        if isinstance(value, dict):
+            yield from ((f"{key}: {inner}", each) for inner, each in value.items())
+        else:
+            yield key, ", ".join(value) if isinstance(value, list) else value
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Run the scenarios."""
     parser = common.make_parser("Faults of and around the mapping service.")
@@ -225,7 +234,7 @@ def main(words: Sequence[str] | None = None) -> None:
             advance()
     for name, found in results.items():
         wrong = found.pop("wrong")
-        rows = [{"what": key, "value": value} for key, value in found.items()]
+        rows = [{"what": key, "value": value} for key, value in _flat(found)]
         common.print_table(f"{name}: {', '.join(wrong) or 'all well'}", rows, to_stderr=arguments.json == "-")
         found["wrong"] = wrong
     common.write_json(arguments.json, "service_faults", {"scenarios": results})

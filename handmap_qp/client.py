@@ -206,8 +206,8 @@ class _Connection:
         if use in self._sockets:
             return self._sockets[use]
         socket, address = zmq.Context.instance().socket(zmq.SUB if use == "stream" else zmq.DEALER), self.address
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.RECONNECT_IVL, 50)
+        for option, value in ((zmq.LINGER, 0), (zmq.RECONNECT_IVL, 50), (zmq.IPV6, 1)):
+            socket.setsockopt(option, value)
         # A request waits here until there is a connection; of samples and commands, the newest one waits in the socket.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
         if self.keys is not None:

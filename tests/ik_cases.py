@@ -48,13 +48,8 @@ HANDS: tuple[tuple[str, str, str | None], ...] = (
     ("arm", "fixed", "fingertips_middle"),
 )
 each_hand = pytest.mark.parametrize("which", HANDS, ids=lambda which: "-".join(filter(None, which)))
-# MuJoCo's way does not know followers of other joints.
-_WITH_FOLLOWERS = ("panda_gripper", "romeo_left", "romeo_right")
-each_hand_without_followers = pytest.mark.parametrize(
-    "which", [which for which in HANDS if which[0] not in _WITH_FOLLOWERS], ids=lambda which: "-".join(filter(None, which))
-)
-# Nor a whole robot's arm, whose levers of half a metre make the weighted task too badly conditioned for statements about
-# vanishing weights.
+# Without followers, and without a whole robot's arm, whose levers of half a metre make the weighted task too badly conditioned
+# for statements about vanishing weights.
 _PLAIN = ("human", "human_left", "three_finger", "allegro_left", "allegro_right", "g1_left", "g1_right", "arm")
 each_plain_hand = pytest.mark.parametrize(
     "which", [which for which in HANDS if which[0] in _PLAIN], ids=lambda which: "-".join(filter(None, which))

@@ -4,7 +4,8 @@ Kinematics, Jacobians, logarithms, tasks and limits are all MuJoCo's and mink's,
 evidence for both. Two things differ between the libraries and are mapped here:
 
 - The tangent space. Pinocchio's free-flyer moves by a body twist, MuJoCo's free joint by a linear velocity in world axes and an
-  angular one in body axes; and each orders the joints its own way. `tangent_map` holds the (orthogonal) matrix.
+  angular one in body axes; and each orders the joints its own way. `tangent_map` holds the matrix, which also ties followers of
+  other joints to their leaders.
 - A point task. mink has none, and the error of a `FrameTask` without orientation cost is a translation in the frame's own axes,
   which turn with the frame: the derivative of its SE(3) logarithm is `J_point + 1/2 [e]x J_angular`, not `J_point`. The extra term
   is of the order of the error e, so all right-hand sides are multiplied by the same small number (`SHRINK`): targets of points are
@@ -58,18 +59,22 @@ class MujocoIk:
         self.shrink = shrink
         self.model = mujoco_model(hand)
         self._configuration = mink.Configuration(self.model)
-        joints = [self.model.joint(name) for name in hand.joint_names]
-        self._q_indices = np.array([joint.qposadr[0] for joint in joints])
-        self._v_indices = np.array([joint.dofadr[0] for joint in joints])
+        # Followers of other joints are joints of their own here, as in Pinocchio's model; the tangent map ties them.
+        names = [name for name in hand.model.names if name in hand.all_joint_names]
+        self._q_indices = np.array([self.model.joint(name).qposadr[0] for name in names])
+        self._v_indices = np.array([self.model.joint(name).dofadr[0] for name in names])
+        self._hand_q = np.array([hand.model.joints[hand.model.getJointId(name)].idx_q for name in names])
+        self._hand_v = np.array([hand.model.joints[hand.model.getJointId(name)].idx_v for name in names])
         self._points = [
             mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0)
             for point, cost in zip(hand.reference_points, point_costs(hand, options), strict=True)
         ]
         self._wrist = mink.FrameTask(hand.spec.wrist.link, "body", *wrist_costs(options), gain=shrink)
-        self._rest = mink.PostureTask(self.model, options.rest_weight, gain=shrink)
-        rest = self.model.qpos0.copy()
-        rest[self._q_indices] = hand.rest
-        self._rest.set_target(rest)
+        is_active = np.array([name in hand.joint_names for name in names])
+        rest_cost = np.zeros(self.model.nv)
+        rest_cost[self._v_indices[is_active]] = options.rest_weight
+        self._rest = mink.PostureTask(self.model, rest_cost, gain=shrink)
+        self._rest.set_target(self.qpos(hand.configuration_vector(hand.rest)))
         self._limits = self._make_limits()
 
     def place(self, q: np.ndarray) -> None:
@@ -86,20 +91,23 @@ class MujocoIk:
         if self.hand.is_floating:
             qpos[:3] = q[:3]
             qpos[3:7] = q[[6, 3, 4, 5]]
-        qpos[self._q_indices] = q[self.hand.q_indices]
+        qpos[self._q_indices] = q[self._hand_q]
         return qpos
 
     def tangent_map(self) -> np.ndarray:
-        """Matrix from Pinocchio's displacement to MuJoCo's at the present configuration, orthogonal, shape (nv, nv)."""
+        """Matrix from our displacement, in the active coordinates, to MuJoCo's at the present configuration, shape (nv, k).
+
+        Its columns are orthonormal where no joint follows another.
+        """
         T = np.zeros((self.model.nv, self.model.nv))
         if self.hand.is_floating:
             T[:3, :3] = self._configuration.get_transform_frame_to_world(self._root, "body").rotation().as_matrix()
             T[3:6, 3:6] = np.eye(3)
-        T[self._v_indices, self.hand.v_indices] = 1.0
-        return T
+        T[self._v_indices, self._hand_v] = 1.0
+        return T if self.hand.expansion is None else T @ self.hand.expansion.matrix
 
     def problem(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> qpsolvers.Problem:
-        """The QP of one iteration at the present configuration, in MuJoCo's tangent space.
+        """The QP of one iteration at the present configuration: MuJoCo's, carried into our active coordinates.
 
         Args:
             point_targets: Where the reference points shall be [m], shape (m, 3).
@@ -121,19 +129,19 @@ class MujocoIk:
             tasks.append(self._wrist)
             errors.append(self._wrist.cost * self._wrist.compute_error(self._configuration))
         # Not mink's DampingTask, which spares the floating base, nor its lm_damping, which takes the error squared.
-        damping = self.options.damping**2
-        problem = mink.build_ik(self._configuration, tasks, self.shrink * dt, damping=damping, limits=self._limits)
-        lever = np.diag(np.asarray(problem.P)) - damping
-        lever[self._v_indices] -= self.options.rest_weight**2
+        problem, T = (
+            mink.build_ik(self._configuration, tasks, self.shrink * dt, damping=0.0, limits=self._limits),
+            self.tangent_map(),
+        )
+        P = T.T @ np.asarray(problem.P) @ T
+        lever = np.diag(P).copy()
+        lever[self.hand.joint_columns] -= self.options.rest_weight**2
         lever[: 3 if self.hand.is_floating else 0] = 0.0
-        error_damping = self.options.error_damping * np.linalg.norm(np.concatenate(errors)) * np.sqrt(np.maximum(lever, 0.0))
-        problem.P += np.diag(error_damping)
+        error = np.linalg.norm(np.concatenate(errors))
+        damping = self.options.damping**2 + self.options.error_damping * error * np.sqrt(np.maximum(lever, 0.0))
+        G = None if problem.G is None else np.asarray(problem.G) @ T
         h = None if problem.h is None else problem.h / self.shrink
-        return qpsolvers.Problem(problem.P, problem.q / self.shrink, problem.G, h)
-
-    def displacement(self, dq: np.ndarray) -> np.ndarray:
-        """Pinocchio's displacement for MuJoCo's at the present configuration, shape (nv,)."""
-        return self.tangent_map().T @ dq
+        return qpsolvers.Problem(P + np.diag(damping), T.T @ problem.q / self.shrink, G, h)
 
     @property
     def _root(self) -> str:
