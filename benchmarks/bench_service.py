@@ -47,6 +47,7 @@ def one_client(service: ServiceProcess, echo: str, robot: str, rate: float, dura
         elapsed, cpu = time.monotonic() - started, service.cpu() - before
         counted = client.status().counts["steps"]
     return row(f"1 client, {rate:g} Hz", steps, echoes, lost=round(rate * duration) - counted, rate=len(steps) / elapsed) | {
+        "skipped": 0,
         "late_ms": 1e3 * late,
         "server_%": 100.0 * cpu / elapsed,
     }
@@ -62,8 +63,10 @@ def many_clients(service: ServiceProcess, echo: str, robot: str, count: int, rat
     elapsed, cpu = time.monotonic() - started, service.cpu() - before
     steps, echoes = (np.concatenate([part[key] for part in found]) for key in ("steps", "echoes"))
     counted = sum(part["counted"] for part in found)
-    lost = round(rate * duration) * count - counted
+    skipped = sum(part["skipped"] for part in found)
+    lost = round(rate * duration) * count - skipped - counted
     return row(f"{count} clients, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / duration) | {
+        "skipped": skipped,
         "late_ms": 1e3 * max(part["late"] for part in found),
         "server_%": 100.0 * cpu / elapsed,
     }
@@ -72,8 +75,8 @@ def many_clients(service: ServiceProcess, echo: str, robot: str, count: int, rat
 def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: float, duration: float) -> dict[str, Any]:
     """The clients of one process; at top level, for it is found by name there."""
 
-    async def one(seed: int, opened: asyncio.Barrier) -> tuple[list[float], list[float], float, int]:
-        motion, steps, echoes, late = HumanMotion(seed), [], [], 0.0
+    async def one(seed: int, opened: asyncio.Barrier) -> tuple[list[float], list[float], float, int, int]:
+        motion, steps, echoes, late, skipped = HumanMotion(seed), [], [], 0.0, 0
         bare = zmq.asyncio.Context.instance().socket(zmq.DEALER)
         bare.linger = 0
         bare.connect(echo)
@@ -84,7 +87,12 @@ def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: f
             started = time.monotonic() + (seed * 0.618 % 1.0) / rate
             for i in range(round(rate * duration)):
                 await asyncio.sleep(max(0.0, started + i / rate - time.monotonic()))
-                late = max(late, time.monotonic() - started - i / rate)
+                behind = time.monotonic() - started - i / rate
+                late = max(late, behind)
+                if behind > 1.0 / rate:
+                    # A tracker has a newer sample by now.
+                    skipped += 1
+                    continue
                 sample, before = motion(i / rate), time.perf_counter()
                 await client.step(**sample)
                 steps.append(time.perf_counter() - before)
@@ -95,9 +103,9 @@ def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: f
                     echoes.append(time.perf_counter() - before)
             counted = (await client.status()).counts["steps"]
         bare.close()
-        return steps, echoes, late, counted
+        return steps, echoes, late, counted, skipped
 
-    async def every() -> list[tuple[list[float], list[float], float, int]]:
+    async def every() -> list[tuple[list[float], list[float], float, int, int]]:
         opened = asyncio.Barrier(len(seeds))
         return await asyncio.gather(*(one(seed, opened) for seed in seeds))
 
@@ -107,6 +115,7 @@ def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: f
         "echoes": np.concatenate([part[1] for part in found]),
         "late": max(part[2] for part in found),
         "counted": sum(part[3] for part in found),
+        "skipped": sum(part[4] for part in found),
     }
 
 
@@ -140,6 +149,7 @@ def over_websocket(service: ServiceProcess, echo: int, robot: str, rate: float, 
         ask({"type": "close", "seq": len(steps) + 3})
     lost = round(rate * duration) - counted
     return row(f"WebSocket, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / elapsed) | {
+        "skipped": 0,
         "late_ms": 1e3 * late,
         "server_%": 100.0 * cpu / elapsed,
     }
@@ -212,7 +222,10 @@ def main(words: Sequence[str] | None = None) -> None:
         rows.append(over_websocket(service, echo["web"], arguments.robot, 200.0, duration / 2.0))
         advance()
         growth = service.memory() - memory
-    caption = f"Times of a round trip in us, wall. Resident memory grew by {growth:.1f} MB after the first load."
+    caption = (
+        "Times of a round trip in us, wall. lost: asked and not answered; skipped: never asked, since the client was late by more "
+        f"than a period;\nlate_ms: the latest a client was. Resident memory grew by {growth:.1f} MB after the first load."
+    )
     common.print_table("The mapping service under load", rows, to_stderr=arguments.json == "-", caption=caption)
     common.write_json(arguments.json, "service", {"rows": rows, "memory_growth_MB": growth})
     common.save_picture(arguments.picture, lambda: draw(rows))

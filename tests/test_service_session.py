@@ -111,6 +111,17 @@ def test_a_held_robot_follows_again_from_where_it_is() -> None:
     assert (speeds(session, before, command, 1.0 / 30.0) <= 1.0 + 1e-6).all()
 
 
+def test_with_an_acceleration_limit_a_held_robot_sets_out_from_standstill() -> None:
+    limit = 20.0
+    session, sample = make_session(ik={"max_acceleration": limit}), Sampler()
+    end = follow(session, sample, 0.0)
+    session.tick(end + 1.0)
+    before = session.posture[0].copy()
+    command = session.step(sample(9.0, human_q(2.0)), end + 1.0 + PERIOD)
+    # From rest, x = a dt^2 in one sample of the QP's displacement.
+    assert (np.abs(np.array(command.q) - before) <= limit * PERIOD**2 + 1e-9).all()
+
+
 def test_return_to_rest_is_slow_and_ends_there() -> None:
     session, sample = make_session(watchdog=0.1, return_after=0.3, return_speed=0.2), Sampler()
     now = follow(session, sample, 0.0)

@@ -77,7 +77,7 @@ class Open(Request, frozen=True):
     watchdog: Annotated[float, _doc("Without a sample for so long, the robot holds [s].", ge=0.01, le=10)] = 0.25
     return_after: Annotated[Duration | None, _doc("After holding for so long, it returns to rest [s].")] = None
     return_speed: Annotated[float, _doc("Part of its speed limits that it returns at.", gt=0, le=1)] = 0.1
-    resume: Annotated[Literal["follow", "clutch"], _doc("After a hold: go after the human, or take a new reference.")] = "follow"
+    resume: Annotated[Literal["follow", "clutch"], _doc("After a hold: go after the human, or a new reference.")] = "follow"
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")] = False
 
 

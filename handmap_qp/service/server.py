@@ -185,6 +185,8 @@ class Server:
 
     def _drain(self) -> None:
         """Take what has come, up to a batch; then samples that wait are mapped, and others get their turn."""
+        if self._router.closed:
+            return
         self._is_draining = True
         try:
             for _ in range(_BATCH):

@@ -264,8 +264,9 @@ class Session:
 
     def _make_ready(self) -> None:
         """Seat the mapper where it has to start anew: after a failure or a return to rest, or a hold if so asked."""
-        wants_clutch = self._watch is not None and self.request.resume == "clutch"
-        if self._engaged != "released" and (self._needs_reference or wants_clutch):
+        # A mapper that limits accelerations thinks that it still moves as before the hold, until it is seated anew.
+        wants_clutch = self.request.resume == "clutch" or self.request.ik.get("max_acceleration") is not None
+        if self._engaged != "released" and (self._needs_reference or (wants_clutch and self._watch is not None)):
             self._seat()
 
     def _map(self, sample: Step, now: float) -> tuple[MapStep, Posture, list[str]]:
