@@ -69,6 +69,11 @@ class HandMapper:
         self._reference: Reference | None = None
         self._is_released = False
 
+    @property
+    def ik(self) -> IkOptions:
+        """Weights and settings of the QP."""
+        return self._ik.options
+
     def map_step(self, human_q: npt.ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None) -> MapStep:
         """Map one sample of the human hand.
 
@@ -183,6 +188,30 @@ class HandMapper:
         """Take hold (again): the next sample becomes the reference, and the robot goes on from where it is."""
         self._is_released = False
         self._reference = None
+
+    def configure(self, options: MappingOptions | None = None, *, ik: IkOptions | None = None) -> None:
+        """Change options on the way: the reference stays what it was, and the robot goes on from where it is.
+
+        A reference that was taken without a wrist pose cannot stay where the new options need one; the next sample then takes its
+        place.
+
+        Args:
+            options: The mapping's choices; as they are if omitted.
+            ik: Weights and settings of the QP; as they are if omitted.
+
+        Raises:
+            InvalidOptionsError: If choices contradict each other or the hands; the mapper is then as it was before.
+            DegeneratePointsError: If with them the reference points do not determine T; likewise.
+        """
+        changed = HandMapper(self.human, self.robot, options or self.options, ik=ik or self.ik)
+        changed._start = self._start
+        if (before := self._reference) is not None and (before.human_wrist is not None or not changed._needs_wrist()):
+            changed._ik.place(before.robot_q)
+            estimator = changed._estimator(before.human_points)
+            changed._reference = changed._reference_with(estimator, before.human_points, before.human_wrist)
+        changed._ik.take_over(self._ik)
+        self.options, self._partners = changed.options, changed._partners
+        self._ik, self._reference = changed._ik, changed._reference
 
     # -- checks at the door -------------------------------------------------------------------------------------------
 

@@ -19,8 +19,10 @@ class Reference:
 
     Attributes:
         estimator: The human reference points there, factored for eq. (6).
+        human_points: The same points in W [m], shape (n_h, 3).
         human_wrist: Human wrist pose in W, shape (4, 4); None where it was not measured.
         human_pivot: c_h [m], shape (3,).
+        robot_q: The robot's Pinocchio configuration, shape (nq,).
         robot_arms: Robot reference points relative to the pivot, `s_i - c_r` [m], shape (n_r, 3).
         robot_wrist: Robot wrist pose in V, shape (4, 4).
         robot_pivot: c_r [m], shape (3,).
@@ -29,8 +31,10 @@ class Reference:
     """
 
     estimator: MotionEstimator
+    human_points: np.ndarray
     human_wrist: np.ndarray | None
     human_pivot: np.ndarray
+    robot_q: np.ndarray
     robot_arms: np.ndarray
     robot_wrist: np.ndarray
     robot_pivot: np.ndarray
@@ -75,9 +79,11 @@ def make_reference(
         human_pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
     return Reference(
         estimator=estimator,
+        human_points=human_points,
         # Copied: the caller may write its next sample into the same array.
         human_wrist=None if human_wrist is None else human_wrist.copy(),
         human_pivot=human_pivot,
+        robot_q=robot_now.q.copy(),
         robot_arms=robot_points - robot_pivot,
         robot_wrist=robot_wrist,
         robot_pivot=robot_pivot,

@@ -138,6 +138,11 @@ class PointIk:
         self.configuration.update(q)
         self._velocity = self._zero_step
 
+    def take_over(self, before: PointIk) -> None:
+        """Go on where another one of the same hand is, and as fast."""
+        self.configuration.update(before.configuration.q)
+        self._velocity = before._velocity
+
     def solve(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> IkResult:
         """Move the hand towards its targets for one sample.
 
