@@ -13,7 +13,7 @@ import numpy as np
 from service_process import ServiceProcess
 
 from handmap_qp import load_hand
-from handmap_qp.client import Client, Command, CurveKeys, ServiceError, ServiceTimeoutError
+from handmap_qp.client import Client, Command, KeyFiles, ServiceError, ServiceTimeoutError
 
 TIMEOUT = 1.0
 # Calls may be this much longer than their timeout: other programs want the machine too [s].
@@ -103,7 +103,7 @@ class Honest(threading.Thread):
     """
 
     def __init__(
-        self, service: ServiceProcess, seed: int = 0, *, keys: CurveKeys | None = None, streams: bool = False, jumps: bool = False
+        self, service: ServiceProcess, seed: int = 0, *, keys: KeyFiles | None = None, streams: bool = False, jumps: bool = False
     ) -> None:
         super().__init__(daemon=True)
         self.client = Client(service.address, timeout=TIMEOUT, keys=keys)

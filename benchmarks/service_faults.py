@@ -27,7 +27,7 @@ from service_clients import TIMEOUT, HumanMotion, honest, told
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
-from handmap_qp.client import Client, CurveKeys, ServiceError, ServiceTimeoutError
+from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 
 
 def restarts(duration: float) -> dict[str, Any]:
@@ -166,9 +166,9 @@ def wrong_keys(duration: float) -> dict[str, Any]:
         ours, others = Path(folder) / "ours", Path(folder) / "others"
         make_keys(ours, ["admitted"])
         make_keys(others, ["stranger"])
-        admitted = CurveKeys.read(ours / "admitted.key_secret", ours / "server.key")
-        stranger = CurveKeys.read(others / "stranger.key_secret", ours / "server.key")
-        elsewhere = CurveKeys.read(ours / "admitted.key_secret", others / "server.key")
+        admitted = (ours / "admitted.key_secret", ours / "server.key")
+        stranger = (others / "stranger.key_secret", ours / "server.key")
+        elsewhere = (ours / "admitted.key_secret", others / "server.key")
         with serving(keys=ours) as service, honest(service, 2, keys=admitted) as clients, MemoryWatch(service) as memory:
             knocks, let_in, end = 0, 0, time.monotonic() + duration
             while time.monotonic() < end:

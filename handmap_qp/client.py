@@ -6,9 +6,10 @@
         client.send(q=human_q, wrist=wrist_pose)              # or samples in and commands out, where the newest counts
         command = client.latest(timeout=0.1)
 
-`AsyncClient` is the same with `await`. A call that gets no answer within the client's timeout raises `ServiceTimeoutError`, and may
-be made again. On a server that was restarted, the session is opened anew where the last command left the robot. SI and radians;
-`handmap serve --schema` describes all fields. A client is for one thread, or one event loop.
+Another process, say the robot's driver, calls `watch` with the session's name, and `latest`. `AsyncClient` is the same with
+`await`. A call that gets no answer within the client's timeout raises `ServiceTimeoutError`, and may be made again. On a server
+that was restarted, the session is opened anew where the last command left the robot. SI and radians; `handmap serve --schema`
+describes all fields. A client is for one thread, or one event loop.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import math
 import secrets
 import time as clock
 from collections.abc import Awaitable, Callable, Generator
+from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from pathlib import Path
-from typing import Any, Concatenate, Generic, NamedTuple, ParamSpec, Self, TypeVar, overload
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast, overload
 
 import msgspec
 import numpy as np
@@ -31,6 +33,7 @@ PROTOCOL = 1
 ADDRESS = "tcp://127.0.0.1:5570"
 Numbers = tuple[float, ...]
 Names = tuple[str, ...]
+KeyFiles = tuple[Path | str, Path | str]
 
 
 class Pose(msgspec.Struct, frozen=True):
@@ -60,10 +63,9 @@ class Pose(msgspec.Struct, frozen=True):
         if values.shape != (4, 4):
             raise ValueError(f"expected a pose (4, 4), or 7 numbers, got shape {values.shape}")
         R, K = values[:3, :3], np.empty((4, 4))
-        # The quaternion is an eigenvector of this matrix (Bar-Itzhack 2000), which has no singular case.
+        # The quaternion is an eigenvector of this matrix (Bar-Itzhack 2000), which has no singular case; its lower half will do.
         K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
-        K[3, :3] = K[:3, 3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-        K[3, 3] = np.trace(R)
+        K[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)
         return cls(tuple(values[:3, 3].tolist()), tuple(np.linalg.eigh(K)[1][:, 3].tolist()))
 
 
@@ -117,6 +119,8 @@ class State(_Reply, frozen=True):
     counts: dict[str, int] = {}
     robots: Names = ()
     q: Numbers = ()
+    stream_port: int = 0
+    about: dict[str, Any] | None = None
 
 
 class Done(_Reply, frozen=True):
@@ -143,20 +147,6 @@ class ServiceTimeoutError(TimeoutError):
     """No answer came in time."""
 
 
-class CurveKeys(NamedTuple):
-    """Keys of an encrypted connection (Z85): the client's public and secret one, and the server's public one."""
-
-    public: bytes
-    secret: bytes
-    server: bytes
-
-    @classmethod
-    def read(cls, secret_file: Path | str, server_file: Path | str) -> CurveKeys:
-        """Read what `handmap keys` made: this client's `NAME.key_secret`, and `server.key`."""
-        (public, secret), (server, _) = map(zmq.auth.load_certificate, (secret_file, server_file))
-        return cls(public, secret or b"", server)
-
-
 P = ParamSpec("P")
 R = TypeVar("R")
 _Work = Generator[tuple[zmq.Socket, int, float], bool, R]
@@ -181,24 +171,19 @@ class _Call(Generic[P, R]):
 class _Connection:
     """Sockets and messages: all that `Client` and `AsyncClient` share.
 
-    Args:
-        address: The server's `tcp://host:port`.
-        timeout: Most time that a call may take [s].
-        attempts: How often a request is sent in that time, each on a new connection; the server carries it out once.
-        keys: Keys of an encrypted connection.
-
-    Attributes:
-        opened: The open session; None before.
-        reopened: How often it was opened anew, because the server had lost it.
+    A call takes `timeout` [s] at most, in which a request is sent on `attempts` connections, one after the other; the server
+    carries it out once. `keys` are files that `handmap keys` made, for an encrypted service: this client's `NAME.key_secret`, and
+    `server.key`. `opened` is the open session, and `reopened` how often it was opened anew, since the server had lost it.
     """
 
-    def __init__(self, address: str = ADDRESS, *, timeout: float = 2.0, attempts: int = 2, keys: CurveKeys | None = None) -> None:
-        self.address, self.timeout, self.attempts, self.keys = address, timeout, attempts, keys
+    def __init__(self, address: str = ADDRESS, *, timeout: float = 2.0, attempts: int = 2, keys: KeyFiles | None = None) -> None:
+        self.address, self.timeout, self.attempts = address, timeout, attempts
+        self._keys = None if keys is None else (*zmq.auth.load_certificate(keys[0]), zmq.auth.load_certificate(keys[1])[0])
         self.opened: Opened | None = None
         self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
         self._sockets: dict[str, zmq.Socket] = {}
         self.reopened, self._seq, self._request = 0, 0, dict[str, Any]()
-        self._last: Command | None = None
+        self._last, self._stream = cast(Command | None, None), ("", 0)
         self._turn = asyncio.Lock()
 
     def _socket(self, use: str) -> zmq.Socket:
@@ -210,11 +195,12 @@ class _Connection:
             socket.setsockopt(option, value)
         # A request waits here until there is a connection; of samples and commands, the newest one waits in the socket.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
-        if self.keys is not None:
-            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self.keys
-        if use == "stream" and self.opened is not None:
-            address = f"{address.rpartition(':')[0]}:{self.opened.stream_port}"
-            socket.setsockopt(zmq.SUBSCRIBE, self.opened.name.encode() + b"\0")
+        if self._keys is not None:
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
+        if use == "stream":
+            name, port = self._stream
+            address = f"{address.rpartition(':')[0]}:{port}"
+            socket.setsockopt(zmq.SUBSCRIBE, name.encode() + b"\0")
         socket.connect(address)
         return self._sockets.setdefault(use, socket)
 
@@ -225,7 +211,9 @@ class _Connection:
     def _number(self, request: dict[str, Any]) -> dict[str, Any]:
         """The request as it is sent next: its number, and the session of now unless it bears its own."""
         self._seq += 1
-        return {"session": self._request.get("session", "")} | request | {"protocol": PROTOCOL, "seq": self._seq}
+        is_watching = self._stream[0] and not self._request and request["type"] != "open"
+        session = {"name": self._stream[0]} if is_watching else {"session": self._request.get("session", "")}
+        return session | request | {"protocol": PROTOCOL, "seq": self._seq}
 
     @_Call
     def open(self, robot: str, **choices: Any) -> _Work[Opened]:
@@ -253,8 +241,8 @@ class _Connection:
     @_Call
     def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
         """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
-        if self.opened is None:
-            raise RuntimeError("open a session first")
+        if not self._stream[1]:
+            raise RuntimeError("open a session first, or watch one")
         if not (yield (socket := self._socket("stream")), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
             return None
         reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
@@ -262,6 +250,16 @@ class _Connection:
             raise ServiceError(reply)
         self._last = reply if isinstance(reply, Command) else self._last
         return reply if isinstance(reply, Command) else None
+
+    @_Call
+    def watch(self, name: str) -> _Work[State]:
+        """Look on another's session: `latest` gives its commands, and if it is shared, it can be steered from here."""
+        if self.opened is not None:
+            raise RuntimeError("this client has a session of its own; watch with another one")
+        state = yield from self._exchange(_message("status", name=name), State)
+        self._drop("stream")
+        self._stream = name, state.stream_port
+        return state
 
     @_Call
     def clutch(self) -> _Work[Done]:
@@ -272,6 +270,15 @@ class _Connection:
     def release(self) -> _Work[Done]:
         """Let go: the robot holds still until `clutch`."""
         return self._exchange(_message("release"), Done)
+
+    @_Call
+    def configure(self, **changes: Any) -> _Work[Done]:
+        """Change `mapping`, `ik` and `has_detail` as of `open`; options not named, and the reference, stay as they are."""
+        done = yield from self._exchange(_message("configure", **changes), Done)
+        for field, value in changes.items() if self.opened else ():
+            # A session that has to be opened anew is to have them too.
+            self._request[field] = self._request.get(field, {}) | value if isinstance(value, dict) else value
+        return done
 
     @_Call
     def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> _Work[Done]:
@@ -292,7 +299,7 @@ class _Connection:
         except (ServiceError, ServiceTimeoutError):
             pass
         finally:
-            self.opened, self._request, self._last = None, {}, None
+            self.opened, self._request, self._last, self._stream = None, {}, None, ("", 0)
             self._drop(*tuple(self._sockets))
 
     def _exchange(self, request: dict[str, Any], kind: type[R], deadline: float | None = None) -> _Work[R]:
@@ -302,12 +309,11 @@ class _Connection:
         if isinstance(reply, Error) and reply.code == "no_session" and self._request and request["type"] not in ("open", "close"):
             yield from self._reopen(deadline)
             reply = yield from self._ask(self._number(request), deadline)
-        if isinstance(reply, Error):
-            raise ServiceError(reply)
         if not isinstance(reply, kind):
-            raise ServiceError(Error(code="protocol", message=f"expected {kind.__name__}, got {type(reply).__name__}"))
+            other = Error(code="protocol", message=f"expected {kind.__name__}, got {type(reply).__name__}")
+            raise ServiceError(reply if isinstance(reply, Error) else other)
         if isinstance(reply, Opened):
-            self._request, self.opened, self._last = numbered, reply, None
+            self._request, self.opened, self._last, self._stream = numbered, reply, None, (reply.name, reply.stream_port)
             self._drop("stream", "samples")
         self._last = reply if isinstance(reply, Command) else self._last
         return reply
@@ -348,7 +354,7 @@ def _message(kind: str, **fields: Any) -> dict[str, Any]:
     return message
 
 
-class Client(_Connection):
+class Client(_Connection, AbstractContextManager["Client"]):
     """A client that waits for answers; also a context manager. Any method may raise `ServiceError` or `ServiceTimeoutError`."""
 
     def _run(self, work: _Work[R]) -> R:
@@ -359,14 +365,11 @@ class Client(_Connection):
         except StopIteration as end:
             return end.value
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
 
-class AsyncClient(_Connection):
+class AsyncClient(_Connection, AbstractAsyncContextManager["AsyncClient"]):
     """The same for asyncio; calls of several tasks take turns."""
 
     async def _run(self, work: _Work[R]) -> R:
@@ -392,9 +395,6 @@ class AsyncClient(_Connection):
             return False
         finally:
             loop.remove_reader(socket.FD)
-
-    async def __aenter__(self) -> Self:
-        return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()

@@ -27,7 +27,7 @@ LOCAL = Settings(port=0, stream_port=0, health_port=None)
 
 def human_q(phase: float = 0.0, robot: str = "three_finger") -> np.ndarray:
     """Joint angles of a human hand that closes and opens, shape (20,)."""
-    human = SHELF.human("right", None, None)
+    human = SHELF.human("right", None)
     middle, half = 0.5 * (human.lower_limits + human.upper_limits), 0.5 * (human.upper_limits - human.lower_limits)
     return human.rest + (middle - human.rest) * 0.3 + 0.4 * half * np.sin(phase)
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import tyro
 from service_tools import human_q
+from zmq.auth import load_certificate
 
-from handmap_qp.client import Client, CurveKeys
+from handmap_qp.client import Client
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, MissingExtraError
 from handmap_qp.service.cli import Keys, Serve
 
@@ -55,8 +56,8 @@ def test_the_schema_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_keys_are_made_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Keys(tmp_path / "keys", client=("left",)).run()
     assert capsys.readouterr().out.count("wrote") == 5
-    keys = CurveKeys.read(tmp_path / "keys" / "left.key_secret", tmp_path / "keys" / "server.key")
-    assert [len(key) for key in keys] == [40, 40, 40]
+    (public, secret), (server, _) = (load_certificate(tmp_path / "keys" / name) for name in ("left.key_secret", "server.key"))
+    assert [len(key or b"") for key in (public, secret, server)] == [40, 40, 40]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import pytest
 import zmq
 from service_tools import HERE, SECRET, Sampler, address_of, connected, human_q, opening, serving
 
-from handmap_qp.client import Client, CurveKeys, ServiceError, ServiceTimeoutError
+from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.keys import make_keys
@@ -171,6 +171,82 @@ def test_release_clutch_reset_close(server: Server) -> None:
         assert code_of(raised) == ("no_session", "session")
 
 
+# -- others than the session's client -----------------------------------------------------------------------------------
+
+
+def test_anyone_may_look_and_only_at_a_shared_session_steer(server: Server) -> None:
+    with connected(server, name="shared", is_shared=True) as owner, Client(address_of(server)) as other:
+        state = other.watch("shared")
+        assert state.about is not None
+        assert (state.about["robot"], state.about["has_detail"]) == ("three_finger", False)
+        other.latest(0.2)
+        sent = owner.step(q=human_q(), wrist=WRIST, time=3.0)
+        seen = other.latest(1.0)
+        assert seen is not None
+        assert (seen.q, seen.time, seen.detail) == (sent.q, 3.0, None)
+        other.configure(mapping={"ridge": 0.5}, ik={"rest_weight": 0.0}, has_detail=True)
+        about = owner.status().about
+        assert about is not None
+        assert (about["mapping"]["ridge"], about["ik"]["rest_weight"], about["ik"]["damping"]) == (0.5, 0.0, 0.1)
+        assert owner.step(q=human_q(0.2), wrist=WRIST).detail is not None
+        other.release()
+        assert owner.step(q=human_q(1.0), wrist=WRIST).status == "released"
+        other.clutch()
+        assert owner.step(q=human_q(1.0), wrist=WRIST).status != "released"
+
+
+def test_a_session_that_is_not_shared_is_its_clients_alone(server: Server) -> None:
+    with connected(server, name="private") as owner, Client(address_of(server)) as other:
+        owner.step(q=human_q(), wrist=WRIST)
+        assert other.watch("private").mode == "following"
+        for steer in (other.clutch, other.release, lambda: other.configure(mapping={"ridge": 0.5})):
+            with pytest.raises(ServiceError) as raised:
+                steer()
+            assert code_of(raised) == ("denied", "name")
+        for reach in (other.reset, lambda: other.step(q=human_q(), wrist=WRIST)):
+            with pytest.raises(ServiceError) as raised:
+                reach()
+            assert code_of(raised) == ("invalid", "name")
+        assert owner.step(q=human_q(), wrist=WRIST).status == "converged"
+
+
+def test_looking_on_needs_a_session_and_does_not_keep_it_alive() -> None:
+    with serving(caps=Caps(idle=0.3)) as server, connected(server, name="short"), Client(address_of(server)) as other:
+
+        def look_again_and_again() -> None:
+            for _ in range(100):
+                other.watch("short")
+                time.sleep(0.02)
+
+        with pytest.raises(ServiceError) as raised:
+            look_again_and_again()
+        assert code_of(raised) == ("invalid", "name")
+        with pytest.raises(RuntimeError, match="session of its own"), connected(server) as owner:
+            owner.watch("short")
+
+
+def test_changes_of_options_are_capped() -> None:
+    with serving(caps=Caps(configures=4.0)) as server, connected(server) as client:
+        with pytest.raises(ServiceError) as raised:
+            deque((client.configure(mapping={"ridge": 0.2}) for _ in range(100)), maxlen=0)
+        assert code_of(raised)[0] == "rate"
+
+
+def test_options_survive_a_server_that_has_lost_the_session() -> None:
+    with serving() as first, connected(first, mapping={"scale": 2.0}) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        client.configure(mapping={"ridge": 0.3})
+        first.dispatcher.sessions.entries.clear()
+        client.step(q=human_q(), wrist=WRIST)
+        assert client.reopened == 1
+        about = client.status().about
+        assert about is not None
+        assert (about["mapping"]["ridge"], about["mapping"]["scale"]) == (0.3, 2.0)
+
+
+# -- what outlives a session --------------------------------------------------------------------------------------------
+
+
 def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
     with connected(server, name="mine") as first:
         last = [first.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
@@ -255,9 +331,9 @@ def test_only_admitted_keys_come_in(tmp_path: Path) -> None:
     make_keys(tmp_path / "keys", ["mine"])
     make_keys(tmp_path / "others", ["theirs"])
     server_key = tmp_path / "keys" / "server.key"
-    mine = CurveKeys.read(tmp_path / "keys" / "mine.key_secret", server_key)
-    theirs = CurveKeys.read(tmp_path / "others" / "theirs.key_secret", server_key)
-    wrong_server = CurveKeys(mine.public, mine.secret, CurveKeys.read(tmp_path / "others" / "theirs.key_secret", server_key).public)
+    mine = tmp_path / "keys" / "mine.key_secret", server_key
+    theirs = tmp_path / "others" / "theirs.key_secret", server_key
+    wrong_server = tmp_path / "keys" / "mine.key_secret", tmp_path / "others" / "server.key"
     with serving(keys=tmp_path / "keys") as server:
         for keys in (None, theirs, wrong_server):
             with Client(address_of(server), timeout=0.4, keys=keys) as client, pytest.raises(ServiceTimeoutError):

@@ -14,14 +14,19 @@ from hypothesis import strategies as st
 from service_tools import HERE, SHELF, Sampler, human_q, make_session, opening, run_now
 
 from handmap_qp.errors import RefusedError
+from handmap_qp.human import HumanLengths
 from handmap_qp.recording import read_recording
-from handmap_qp.service.messages import PROTOCOL, Command, Pose, Reset
+from handmap_qp.service.messages import PROTOCOL, Command, Configure, Pose, Reset
 from handmap_qp.service.opening import Calibration, Hands, prepare_hands
 from handmap_qp.service.session import HEARTBEAT, Posture, Session
 
 RESET = Reset(protocol=PROTOCOL, seq=99)
 PERIOD = 1.0 / 60.0
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def change(**changes: Any) -> Configure:
+    return Configure(protocol=PROTOCOL, seq=99, **changes)
 
 
 def speeds(session: Session, before: np.ndarray, command: Command, time: float) -> np.ndarray:
@@ -44,7 +49,7 @@ def follow(session: Session, sample: Sampler, start: float, count: int = 20) -> 
 # What may come, and how long after the last event: samples with time stamps of any kind, requests, silence.
 events = st.lists(
     st.tuples(
-        st.sampled_from(["step", "step", "step", "tick", "clutch", "release", "reset"]),
+        st.sampled_from(["step", "step", "step", "tick", "clutch", "release", "reset", "configure"]),
         st.floats(min_value=1e-4, max_value=0.6),
         st.floats(min_value=-1e9, max_value=1e9),
         st.floats(min_value=-3.0, max_value=3.0),
@@ -64,6 +69,8 @@ def test_joints_keep_their_speed_limits_whatever_comes(choices: dict[str, Any], 
         now += wait
         if kind == "reset":
             session.reset(RESET)
+        elif kind == "configure":
+            session.configure(change(mapping={"scale": abs(phase), "reference": "previous" if phase < 0.0 else "initial"}))
         elif kind in ("clutch", "release"):
             getattr(session, kind)()
         command = session.step(sample(stamp, human_q(phase)), now) if kind == "step" else session.tick(now)
@@ -109,6 +116,59 @@ def test_a_held_robot_follows_again_from_where_it_is() -> None:
     assert "resumed" in command.flags
     assert session.mode == "following"
     assert (speeds(session, before, command, 1.0 / 30.0) <= 1.0 + 1e-6).all()
+
+
+def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
+    session, sample = make_session(), Sampler()
+    now = follow(session, sample, 0.0)
+    before = session.posture[0].copy()
+    session.configure(change(mapping={"deformation_gain": 0.0}, ik={"rest_weight": 1.0}, has_detail=True))
+    np.testing.assert_array_equal(session.posture[0], before)
+    command = session.step(sample(now, human_q(1.0)), now + PERIOD)
+    assert (speeds(session, before, command, session.request.max_dt) <= 1.0 + 1e-6).all()
+    assert command.detail is not None
+    np.testing.assert_allclose(command.detail.motion_deformation, np.eye(4), atol=0.5)
+    about = session.state(1, "", 0, now).about
+    assert about is not None
+    assert (about.mapping["deformation_gain"], about.mapping["ridge"], about.ik["rest_weight"]) == (0.0, 0.1, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"mapping": {"ridges": 1.0}}, "mapping.ridges"),
+        ({"mapping": {"ridge": -1.0}}, "mapping.ridge"),
+        ({"mapping": {"ridge": "much"}}, "mapping.ridge"),
+        ({"mapping": {"scale": 2.0}, "ik": {"damping": 0.0}}, "ik.damping"),
+        ({"ik": {"solver": "abacus"}}, "ik.solver"),
+        ({"ik": {"max_iterations": 1000}}, "ik.max_iterations"),
+        ({"mapping": {"residual_gain": 1.0, "pivot": "point"}}, "mapping"),
+    ],
+)
+def test_options_that_cannot_be_change_nothing(changes: dict[str, Any], field: str) -> None:
+    session, sample = make_session(), Sampler()
+    follow(session, sample, 0.0)
+    before = session.state(1, "", 0, 0.0).about
+    with pytest.raises(RefusedError) as raised:
+        session.configure(change(**changes))
+    assert raised.value.field.startswith(field)
+    assert session.state(1, "", 0, 0.0).about == before
+
+
+def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
+    session, sample = make_session(input="landmarks"), Sampler()
+    landmarks = SHELF.human("right", "landmarks").points(human_q(), np.eye(4))
+    session.configure(change(mapping={"ridge": 0.4}))
+    for i in range(40):
+        session.step(sample(PERIOD * i, landmarks=tuple(map(tuple, landmarks.tolist()))), PERIOD * i)
+    about = session.state(1, "", 0, 0.0).about
+    assert session.mode == "following"
+    assert about is not None
+    assert about.mapping["ridge"] == 0.4
+    assert about.lengths is not None
+    # The measured hand is the one that the landmarks were made of.
+    own = HumanLengths.from_urdf(SHELF.human("right", None).urdf_text)
+    np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)
 
 
 def test_with_an_acceleration_limit_a_held_robot_sets_out_from_standstill() -> None:
@@ -263,7 +323,7 @@ def test_a_failure_inside_the_mapper_leaves_the_robot_where_it_is(monkeypatch: p
 
 def test_points_need_no_joint_angles() -> None:
     session, sample = make_session(input="points", robot_wrist=HERE), Sampler()
-    human = SHELF.human("right", None, None)
+    human = SHELF.human("right", None)
     motion = [tuple(map(tuple, human.points(human_q(0.1 * i)).tolist())) for i in range(10)]
     commands = [session.step(sample(points=points, wrist=None), i * PERIOD) for i, points in enumerate(motion)]
     assert {command.status for command in commands} <= {"converged", "unreachable", "limited", "unsettled"}

@@ -17,6 +17,7 @@ class Caps:
         sessions: Sessions open at a time.
         rate: Messages a second from one connection.
         opens: Sessions opened a second, once as many as there may be have been opened.
+        configures: Changes of options a second, in all sessions together: each takes about a millisecond.
         message_size: Length of a message [bytes].
         idle: A session that is not heard of for so long is closed [s].
         allows_client_time: Whether sessions may count time by the client's stamps (simulations).
@@ -25,6 +26,7 @@ class Caps:
     sessions: int = 64
     rate: float = 2000.0
     opens: float = 20.0
+    configures: float = 60.0
     message_size: int = 16384
     idle: float = 60.0
     allows_client_time: bool = False

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
 from handmap_qp.hand import Hand
+from handmap_qp.human import HumanLengths
 from handmap_qp.samples import MapStep
-from handmap_qp.service.messages import Detail, Pose
+from handmap_qp.service.messages import Detail, Lengths, Pose
 from handmap_qp.transform import pose_from_xyz_quat
 
 
@@ -52,6 +54,13 @@ def to_matrix(pose: Pose | None) -> np.ndarray | None:
     return None if pose is None else pose_from_xyz_quat((*pose.position, *pose.quat_xyzw), "xyzw")
 
 
+def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
+    """A measured hand as plain points."""
+    if lengths is None:
+        return None
+    return msgspec.convert({"bases": lengths.bases.tolist(), "segments": lengths.segments.tolist()}, Lengths)
+
+
 def name_joints(robot: Hand, chosen: np.ndarray) -> tuple[str, ...]:
     """Names of the joints that a mask (n,) chooses."""
     return tuple(name for name, is_chosen in zip(robot.joint_names, chosen.tolist(), strict=True) if is_chosen)
@@ -67,6 +76,7 @@ def to_detail(step: MapStep, human_q: np.ndarray | None, human_wrist: np.ndarray
         motion_rigid=to_rows(step.motion_rigid),
         motion_deformation=to_rows(step.motion_deformation),
         stretches=to_row(step.stretches),
+        pivot=to_points(step.transfer.image[None])[0],
         targets=to_points(step.targets),
         points=to_points(step.points),
     )

@@ -13,15 +13,17 @@ from importlib.metadata import version
 from logging import ERROR, INFO
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.caps import Caps, RateLimit
+from handmap_qp.service.caps import Bucket, Caps, RateLimit
 from handmap_qp.service.logs import Throttle
 from handmap_qp.service.messages import (
     AnyReply,
     AnyRequest,
     Clutch,
     Command,
+    Configure,
     Done,
     Error,
+    Named,
     Open,
     Opened,
     Release,
@@ -75,7 +77,7 @@ class Dispatcher:
         self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
         self._version = version("handmap-qp")
         self._started = clock()
-        self._rates = RateLimit(caps.rate)
+        self._rates, self._configures = RateLimit(caps.rate), Bucket(caps.configures, clock())
         self._pending: dict[str, tuple[Sample, Answer, bool]] = {}
         self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
@@ -126,6 +128,8 @@ class Dispatcher:
             self._receive_open(request, payload, answer, is_json)
         elif isinstance(request, Subscribe):
             answer(encode_reply(self._subscribe(request, subscribe), is_json=is_json))
+        elif isinstance(request, Named) and request.name is not None:
+            answer(encode_reply(self._answer_anyone(request, request.name, now), is_json=is_json))
         elif isinstance(request, Status) and not request.session:
             answer(encode_reply(self._server_state(request.seq, now), is_json=is_json))
         else:
@@ -144,7 +148,7 @@ class Dispatcher:
             if sample.seq <= entry.seq:
                 entry.session.counts["stale"] += 1
                 continue
-            entry.seq, entry.payload = sample.seq, b""
+            entry.seq, entry.payload, entry.session.last_request = sample.seq, b"", self._clock()
             reply = self._carry_out(entry.session, sample, self._clock())
             if isinstance(reply, Error):
                 self.sessions.send(entry.session.name, encode_reply(reply))
@@ -183,15 +187,26 @@ class Dispatcher:
         if request.seq <= entry.seq:
             stale = RefusedError("stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq")
             return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
-        entry.seq, entry.payload = request.seq, payload
+        entry.seq, entry.payload, entry.session.last_request = request.seq, payload, now
         reply = self._carry_out(entry.session, request, now)
         # A command has been written for the stream already.
         written = None if is_json or not isinstance(reply, Command) else self._written
         entry.answer = written or encode_reply(reply, is_json=is_json)
         return entry.answer
 
-    def _carry_out(self, session: Session, request: AnyRequest, now: float) -> AnyReply:
-        session.last_request = now
+    def _answer_anyone(self, request: Named, name: str, now: float) -> AnyReply:
+        """The answer to somebody who has a session's public name, and may look, and steer where its client has allowed it."""
+        try:
+            if request.session:
+                raise RefusedError("invalid", "give session or name, not both", field="name")
+            session = self.sessions.named(name)
+            if not (session.request.is_shared or isinstance(request, Status)):
+                raise RefusedError("denied", f"session {name!r} was not opened with is_shared", field="name")
+        except RefusedError as error:
+            return self._refusal(request.seq, error)
+        return self._carry_out(session, request, now)
+
+    def _carry_out(self, session: Session, request: AnyRequest | Named, now: float) -> AnyReply:
         try:
             if isinstance(request, Step):
                 command = session.step(request, now)
@@ -199,9 +214,13 @@ class Dispatcher:
                 self._send(session, command)
                 return command
             if isinstance(request, Status):
-                return session.state(request.seq, self._version, now)
+                return session.state(request.seq, self._version, self.stream_port, now)
             if isinstance(request, Reset):
                 session.reset(request)
+            elif isinstance(request, Configure):
+                if not self._configures.take(now):
+                    raise RefusedError("rate", f"more than {self._caps.configures:g} changes of options a second; try again later")
+                session.configure(request)
             elif isinstance(request, Clutch):
                 session.clutch()
             elif isinstance(request, Release):
@@ -258,8 +277,10 @@ class Dispatcher:
         if subscribe is None:
             error = RefusedError("invalid", "connect a SUB socket to the stream's port instead", field="type")
             return self._refusal(request.seq, error)
-        if all(entry.session.name != request.name for entry in self.sessions.entries.values()):
-            return self._refusal(request.seq, RefusedError("invalid", f"no session {request.name!r}", field="name"))
+        try:
+            self.sessions.named(request.name)
+        except RefusedError as error:
+            return self._refusal(request.seq, error)
         subscribe(request.name)
         return Done(seq=request.seq)
 
@@ -271,6 +292,7 @@ class Dispatcher:
             names=tuple(entry.session.name for entry in self.sessions.entries.values()),
             counts=dict(self._metrics.counts),
             robots=self._shelf.robots,
+            stream_port=self.stream_port,
         )
 
     # -- refusals ---------------------------------------------------------------------------------------------------------

@@ -79,6 +79,7 @@ class Open(Request, frozen=True):
     return_speed: Annotated[float, _doc("Part of its speed limits that it returns at.", gt=0, le=1)] = 0.1
     resume: Annotated[Literal["follow", "clutch"], _doc("After a hold: go after the human, or a new reference.")] = "follow"
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")] = False
+    is_shared: Annotated[bool, _doc("Whether others may release, clutch and configure the session, by its name.")] = False
 
 
 class Step(Request, frozen=True):
@@ -95,12 +96,26 @@ class Sample(Step, frozen=True):
     """The same without an answer: the command comes in the stream. Of several that wait, the newest counts."""
 
 
-class Clutch(Request, frozen=True):
+class Named(Request, frozen=True, kw_only=True):
+    """What others than its client may ask of a session too; asked twice, it is done twice, which does no harm."""
+
+    name: Annotated[Name | None, _doc("Public name of a session, in place of the secret.")] = None
+
+
+class Clutch(Named, frozen=True):
     """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
 
 
-class Release(Request, frozen=True):
+class Release(Named, frozen=True):
     """Let go: the robot holds still until `clutch`."""
+
+
+class Configure(Named, frozen=True):
+    """Change options: the reference stays what it was, and the robot goes on from where it is."""
+
+    mapping: Annotated[dict[str, Any], _doc("Fields of MappingOptions; others stay as they are.")] = {}
+    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; others stay as they are.")] = {}
+    has_detail: Annotated[bool | None, _doc("Whether commands carry every stage of the mapping.")] = None
 
 
 class Reset(Request, frozen=True):
@@ -110,8 +125,8 @@ class Reset(Request, frozen=True):
     robot_wrist: Annotated[Pose | None, _doc("Where its wrist is; if omitted it stays.")] = None
 
 
-class Status(Request, frozen=True):
-    """Ask how the session is, or without one the server. Answered by `state`."""
+class Status(Named, frozen=True):
+    """Ask how a session is, or without one the server. Answered by `state`."""
 
 
 class Close(Request, frozen=True):
@@ -155,6 +170,7 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     motion_rigid: Annotated[Matrix, _doc("T_rb (eq. 2), 4x4.")]
     motion_deformation: Annotated[Matrix, _doc("T_def (eq. 2), 4x4.")]
     stretches: Annotated[Numbers, _doc("Of T, before clamping.")]
+    pivot: Annotated[Vector, _doc("Where T takes the human's pivot, about which it deforms [m].")]
     targets: Annotated[Points, _doc("Where the robot's reference points should be (eq. 7) [m].")]
     points: Annotated[Points, _doc("Where the mapping has them [m].")]
 
@@ -180,6 +196,22 @@ class Command(Reply, frozen=True):
     detail: Detail | None = None
 
 
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """What a session maps, for those who look on."""
+
+    robot: Annotated[str, _doc("Name of the robot hand.")]
+    side: Annotated[str, _doc("The human hand.")]
+    input: Annotated[str, _doc("What samples hold.")]
+    lengths: Annotated[Lengths | None, _doc("The human hand, measured; null for the model's own.")]
+    human_points: Annotated[str | None, _doc("Set of reference points on the human hand; null for the usual one.")]
+    robot_points: Annotated[str | None, _doc("Set of reference points on the robot hand; null for the usual one.")]
+    mount: Annotated[str | None, _doc("The robot's wrist; null for the hand's own.")]
+    mapping: Annotated[dict[str, Any], _doc("MappingOptions; in JSON, null stands for what is infinite.")]
+    ik: Annotated[dict[str, Any], _doc("IkOptions.")]
+    has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")]
+    is_shared: Annotated[bool, _doc("Whether others may release, clutch and configure the session.")]
+
+
 class State(Reply, frozen=True):
     """How a session is, or the server."""
 
@@ -190,6 +222,8 @@ class State(Reply, frozen=True):
     counts: Annotated[dict[str, int], _doc("Samples answered, replaced by newer ones, refused, and so on.")] = {}
     robots: Annotated[tuple[str, ...], _doc("Robot hands that can be opened; of the server only.")] = ()
     q: Annotated[Numbers, _doc("The session's last command [rad].")] = ()
+    stream_port: Annotated[int, _doc("Port of the streams (ZeroMQ PUB).")] = 0
+    about: Annotated[About | None, _doc("What the session maps.")] = None
 
 
 class Done(Reply, frozen=True):
@@ -205,7 +239,7 @@ class Error(Reply, frozen=True):
 
 
 AnyReply = Opened | Command | State | Done | Error
-AnyRequest = Open | Step | Sample | Clutch | Release | Reset | Status | Close | Subscribe
+AnyRequest = Open | Step | Sample | Clutch | Release | Configure | Reset | Status | Close | Subscribe
 
 LARGEST = 1e3
 """Farthest that a coordinate may be from the origin [m], and the largest angle [rad]: beyond it, numbers are mistakes."""

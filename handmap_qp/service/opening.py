@@ -23,7 +23,7 @@ from handmap_qp.library import HUMAN_HANDS, hand_names, load_hand
 from handmap_qp.mapping import HandMapper
 from handmap_qp.options import MappingOptions
 from handmap_qp.recording import Recording
-from handmap_qp.service.messages import Lengths, Open
+from handmap_qp.service.messages import Open
 from handmap_qp.trackers.landmarks import LandmarkFitter, human_name, measure_hand
 
 SOLVERS = ("daqp", "proxqp")
@@ -42,11 +42,13 @@ class Hands:
     Attributes:
         mapper: From the human hand to the robot's.
         fitter: From landmarks to the human hand; None where samples are joint angles or points.
+        lengths: The human hand, measured; None for the model's own.
         needs_measuring: Whether the human hand is to be measured from the first landmarks, and is the model's own until then.
     """
 
     mapper: HandMapper
     fitter: LandmarkFitter | None
+    lengths: HumanLengths | None
     needs_measuring: bool = False
 
 
@@ -88,15 +90,12 @@ class HandShelf:
         if name not in self._files:
             raise RefusedError("invalid", f"no hand {name!r:.80}; there are {', '.join(self._files)}", field="robot")
         file = self._files[name]
-        return _name_field(
-            "robot", lambda: self._cached((name, points, mount), lambda: load_hand(file, points=points, mount=mount))
-        )
+        return name_field("robot", lambda: self._cached((name, points, mount), lambda: load_hand(file, points=points, mount=mount)))
 
-    def human(self, side: Side, points: str | None, hand_length: float | None) -> Hand:
-        """A human hand of the model's size, or of a given length."""
+    def human(self, side: Side, points: str | None) -> Hand:
+        """A human hand of the model's size."""
         name = human_name(side)
-        key = (name, points, hand_length)
-        return self._cached(key, lambda: load_hand(name, points=points, hand_length=hand_length))
+        return self._cached((name, points), lambda: load_hand(name, points=points))
 
     def _cached(self, key: Hashable, load: Callable[[], Hand]) -> Hand:
         with self._lock:
@@ -128,28 +127,21 @@ def prepare_hands(request: Open, shelf: HandShelf, lengths: HumanLengths | None 
     if request.hand_length is not None and request.lengths is not None:
         raise RefusedError("invalid", "give hand_length or lengths, not both", field="lengths")
     mapping = read_options("mapping", request.mapping, MappingOptions)
-    ik = read_options("ik", request.ik, IkOptions)
-    if ik.solver not in SOLVERS:
-        raise RefusedError("invalid", f"expected one of {', '.join(SOLVERS)}; got {ik.solver!r:.40}", field="ik.solver")
-    if ik.max_iterations > MOST_ITERATIONS:
-        raise RefusedError("invalid", f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}", field="ik.max_iterations")
+    ik = read_ik(request.ik)
     robot = shelf.robot(request.robot, request.robot_points, request.mount)
-    if lengths is None and request.lengths is not None:
-        lengths = _name_field("lengths", lambda: _human_lengths(request.lengths))
+    if lengths is None:
+        lengths = name_field("lengths", lambda: _human_lengths(request))
     fitter = None
     if request.input == "landmarks":
-        measured = lengths
-        if measured is None and request.hand_length is not None:
-            measured = HumanLengths.from_hand_length(request.hand_length)
-        fitter = _name_field("lengths", lambda: LandmarkFitter(request.side, measured))
-        human = _name_field("human_points", lambda: fitter.human.with_points(request.human_points))
+        fitter = name_field("lengths", lambda: LandmarkFitter(request.side, lengths))
+        human = name_field("human_points", lambda: fitter.human.with_points(request.human_points))
     elif lengths is None:
-        human = _name_field("human_points", lambda: shelf.human(request.side, request.human_points, request.hand_length))
+        human = name_field("human_points", lambda: shelf.human(request.side, request.human_points))
     else:
         name = human_name(request.side)
-        human = _name_field("human_points", lambda: load_hand(name, points=request.human_points, lengths=lengths))
-    needs_measuring = fitter is not None and lengths is None and request.hand_length is None
-    return Hands(_name_field("mapping", lambda: HandMapper(human, robot, mapping, ik=ik)), fitter, needs_measuring)
+        human = name_field("human_points", lambda: load_hand(name, points=request.human_points, lengths=lengths))
+    mapper = name_field("mapping", lambda: HandMapper(human, robot, mapping, ik=ik))
+    return Hands(mapper, fitter, lengths, needs_measuring=fitter is not None and lengths is None)
 
 
 class Calibration:
@@ -194,7 +186,7 @@ class Calibration:
         count = len(landmarks)
         is_valid = np.ones(count, dtype=bool)
         recording = Recording("calibration", np.arange(count, dtype=float), landmarks, is_valid, self._request.side)
-        lengths = _name_field("landmarks", lambda: measure_hand(recording))
+        lengths = name_field("landmarks", lambda: measure_hand(recording))
         return prepare_hands(self._request, self._shelf, lengths)
 
 
@@ -226,6 +218,20 @@ def read_options(field: str, values: dict[str, Any], kind: type[_T]) -> _T:
         raise RefusedError("invalid", str(error), field=field) from error
 
 
+def read_ik(values: dict[str, Any]) -> IkOptions:
+    """The QP's options from what a client sent, within what a server can carry out in time.
+
+    Raises:
+        RefusedError: Naming the option at fault.
+    """
+    ik = read_options("ik", values, IkOptions)
+    if ik.solver not in SOLVERS:
+        raise RefusedError("invalid", f"expected one of {', '.join(SOLVERS)}; got {ik.solver!r:.40}", field="ik.solver")
+    if ik.max_iterations > MOST_ITERATIONS:
+        raise RefusedError("invalid", f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}", field="ik.max_iterations")
+    return ik
+
+
 def refused(error: HandmapError, field: str = "") -> RefusedError:
     """An error of the library as a refusal: the field is the name that the message begins with, as clients call it."""
     if isinstance(error, RefusedError):
@@ -248,7 +254,8 @@ _FIELDS = {
 """What clients call the arguments of `HandMapper`."""
 
 
-def _name_field(field: str, make: Callable[[], _T]) -> _T:
+def name_field(field: str, make: Callable[[], _T]) -> _T:
+    """What `make` makes; what it raises as a refusal of a field."""
     try:
         return make()
     except HandmapError as error:
@@ -257,9 +264,11 @@ def _name_field(field: str, make: Callable[[], _T]) -> _T:
         raise RefusedError("invalid", f"cannot be used: {error}"[:400], field=field) from error
 
 
-def _human_lengths(lengths: Lengths | None) -> HumanLengths | None:
+def _human_lengths(request: Open) -> HumanLengths | None:
+    """The hand's lengths as the client knows them."""
+    lengths = request.lengths
     if lengths is None:
-        return None
+        return None if request.hand_length is None else HumanLengths.from_hand_length(request.hand_length)
     if not all(0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)):
         raise InvalidInputError("expected lengths between 0 and 1 m")
     return HumanLengths(np.array(lengths.bases), np.array(lengths.segments))

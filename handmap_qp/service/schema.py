@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import msgspec
 
 from handmap_qp.service import messages
-from handmap_qp.service.messages import PROTOCOL, AnyReply, AnyRequest, Detail, Lengths, Pose, Reply, Request
+from handmap_qp.service.messages import PROTOCOL, About, AnyReply, AnyRequest, Detail, Lengths, Pose, Reply, Request
 
 FLAGS = {
     "dt_clamped": "more time has passed since the last command than `max_dt`",
@@ -45,7 +45,8 @@ def schema_text() -> str:
         "- ZeroMQ: msgpack. A DEALER (or REQ) socket to the port of requests; a SUB socket to the port of the stream, where a "
         "message is the session's name, a zero byte, and the message.\n"
         "- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` turns on a stream.\n\n"
-        "A request that is repeated byte by byte is answered again and carried out once.",
+        "A request that is repeated byte by byte is answered again and carried out once. One that bears a session's public "
+        "`name` in place of its secret is carried out each time.",
         "## Requests",
         "Every request has these fields too:",
         _table(Request).partition("\n\n")[2].partition("\n\n")[2],
@@ -54,7 +55,7 @@ def schema_text() -> str:
         "Every reply has `seq`, the number of the request that it answers. Replies may grow fields.",
         *(_table(kind) for kind in get_args(AnyReply)),
         "## Values",
-        *(_table(kind) for kind in (Pose, Lengths, Detail)),
+        *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Codes of an error",

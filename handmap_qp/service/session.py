@@ -10,16 +10,18 @@ inside the mapper), the mapper is seated where the guard is before the next samp
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
 
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hand import Hand
+from handmap_qp.options import MappingOptions
 from handmap_qp.samples import MapStep
-from handmap_qp.service.convert import name_joints, to_detail, to_matrix, to_pose, to_row
-from handmap_qp.service.messages import Command, Open, Opened, Reset, State, Step
-from handmap_qp.service.opening import Calibration, Hands, refused
+from handmap_qp.service.convert import name_joints, to_detail, to_lengths, to_matrix, to_pose, to_row
+from handmap_qp.service.messages import About, Command, Configure, Open, Opened, Reset, State, Step
+from handmap_qp.service.opening import Calibration, Hands, name_field, read_ik, read_options, refused
 from handmap_qp.service.safety import SpeedGuard, StepClock
 
 HEARTBEAT = 0.1
@@ -73,6 +75,7 @@ class Session:
         self.last_request = now
         self._hands = hands
         self._calibration = calibration if hands.needs_measuring else None
+        self._has_detail = request.has_detail
         q, wrist = start or (_start_angles(self.robot, request.robot_q), to_matrix(request.robot_wrist))
         _check_wrist(self.robot, request.robot_wrist)
         self._guard = SpeedGuard(self.robot, q, wrist)
@@ -114,8 +117,22 @@ class Session:
             stream_port=stream_port,
         )
 
-    def state(self, seq: int, version: str, now: float) -> State:
+    def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """The answer to `status`."""
+        request, mapper = self.request, self._hands.mapper
+        about = About(
+            robot=self.robot.name,
+            side=request.side,
+            input=request.input,
+            lengths=to_lengths(self._hands.lengths),
+            human_points=request.human_points,
+            robot_points=request.robot_points,
+            mount=request.mount,
+            mapping=asdict(mapper.options),
+            ik=asdict(mapper.ik),
+            has_detail=self._has_detail,
+            is_shared=request.is_shared,
+        )
         return State(
             seq=seq,
             version=version,
@@ -124,6 +141,8 @@ class Session:
             mode=self.mode,
             counts=dict(self.counts),
             q=to_row(self._guard.q),
+            stream_port=stream_port,
+            about=about,
         )
 
     def step(self, sample: Step, now: float) -> Command:
@@ -209,6 +228,18 @@ class Session:
             self._hands.mapper.clutch()
         self._engaged = "waiting" if self._engaged == "waiting" else "following"
 
+    def configure(self, request: Configure) -> None:
+        """Change options: the reference stays what it was, and the robot goes on from where it is.
+
+        Raises:
+            RefusedError: Naming the option that cannot be; all is then as it was.
+        """
+        mapper = self._hands.mapper
+        mapping = read_options("mapping", asdict(mapper.options) | request.mapping, MappingOptions)
+        ik = read_ik(asdict(mapper.ik) | request.ik)
+        name_field("mapping", lambda: mapper.configure(mapping, ik=ik))
+        self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
+
     def reset(self, request: Reset) -> None:
         """Start anew.
 
@@ -256,6 +287,7 @@ class Session:
         command = self._command("calibrating", flags)
         if hands is not None:
             is_released = self._engaged == "released"
+            hands.mapper.configure(self._hands.mapper.options, ik=self._hands.mapper.ik)
             self._hands, self._calibration = hands, None
             self._seat()
             if is_released:
@@ -265,7 +297,7 @@ class Session:
     def _make_ready(self) -> None:
         """Seat the mapper where it has to start anew: after a failure or a return to rest, or a hold if so asked."""
         # A mapper that limits accelerations thinks that it still moves as before the hold, until it is seated anew.
-        wants_clutch = self.request.resume == "clutch" or self.request.ik.get("max_acceleration") is not None
+        wants_clutch = self.request.resume == "clutch" or self._hands.mapper.ik.max_acceleration is not None
         if self._engaged != "released" and (self._needs_reference or (wants_clutch and self._watch is not None)):
             self._seat()
 
@@ -307,7 +339,7 @@ class Session:
             "at_limit": name_joints(self.robot, step.at_limit),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": to_detail(step, human[0] if len(human[0]) else None, human[1]) if self.request.has_detail else None,
+            "detail": to_detail(step, human[0] if len(human[0]) else None, human[1]) if self._has_detail else None,
         }
 
     def _command(self, status: str, flags: list[str], **told: Any) -> Command:

@@ -83,6 +83,17 @@ class Sessions:
             raise RefusedError("taken", "another client has taken this session over", field="session")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
+    def named(self, name: str) -> Session:
+        """The open session of a public name.
+
+        Raises:
+            RefusedError: If there is none.
+        """
+        for entry in self.entries.values():
+            if entry.session.name == name:
+                return entry.session
+        raise RefusedError("invalid", f"no session {name!r}", field="name")
+
     async def open(self, request: Open, payload: bytes) -> Session:
         """Open a session.
 
