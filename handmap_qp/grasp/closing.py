@@ -14,9 +14,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp import Contact, Grasp
-from handmap_qp.grasp_preshape import Closing, default_closing, finger_names
-from handmap_qp.grasp_statics import finite_array
+from handmap_qp.grasp.contacts import Contact, Grasp
+from handmap_qp.grasp.preshape import Closing, default_closing, finger_names
+from handmap_qp.grasp.statics import finite_array
 from handmap_qp.hand import Hand, package_share
 from handmap_qp.shapes import Box, Cylinder, Shape, Sphere
 from handmap_qp.transform import PoseLike, check_pose, inverse_pose, transform_points
