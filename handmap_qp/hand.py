@@ -20,7 +20,6 @@ from handmap_qp.hand_spec import HandSpec, Mount, PointSpec
 from handmap_qp.mimic import Expansion, MimicRule, expansion_matrix, read_mimic_rules, tighten_model
 from handmap_qp.mounting import compose_urdf
 from handmap_qp.transform import affine
-from handmap_qp.urdf_files import package_share as package_share
 from handmap_qp.urdf_files import read_urdf as read_urdf
 from handmap_qp.urdf_files import urdf_path as urdf_path
 from handmap_qp.urdf_text import parse_urdf

@@ -15,8 +15,8 @@ from strategies import generators, poses
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp import Contact, Grasp, contact_jacobian, contact_points, grasp_matrix, quasistatic
-from handmap_qp.grasp_reference import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp_statics import grasp_stiffness
+from handmap_qp.grasp.reference import REFERENCE_HANDS, reference_grasp
+from handmap_qp.grasp.statics import grasp_stiffness
 from handmap_qp.human import load_synergies
 from handmap_qp.library import load_hand
 from handmap_qp.transform import transform_points

@@ -17,11 +17,11 @@ from strategies import generators, motion_of, poses, rotations
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.experiments.grasp_figures import contact_histogram_figure
 from handmap_qp.grasp import Grasp
-from handmap_qp.grasp_closing import MARGIN, HandCloser, close_hand
-from handmap_qp.grasp_planning import PlannedGrasp, contact_counts, plan_grasps
-from handmap_qp.grasp_preshape import Closing, default_closing, palm_centre
-from handmap_qp.grasp_quality import QUALITIES, SMALLER_IS_BETTER, cone_wrenches, ferrari_canny, grasp_quality
-from handmap_qp.grasp_reference import REFERENCE_HANDS, reference_grasp
+from handmap_qp.grasp.closing import MARGIN, HandCloser, close_hand
+from handmap_qp.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
+from handmap_qp.grasp.preshape import Closing, default_closing, palm_centre
+from handmap_qp.grasp.quality import QUALITIES, SMALLER_IS_BETTER, cone_wrenches, ferrari_canny, grasp_quality
+from handmap_qp.grasp.reference import REFERENCE_HANDS, reference_grasp
 from handmap_qp.hand import Hand
 from handmap_qp.library import load_hand
 from handmap_qp.shapes import Box, Cylinder, Shape, Sphere

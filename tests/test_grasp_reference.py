@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp_quality import grasp_quality
-from handmap_qp.grasp_reference import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp_statics import grasp_matrix
+from handmap_qp.grasp.quality import grasp_quality
+from handmap_qp.grasp.reference import REFERENCE_HANDS, reference_grasp
+from handmap_qp.grasp.statics import grasp_matrix
 from handmap_qp.paths import urdf_directory
 
 

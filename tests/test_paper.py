@@ -23,7 +23,7 @@ from handmap_qp.experiments.section_four import (
     run_experiment,
     wrist_arc,
 )
-from handmap_qp.grasp_reference import reference_grasp
+from handmap_qp.grasp.reference import reference_grasp
 
 SYNERGIES = (1, 2, 3)
 MODELS = {"rigid": None, "quasi-static": UNIT}

@@ -16,8 +16,8 @@ from handmap_qp.experiments.artwork import Row
 from handmap_qp.experiments.followers import Fingers
 from handmap_qp.experiments.held_object import object_error
 from handmap_qp.experiments.section_four import Pivot, Run, Scene, Setting, limited_hand, paper_scene, run_experiment
-from handmap_qp.grasp_planning import PlannedGrasp, plan_grasps
-from handmap_qp.grasp_preshape import default_closing
+from handmap_qp.grasp.planning import PlannedGrasp, plan_grasps
+from handmap_qp.grasp.preshape import default_closing
 from handmap_qp.library import load_hand
 
 SYNERGIES = (1, 2, 3)

@@ -8,35 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, require_matplotlib
+from handmap_qp.experiments.style import INK, styled, words
+from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_INK, _PALE = "#222831", "#8a929c"
-_STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _PALE,
-    "axes.titlesize": 11.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "xtick.color": _PALE,
-    "ytick.color": _PALE,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "legend.frameon": False,
-    "figure.dpi": 160,
-    "savefig.dpi": 160,
-}
 
-
+@styled
 def contact_histogram_figure(
     counts: Mapping[str, Mapping[int, int]], published: Mapping[str, Mapping[int, int]] | None = None
 ) -> Figure:
@@ -53,20 +33,19 @@ def contact_histogram_figure(
         InvalidInputError: If there is no hand, or a hand without grasps.
         MissingExtraError: If matplotlib is not installed.
     """
+    from matplotlib.figure import Figure
+
     if not counts or not all(sum(one.values()) for one in counts.values()):
         raise InvalidInputError("counts: expected at least one hand, and grasps of each", value=counts)
-    with require_matplotlib().rc_context(_STYLE):
-        from matplotlib.figure import Figure
-
-        references = published or {}
-        ranges = [sorted({*one, *references.get(name, {})}) for name, one in counts.items()]
-        # Equal bars in all fields: a field is as wide as the numbers that it has to show.
-        widths = [max(numbers[-1] - numbers[0] + 2.0, 4.0) for numbers in ranges]
-        figure = Figure(figsize=(1.6 + 0.6 * sum(widths), 3.4), layout="constrained")
-        fields = figure.subplots(1, len(counts), sharey=True, squeeze=False, width_ratios=widths)[0]
-        for axes, name, numbers in zip(fields, counts, ranges, strict=True):
-            _draw(axes, name, numbers, counts[name], references.get(name))
-        fields[0].set_ylabel("share of grasps [%]")
+    references = published or {}
+    ranges = [sorted({*one, *references.get(name, {})}) for name, one in counts.items()]
+    # Equal bars in all fields: a field is as wide as the numbers that it has to show.
+    widths = [max(numbers[-1] - numbers[0] + 2.0, 4.0) for numbers in ranges]
+    figure = Figure(figsize=(1.6 + 0.6 * sum(widths), 3.4), layout="constrained")
+    fields = figure.subplots(1, len(counts), sharey=True, squeeze=False, width_ratios=widths)[0]
+    for axes, name, numbers in zip(fields, counts, ranges, strict=True):
+        _draw(axes, name, numbers, counts[name], references.get(name))
+    fields[0].set_ylabel("share of grasps [%]")
     return figure
 
 
@@ -81,13 +60,13 @@ def _draw(axes: Axes, name: str, numbers: list[int], counts: Mapping[int, int], 
     theirs = {} if published is None else {number: 100.0 * count / sum(published.values()) for number, count in published.items()}
     if published is not None:
         label = f"toolbox, {sum(published.values())} grasps"
-        axes.bar(list(theirs), list(theirs.values()), width=0.86, fill=False, edgecolor=_INK, linewidth=1.0, label=label)
+        axes.bar(list(theirs), list(theirs.values()), width=0.86, fill=False, edgecolor=INK, linewidth=1.0, label=label)
     for number, share in shares.items():
         outline = theirs.get(number, 0.0)
         # The label stands on its own bar, but not across an outline just above it.
         top = outline if share < outline < share + 10.0 else share
         axes.annotate(f"{share:.0f} %", (number, top), (0, 3), textcoords="offset points", ha="center", fontsize=8)
-    axes.set_title(f"{name.replace('_', ' ').capitalize()}: most often {most}")
+    axes.set_title(f"{words(name).capitalize()}: most often {most}", fontsize=11)
     axes.set_xlabel("contacts")
     axes.set_xticks(np.arange(numbers[0], numbers[-1] + 1))
     middle, width = 0.5 * (numbers[0] + numbers[-1]), max(numbers[-1] - numbers[0] + 2.0, 4.0)
@@ -95,4 +74,5 @@ def _draw(axes: Axes, name: str, numbers: list[int], counts: Mapping[int, int], 
     axes.set_ylim(0.0, 130.0)
     axes.set_yticks([0, 20, 40, 60, 80, 100])
     axes.spines["left"].set_bounds(0.0, 100.0)
+    axes.grid(visible=False)
     axes.legend(loc="upper left", fontsize=8, borderaxespad=0.2)

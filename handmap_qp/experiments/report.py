@@ -12,8 +12,8 @@ from handmap_qp.experiments.artwork import Artwork, Row, markdown_table
 from handmap_qp.experiments.figures import listed
 from handmap_qp.experiments.grasp_figures import contact_histogram_figure
 from handmap_qp.experiments.output import output_folder
-from handmap_qp.grasp_planning import contact_counts
-from handmap_qp.grasp_reference import REFERENCE_HANDS, reference_grasp
+from handmap_qp.grasp.planning import contact_counts
+from handmap_qp.grasp.reference import REFERENCE_HANDS, reference_grasp
 from handmap_qp.library import load_hand
 from handmap_qp.rendering import require_matplotlib
 

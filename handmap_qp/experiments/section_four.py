@@ -19,7 +19,7 @@ from handmap_qp.decomposition import about, decompose
 from handmap_qp.estimation import estimate_motion, kabsch_rotation
 from handmap_qp.experiments.followers import Fingers, make_follower
 from handmap_qp.grasp import Contact, Grasp
-from handmap_qp.grasp_reference import read_cube_figures, reference_grasp
+from handmap_qp.grasp.reference import read_cube_figures, reference_grasp
 from handmap_qp.hand import Hand
 from handmap_qp.human import load_synergies
 from handmap_qp.transform import affine, transform_points

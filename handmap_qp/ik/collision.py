@@ -16,9 +16,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.collision_shapes import read_collision_shapes
 from handmap_qp.configuration import Configuration
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hand import Hand, package_share
+from handmap_qp.hand import Hand
 
 
 class CollisionLimit:
@@ -49,7 +50,7 @@ class CollisionLimit:
             raise InvalidOptionsError(f"gain: expected a number in (0, 1], got {gain}")
         self._gain = gain
         self._model = hand.model
-        self._geometry = _collision_geometry(hand)
+        self._geometry = read_collision_shapes(hand)
         self.pairs = _add_pairs(hand, spec.pairs, self._geometry)
         self._data = self._geometry.createData()
         for request in self._data.distanceRequests:
@@ -123,22 +124,6 @@ class CollisionLimit:
             self._wrenches[i, :3] = result.normal
             self._wrenches[i, 3:] = result.getNearestPoint1()
         self._wrenches[:, 3:] = np.cross(self._wrenches[:, 3:], self._wrenches[:, :3])
-
-
-def _collision_geometry(hand: Hand) -> pin.GeometryModel:
-    folders = [str(hand.spec.directory or ".")]
-    if hand.spec.urdf.startswith("package://"):
-        folders.append(str(package_share(hand.spec.urdf.removeprefix("package://").partition("/")[0])))
-    try:
-        geometry = pin.buildGeomFromUrdfString(hand.model, hand.urdf_text, pin.GeometryType.COLLISION, package_dirs=folders)
-    except (RuntimeError, ValueError) as error:
-        raise hand.spec.error(f"the collision shapes cannot be read: {' '.join(str(error).split())}", key="urdf") from error
-    for shape in geometry.geometryObjects:
-        if hasattr(shape.geometry, "buildConvexRepresentation"):
-            # A mesh has no inside, and so no depth of overlap; its convex hull has.
-            shape.geometry.buildConvexRepresentation(False)
-            shape.geometry = shape.geometry.convex
-    return geometry
 
 
 def _add_pairs(hand: Hand, pairs: tuple[tuple[str, str], ...], geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:

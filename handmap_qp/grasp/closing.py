@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from handmap_qp.collision_shapes import read_collision_shapes
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp import Contact, Grasp
-from handmap_qp.grasp_preshape import Closing, default_closing, finger_names
-from handmap_qp.grasp_statics import finite_array
-from handmap_qp.hand import Hand, package_share
+from handmap_qp.grasp.contacts import Contact, Grasp
+from handmap_qp.grasp.preshape import Closing, default_closing, finger_names
+from handmap_qp.grasp.statics import finite_array
+from handmap_qp.hand import Hand
 from handmap_qp.shapes import Box, Cylinder, Shape, Sphere
 from handmap_qp.transform import PoseLike, check_pose, inverse_pose, transform_points
 
@@ -78,7 +79,9 @@ class HandCloser:
         self._step = step
         self._margin = margin
         self._end = np.where(self.closing.direction > 0.0, hand.upper_limits, hand.lower_limits)
-        self._geometry = _collision_shapes(hand)
+        self._geometry = read_collision_shapes(hand)
+        if self._geometry.ngeoms == 0:
+            raise hand.spec.error("the URDF has no collision shapes to close the hand by", key="urdf", value=hand.spec.urdf)
         parts = list(self._geometry.geometryObjects)
         self.links = tuple(hand.model.frames[part.parentFrame].name for part in parts)
         self._carries = _carried_parts(hand, [part.parentJoint for part in parts])
@@ -218,25 +221,6 @@ def _solid(shape: Shape) -> Any:
         case Cylinder(radius, length):
             return pin.coal.Cylinder(radius, length)
     raise InvalidInputError(f"shape: expected a Box, Sphere or Cylinder, got {shape!r}", value=shape)
-
-
-def _collision_shapes(hand: Hand) -> pin.GeometryModel:
-    spec = hand.spec
-    folders = [str(spec.directory or ".")]
-    if spec.urdf.startswith("package://"):
-        folders.append(str(package_share(spec.urdf.removeprefix("package://").partition("/")[0])))
-    try:
-        geometry = pin.buildGeomFromUrdfString(hand.model, hand.urdf_text, pin.GeometryType.COLLISION, package_dirs=folders)
-    except (RuntimeError, ValueError) as error:
-        raise spec.error(f"the collision shapes cannot be read: {' '.join(str(error).split())}", key="urdf") from error
-    for part in geometry.geometryObjects:
-        if hasattr(part.geometry, "buildConvexRepresentation"):
-            # A bare mesh is a surface without an inside: a link could lie within the object unnoticed.
-            part.geometry.buildConvexRepresentation(False)
-            part.geometry = part.geometry.convex
-    if geometry.ngeoms == 0:
-        raise spec.error("the URDF has no collision shapes to close the hand by", key="urdf", value=spec.urdf)
-    return geometry
 
 
 def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:

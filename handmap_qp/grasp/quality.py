@@ -24,8 +24,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp import Grasp
-from handmap_qp.grasp_statics import grasp_matrix
+from handmap_qp.grasp.contacts import Grasp
+from handmap_qp.grasp.statics import grasp_matrix
 
 QUALITIES = ("ferrari_canny", "msvg", "gii", "vew", "dtsc", "mev", "uot", "centroid")
 """Names of the measures."""

@@ -2,7 +2,7 @@
 
 The figures are the toolbox's that the paper was computed with; each hand's lie beside its URDF, in `grasp_cube50.json`. Contacts
 lie on the bones' axes there, because that planner takes fingers for lines: with the thickness of our collision shapes, human links
-reach up to 8 mm into the cube and robot links up to 11 mm. `handmap_qp.grasp_planning` finds grasps without that.
+reach up to 8 mm into the cube and robot links up to 11 mm. `handmap_qp.grasp.planning` finds grasps without that.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp import Contact, Grasp
+from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.hand import Hand
 from handmap_qp.hand_spec import read_hand_spec
 from handmap_qp.paths import urdf_directory

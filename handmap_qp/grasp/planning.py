@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp import Grasp
-from handmap_qp.grasp_closing import MARGIN, STEP, HandCloser
-from handmap_qp.grasp_preshape import Closing, palm_centre
-from handmap_qp.grasp_quality import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
+from handmap_qp.grasp.closing import MARGIN, STEP, HandCloser
+from handmap_qp.grasp.contacts import Grasp
+from handmap_qp.grasp.preshape import Closing, palm_centre
+from handmap_qp.grasp.quality import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
 from handmap_qp.hand import Hand
 from handmap_qp.shapes import Shape
 from handmap_qp.transform import PoseLike, affine, check_pose, inverse_pose

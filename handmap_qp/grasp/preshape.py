@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp_reference import REFERENCE_HANDS, read_cube_figures
+from handmap_qp.grasp.reference import REFERENCE_HANDS, read_cube_figures
 from handmap_qp.hand import Hand
 from handmap_qp.transform import inverse_pose, transform_points
 

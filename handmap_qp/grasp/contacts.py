@@ -1,7 +1,7 @@
 """Grasps: contacts on the links of a hand, and the grasp as a value (Sec. IV of the paper).
 
 `Grasp` knows its contacts in the world, its grasp matrix G and its contact Jacobian J, and answers to synergies by
-`handmap_qp.grasp_statics`, whose conventions hold here too: hard fingers, world axes, torques about the object's centre.
+`handmap_qp.grasp.statics`, whose conventions hold here too: hard fingers, world axes, torques about the object's centre.
 """
 
 from __future__ import annotations
@@ -14,13 +14,11 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp_statics import QuasiStatic, Stiffness, finite_array, grasp_matrix, quasistatic
+from handmap_qp.grasp.statics import QuasiStatic, Stiffness, finite_array, grasp_matrix, quasistatic
 from handmap_qp.hand import Hand
 from handmap_qp.hand_spec import PointSpec, Vector
 from handmap_qp.shapes import Shape
 from handmap_qp.transform import check_pose, transform_points
-
-__all__ = ["Contact", "Grasp", "QuasiStatic", "contact_jacobian", "contact_points", "grasp_matrix", "quasistatic"]
 
 
 @dataclass(frozen=True, slots=True)
