@@ -190,7 +190,8 @@ class _Connection:
         """The socket for `requests`, `samples` or the `stream`, made when it is first needed."""
         if use in self._sockets:
             return self._sockets[use]
-        socket, address = zmq.Context.instance().socket(zmq.SUB if use == "stream" else zmq.DEALER), self.address
+        socket = self._sockets[use] = zmq.Context.instance().socket(zmq.SUB if use == "stream" else zmq.DEALER)
+        host, _, port = self.address.rpartition(":")
         for option, value in ((zmq.LINGER, 0), (zmq.RECONNECT_IVL, 50), (zmq.IPV6, 1)):
             socket.setsockopt(option, value)
         # A request waits here until there is a connection; of samples and commands, the newest one waits in the socket.
@@ -199,10 +200,9 @@ class _Connection:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
         if use == "stream":
             name, port = self._stream
-            address = f"{address.rpartition(':')[0]}:{port}"
             socket.setsockopt(zmq.SUBSCRIBE, name.encode() + b"\0")
-        socket.connect(address)
-        return self._sockets.setdefault(use, socket)
+        socket.connect(f"{host}:{port}")
+        return socket
 
     def _drop(self, *uses: str) -> None:
         for use in self._sockets.keys() & uses:

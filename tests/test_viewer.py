@@ -181,7 +181,7 @@ def test_caption_says_that_the_hand_was_not_seen() -> None:
 def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
     seek(viewer, COUNT - 1)
     before, drawn = viewer.sample.robot_q, pose_in_scene(viewer.server, "/robot/points/0")
-    viewer.controls.handles["deformation_gain"].value = 0.0
+    viewer.steering.options.handles["deformation_gain"].value = 0.0
     viewer.tick(0.0)
     assert viewer.replay.mapping == MappingOptions(deformation_gain=0.0)
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
@@ -189,8 +189,8 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
 
 
 def test_every_control_reaches_its_option(viewer: ReplayViewer) -> None:
-    for name, handle in viewer.controls.handles.items():
-        before, value = viewer.controls.options(), handle.value
+    for name, handle in viewer.steering.options.handles.items():
+        before, value = viewer.steering.options.options(), handle.value
         options = getattr(handle, "options", ())
         if options:
             handle.value = next(option for option in options if option != value)
@@ -200,7 +200,7 @@ def test_every_control_reaches_its_option(viewer: ReplayViewer) -> None:
             handle.value = value + handle.step if value + handle.step <= handle.max else value - handle.step
         changed = [
             field
-            for old, new in zip(before, viewer.controls.options(), strict=True)
+            for old, new in zip(before, viewer.steering.options.options(), strict=True)
             for field in type(old).__slots__
             if getattr(old, field) != getattr(new, field)
         ]
@@ -213,9 +213,9 @@ def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
     replay = make_replay()
     replay.remap(given, IkOptions())
     viewer = ReplayViewer(server, replay)
-    assert viewer.controls.options() == (given, IkOptions())
-    viewer.controls.handles["pivot"].value = "palm"
-    assert viewer.controls.options()[0] == replace(given, pivot="palm", pivot_point=None)
+    assert viewer.steering.options.options() == (given, IkOptions())
+    viewer.steering.options.handles["pivot"].value = "palm"
+    assert viewer.steering.options.options()[0] == replace(given, pivot="palm", pivot_point=None)
 
 
 def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -> None:
@@ -224,24 +224,24 @@ def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -
     replay.remap(MappingOptions(), IkOptions())
     viewer = ReplayViewer(server, replay)
     samples = replay.samples
-    viewer.controls.handles["ridge"].value = 0.0
+    viewer.steering.options.handles["ridge"].value = 0.0
     viewer.tick(0.0)
     assert replay.samples is samples
-    assert viewer.message.visible
-    assert "ridge=0 needs 4" in viewer.message.content
-    viewer.controls.handles["ridge"].value = 0.2
+    assert viewer.steering.message.visible
+    assert "ridge=0 needs 4" in viewer.steering.message.content
+    viewer.steering.options.handles["ridge"].value = 0.2
     viewer.tick(0.0)
     assert replay.mapping == MappingOptions(ridge=0.2)
-    assert not viewer.message.visible
+    assert not viewer.steering.message.visible
 
 
 def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayViewer) -> None:
     seek(viewer, 30)
-    press(viewer.clutch)
+    press(viewer.steering.clutch)
     viewer.tick(0.0)
-    assert viewer.clutch.label == "Clutch"
+    assert viewer.steering.clutch.label == "Clutch"
     seek(viewer, 45)
-    press(viewer.clutch)
+    press(viewer.steering.clutch)
     viewer.tick(0.0)
     samples = viewer.replay.samples
     held = np.array([sample.robot_q for sample in samples[29:45]])
@@ -250,8 +250,8 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
     assert samples[45].targets is not None
     np.testing.assert_allclose(samples[45].targets, samples[44].robot_points, atol=1e-9)
-    assert viewer.clutch.label == "Release"
-    press(viewer.reset)
+    assert viewer.steering.clutch.label == "Release"
+    press(viewer.steering.reset)
     viewer.tick(0.0)
     assert not viewer.replay.switches
     assert viewer.replay.samples[40].status != "released"

@@ -35,7 +35,7 @@ def test_the_command_writes_one_page_that_needs_no_network(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "page.html"
-    View("three_finger", recording, html=page).run()
+    View(recording, "three_finger", html=page).run()
     assert capsys.readouterr().out == f"wrote {page}\n"
     text = page.read_text(encoding="utf-8")
     assert "__VISER_EMBED_DATA__" in text
@@ -69,11 +69,11 @@ def test_a_mistake_is_said_before_anything_is_shown(recording: Path, changes: di
 def test_without_viser_the_command_names_the_extra(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"handmap-qp\[view\]"):
-        View("three_finger", recording).run()
+        View(recording, "three_finger").run()
 
 
 def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> None:
-    assert View("three_finger", recording).host == "127.0.0.1"
+    assert View(recording, "three_finger").host == "127.0.0.1"
     with serving() as server:
         assert server.get_host() == "127.0.0.1"
 

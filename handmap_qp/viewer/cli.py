@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from handmap_qp.errors import InvalidInputError, MissingExtraError
-from handmap_qp.hand_spec import Side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
 
@@ -30,31 +29,29 @@ class View:
 
     Examples: `handmap view recording.npz --robot allegro_right`, or
     `handmap view recording.npz --robot three_finger --html page.html` for a page that plays without a server, or
-    `handmap view --live 127.0.0.1 --robot allegro_right` beside a running `handmap serve`.
+    `handmap view --live 127.0.0.1` beside a running `handmap serve`.
 
     Attributes:
         recording: Recording of a human hand, as for `handmap map`.
-        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml.
-        live: In place of a recording: HOST or HOST:PORT of a mapping service's stream, to look on. Its session must have been
-            opened with has_detail.
-        session: Name of the service's session; the first one heard if omitted.
-        side: Which of the human's hands the service's session follows.
+        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml. With --live, the service says it.
+        live: In place of a recording: HOST or HOST:PORT of a mapping service. A session that was opened with is_shared can be
+            steered from the view, one with has_detail can be seen.
+        session: Name of the service's session; the only one if omitted.
         keys: For an encrypted service: the folder's files NAME.key_secret and server.key.
         html: Write a page that plays by itself to this file, and end.
         host: Address to serve on. Whoever reaches it can use the view: leave it on loopback unless you trust the network.
         port: Port to serve on; the next free one where it is taken.
         open: Open the browser.
-        human_points: Reference points on the human hand: the name of a set.
+        human_points: Reference points on the human hand: the name of a set. As all below, for a recording.
         robot_points: Reference points on the robot hand: the name of a set; its own default if omitted.
         mapping: How the human's motion becomes the robot's, to start with.
         ik: Weights and settings of the QP, to start with.
     """
 
-    robot: str
     recording: tyro.conf.Positional[Path | None] = None
+    robot: str | None = None
     live: str | None = None
     session: str | None = None
-    side: Side = "right"
     keys: tuple[Path, Path] | None = None
     html: Path | None = None
     host: str = "127.0.0.1"
@@ -78,15 +75,17 @@ class View:
         if self.live is not None:
             self._show_live(self.live)
         elif self.recording is not None:
-            self._show_recording(self.recording)
+            if self.robot is None:
+                raise InvalidInputError("--robot: missing; a recording can be shown on any hand that `handmap hands` lists")
+            self._show_recording(self.recording, self.robot)
 
-    def _show_recording(self, file: Path) -> None:
+    def _show_recording(self, file: Path, robot: str) -> None:
         from handmap_qp.viewer.app import ReplayViewer
         from handmap_qp.viewer.page import check_page, write_page
         from handmap_qp.viewer.scene import serving
 
         page = None if self.html is None else check_page(self.html)
-        replay = self._replay(file)
+        replay = self._replay(file, robot)
         if page is not None:
             with serving() as server:
                 write_page(page, server, replay)
@@ -98,18 +97,15 @@ class View:
             viewer.run()
 
     def _show_live(self, live: str) -> None:
-        from handmap_qp.library import load_hand
-        from handmap_qp.trackers.landmarks import human_name
         from handmap_qp.viewer.live import LiveViewer
+        from handmap_qp.viewer.remote import ServiceSession
         from handmap_qp.viewer.scene import serving
-        from handmap_qp.viewer.stream import ServiceStream
 
         if self.html is not None:
             raise InvalidInputError("--html: a page is made of a recording, not of --live")
-        human, robot = load_hand(human_name(self.side), points=self.human_points), load_hand(self.robot, points=self.robot_points)
-        source = ServiceStream(live, human, robot, session=self.session, keys=self.keys)
+        source = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
         with serving(self.host, self.port) as server:
-            viewer = LiveViewer(server, source, self.mapping)
+            viewer = LiveViewer(server, source)
             self._announce(server)
             try:
                 viewer.run()
@@ -124,13 +120,13 @@ class View:
         if self.open:
             webbrowser.open(address)
 
-    def _replay(self, file: Path) -> Replay:
+    def _replay(self, file: Path, name: str) -> Replay:
         from handmap_qp.library import load_hand
         from handmap_qp.recording import read_recording
         from handmap_qp.trackers.landmarks import fit_recording
         from handmap_qp.viewer.samples import Replay
 
         recording = read_recording(file)
-        robot = load_hand(self.robot, points=self.robot_points)
+        robot = load_hand(name, points=self.robot_points)
         motion = fit_recording(recording)
         return Replay(motion, motion.human.with_points(self.human_points), robot, self.mapping, self.ik)

@@ -1,10 +1,15 @@
-"""What the panel on the right is made of: play bar, choices of the picture, a slider or a list for every option."""
+"""The panel on the right: play bar, clutch, choices of the picture, a slider or a list for every option.
+
+Callbacks of the browser come in threads of their own. They only leave their wish where the viewer's `tick` finds it, so that
+mapping and drawing happen in one thread.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from handmap_qp.errors import HandmapError
 from handmap_qp.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
@@ -133,6 +138,68 @@ class PictureControls:
         scene.follow, scene.deformation_shape = self.follow.value, self.shape.value
 
 
+class SteeringControls:
+    """Clutch, picture, options, and a word on what could not be done.
+
+    Args:
+        server: A running viser server.
+        robot: The robot hand.
+        mapping: The options to start from.
+        ik: Those of the QP.
+
+    Attributes:
+        clutch: The clutch button.
+        message: Why the last wish was not fulfilled; not visible where it was.
+        picture: What the picture shows.
+        options: A slider or a list for every option.
+        reset: The button that puts the options back.
+    """
+
+    def __init__(self, server: viser.ViserServer, robot: Hand, mapping: MappingOptions, ik: IkOptions) -> None:
+        gui = server.gui
+        self.clutch = gui.add_button("Release", hint="The robot holds still until you clutch; then it goes on from where it is")
+        self.message = gui.add_markdown("", visible=False)
+        self.picture = PictureControls(server)
+        self.options = OptionControls(server, robot, mapping, ik)
+        self.reset = gui.add_button("Reset options and clutch")
+        self._wishes: list[str] = []
+        self._asked: tuple[MappingOptions, IkOptions] | None = (mapping, ik)
+        self.clutch.on_click(lambda _: self._wishes.append("clutch"))
+        self.reset.on_click(lambda _: self._wishes.append("reset"))
+
+    def take_wishes(self) -> list[str]:
+        """The buttons pressed since the last call, `clutch` and `reset`; the latter has put the options back already."""
+        wishes = [self._wishes.pop(0) for _ in range(len(self._wishes))]
+        if "reset" in wishes:
+            self.options.reset()
+        return wishes
+
+    def take_options(self, *, in_any_case: bool = False) -> tuple[MappingOptions, IkOptions] | None:
+        """The options, where they are others than at the last call.
+
+        Args:
+            in_any_case: Whether to give them although they are not.
+
+        Raises:
+            InvalidOptionsError: If they contradict each other.
+        """
+        self._asked = None if in_any_case else self._asked
+        options = self.options.options()
+        if options == self._asked:
+            return None
+        self._asked = options
+        return options
+
+    def show_released(self, is_released: bool) -> None:
+        """Let the clutch button say what it would do."""
+        self.clutch.label = "Clutch" if is_released else "Release"
+
+    def complain(self, error: HandmapError | None) -> None:
+        """Say why a wish was not fulfilled, or that the last one was."""
+        self.message.visible = error is not None
+        self.message.content = "" if error is None else f"**Not possible:** {error}"
+
+
 class PlayBar:
     """Play and pause, speed, scrubbing.
 
@@ -182,3 +249,9 @@ class PlayBar:
 
 def _label(name: str) -> str:
     return name.replace("_", " ")
+
+
+def dock_main_panel(server: viser.ViserServer) -> None:
+    """Put what follows to the right of the hands."""
+    server.gui.main_panel.dock_right()
+    server.gui.main_panel.set_width(330)

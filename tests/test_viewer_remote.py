@@ -1,0 +1,194 @@
+"""A session of a real mapping service in the view: what is shown of it, and how it is steered from there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+
+import service_tools
+from service_tools import address_of, connected, human_q
+
+from handmap_qp import InvalidInputError, MappingOptions, load_hand
+from handmap_qp.client import Client, Command
+from handmap_qp.human import HumanLengths
+from handmap_qp.service.keys import make_keys
+from handmap_qp.service.server import Server
+from handmap_qp.viewer.live import LiveViewer
+from handmap_qp.viewer.remote import ServiceSession
+from handmap_qp.viewer.samples import ViewSample
+from handmap_qp.viewer.scene import serving
+
+WRIST = np.eye(4)
+WRIST[:3, 3] = 0.1, 0.2, 0.3
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[Server]:
+    with service_tools.serving() as running:
+        yield running
+
+
+def host_of(service: Server) -> str:
+    return address_of(service).removeprefix("tcp://")
+
+
+@contextmanager
+def moving(client: Client, sample: Callable[[int], dict[str, Any]] | None = None) -> Iterator[list[Command]]:
+    """A client that moves all the time; its commands."""
+    is_over, commands = threading.Event(), list[Command]()
+
+    def move() -> None:
+        while not is_over.wait(0.01):
+            i = len(commands)
+            commands.append(client.step(**({"q": human_q(0.05 * i), "wrist": WRIST} if sample is None else sample(i))))
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    try:
+        yield commands
+    finally:
+        is_over.set()
+        thread.join()
+
+
+@contextmanager
+def watching(service: Server, **choices: Any) -> Iterator[tuple[ServiceSession, Iterator[ViewSample]]]:
+    session = ServiceSession(host_of(service), **choices)
+    samples = iter(session)
+    try:
+        yield session, samples
+    finally:
+        session.close()
+        for _ in samples:
+            pass
+
+
+# One that has followers, one on an arm, and one whose wrist stays.
+@pytest.mark.parametrize("robot", ["allegro_right", "panda_gripper", "ur5_allegro", "tiago_arm"])
+def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
+    options = {"ridge": 0.3, "pivot": "palm"}
+    with (
+        connected(service, robot=robot, name="lab", has_detail=True, mapping=options) as client,
+        moving(client) as commands,
+        watching(service, session="lab") as (session, samples),
+    ):
+        shown = [next(samples) for _ in range(5)]
+    assert (session.robot.name, session.mapping) == (robot, MappingOptions(ridge=0.3, pivot="palm"))
+    sent = {command.q: command for command in commands}
+    for sample in shown:
+        command = sent[tuple(sample.robot_q.tolist())]
+        assert command.detail is not None
+        # What the service says about its points, and where this side's own model has them.
+        np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
+        np.testing.assert_allclose(sample.human_points, session.human.points(sample.human_q, sample.human_wrist), atol=1e-9)
+        np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)
+        np.testing.assert_allclose(sample.human_wrist, WRIST, atol=1e-12)
+        # The palm is the pivot, and does not move with this motion of the fingers.
+        assert sample.pivot is not None
+        np.testing.assert_allclose(sample.pivot, (WRIST @ session.human.wrist_to_palm)[:3, 3], atol=0.03)
+
+
+def test_the_human_hand_has_the_lengths_that_the_service_measured(service: Server) -> None:
+    person = load_hand("human", points="landmarks", hand_length=0.21)
+
+    def landmarks(i: int) -> dict[str, Any]:
+        return {"landmarks": person.points(human_q(0.05 * i), WRIST)}
+
+    with (
+        connected(service, name="lab", input="landmarks", is_shared=True) as client,
+        moving(client, landmarks),
+        watching(service, session="lab") as (session, samples),
+    ):
+        next(samples)
+    measured = HumanLengths.from_urdf(session.human.urdf_text)
+    np.testing.assert_allclose(measured.segments, HumanLengths.from_hand_length(0.21).segments, atol=2e-3)
+
+
+def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
+    with connected(service, name="lab", is_shared=True) as client, moving(client) as commands, serving() as page:
+        viewer = LiveViewer(page, ServiceSession(host_of(service)))
+        assert viewer.steering is not None
+        try:
+            viewer.steering.options.handles["deformation_gain"].value = 0.0
+            viewer.tick()
+            about = service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about
+            assert about is not None
+            assert about.mapping["deformation_gain"] == 0.0
+            viewer.steering.clutch.value = True
+            viewer.tick()
+            wait_until(lambda: commands[-1].status == "released")
+            wait_until(lambda: viewer.recent[-1].status == "released")
+            viewer.tick()
+            assert viewer.steering.clutch.label == "Clutch"
+            viewer.steering.clutch.value = True
+            viewer.tick()
+            wait_until(lambda: commands[-1].status != "released")
+        finally:
+            viewer.close()
+    assert commands[-1].detail is not None
+
+
+def wait_until(is_done: Callable[[], bool]) -> None:
+    end = time.monotonic() + 5.0
+    while not is_done():
+        assert time.monotonic() < end, "nothing happens"
+        time.sleep(0.005)
+
+
+def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(service: Server) -> None:
+    with connected(service, name="lab", is_shared=True) as client, moving(client), watching(service) as (_, samples):
+        assert next(samples).is_seen
+        service.dispatcher.sessions.entries.clear()
+        seen = [next(samples).is_seen for _ in range(60)]
+    assert client.reopened == 1
+    assert seen[-1]
+
+
+def test_an_encrypted_service_is_seen_with_keys_alone(tmp_path: Path) -> None:
+    make_keys(tmp_path, ["tracker", "viewer"])
+    tracker, viewer = ((tmp_path / f"{name}.key_secret", tmp_path / "server.key") for name in ("tracker", "viewer"))
+    with service_tools.serving(keys=tmp_path) as service, Client(address_of(service), keys=tracker) as client:
+        client.open("three_finger", name="lab", is_shared=True)
+        with moving(client), watching(service, keys=viewer) as (session, samples):
+            assert next(samples).is_seen
+            session.toggle_clutch()
+            assert session.is_released
+        with pytest.raises(InvalidInputError, match="no answer"):
+            ServiceSession(host_of(service))
+
+
+def test_sessions_that_cannot_be_shown_are_explained(service: Server) -> None:
+    def show(**choices: Any) -> None:
+        ServiceSession(host_of(service), patience=0.2, **choices)
+
+    with pytest.raises(InvalidInputError, match="no session is open"):
+        show()
+    with connected(service, name="a"):
+        with pytest.raises(InvalidInputError, match="open it with has_detail=True or is_shared=True"):
+            show()
+        with pytest.raises(InvalidInputError, match="no session 'c'"):
+            show(session="c")
+        with connected(service, name="b"), pytest.raises(InvalidInputError, match="--session: a, b"):
+            show()
+    with (
+        connected(service, name="a", input="landmarks", is_shared=True),
+        pytest.raises(InvalidInputError, match="not been measured"),
+    ):
+        show()
+    with (
+        connected(service, name="a", is_shared=True) as client,
+        moving(client),
+        watching(service, robot="allegro_right") as (_, samples),
+        pytest.raises(InvalidInputError, match="of another hand"),
+    ):
+        next(samples)
