@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any, get_args
 
 import msgspec
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import motion_of, rotations, translations
 
-from handmap_qp import client
+from handmap_qp import IkOptions, MappingOptions, client
 from handmap_qp.service import messages
 from handmap_qp.service.convert import to_matrix, to_pose
 from handmap_qp.service.messages import PROTOCOL, AnyReply, AnyRequest, Error, Sample, Step, decode_request, encode_reply
@@ -114,6 +115,18 @@ def test_the_schema_names_every_message_and_field() -> None:
         assert f"### `{kind.__struct_config__.tag}`" in text
         for field in kind.__struct_fields__:
             assert f"`{field}`" in text
+
+
+def test_the_schema_describes_every_field_and_option() -> None:
+    rows = [line for line in schema_text().splitlines() if line.startswith("| `")]
+    assert all(row.rstrip(" |").count("|") == 4 for row in rows), [row for row in rows if row.rstrip(" |").count("|") != 4]
+    for option in (*MappingOptions.__slots__, *IkOptions.__slots__):
+        assert any(row.startswith(f"| `{option}` |") for row in rows)
+
+
+def test_the_schema_in_the_docs_is_that_of_today() -> None:
+    page = Path(messages.__file__).with_suffix(".md")
+    assert page.read_text() == schema_text() + "\n", f"handmap serve --schema > {page.relative_to(Path.cwd())}"
 
 
 def test_the_json_schema_accepts_what_is_sent() -> None:

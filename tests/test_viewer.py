@@ -14,11 +14,12 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 from viewer_cases import COUNT, GAP, closing_motion, make_replay
 
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, MappingOptions, load_hand
+from handmap_qp.library import hand_names
 from handmap_qp.trajectory import map_motion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.samples import Replay
-from handmap_qp.viewer.scene import HandScene, caption, serving
+from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf, serving
 
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -114,6 +115,20 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(server
             # The joints' nodes are placed by yourdfpy, the spheres by Pinocchio.
             np.testing.assert_allclose(drawn, sphere, atol=1e-9)
             np.testing.assert_allclose(in_scene(server, f"/{side}", points[[i]])[0], sphere, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> None:
+    hand = load_hand(name)
+    q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
+    drawn = load_urdf(hand)
+    drawn.update_cfg(in_order(joint_places(hand, drawn.actuated_joint_names), q))
+    links = list(drawn.link_map)
+    wrist = np.eye(4) if hand.is_floating else None
+    poses = np.array(hand.link_poses(links, q, wrist))
+    root = hand.link_poses([drawn.base_link], q, wrist)[0]
+    # yourdfpy moves followers by itself, as their mimic tags say.
+    np.testing.assert_allclose([root @ drawn.get_transform(link) for link in links], poses, atol=1e-12)
 
 
 def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:

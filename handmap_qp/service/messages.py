@@ -66,7 +66,7 @@ class Open(Request, frozen=True):
     robot_points: Annotated[Name | None, _doc("Set of reference points on the robot hand.")] = None
     mount: Annotated[Literal["floating", "fixed"] | None, _doc("The robot's wrist, overriding the hand's own.")] = None
     mapping: Annotated[dict[str, Any], _doc("Fields of MappingOptions.")] = {}
-    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions.")] = {}
+    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; of its solvers, daqp and proxqp.")] = {}
     robot_q: Annotated[Numbers | None, _doc("Where the robot is now [rad]; at rest if omitted.")] = None
     robot_wrist: Annotated[Pose | None, _doc("Where its wrist is; at the first sample's palm if omitted.")] = None
     restore: Annotated[bool, _doc("Start where the last session of this name left the robot, and end it if it is still open.")] = (
@@ -154,8 +154,8 @@ class Opened(Reply, frozen=True):
     upper: Annotated[Numbers, _doc("Their upper limits [rad].")]
     speed: Annotated[Numbers, _doc("Their speed limits [rad/s].")]
     q: Annotated[Numbers, _doc("Where the robot is taken to be [rad]: compare it with the real one before you engage.")]
-    human_joint_names: tuple[str, ...]
-    human_point_names: tuple[str, ...]
+    human_joint_names: Annotated[tuple[str, ...], _doc("Order of a sample's `q`.")]
+    human_point_names: Annotated[tuple[str, ...], _doc("Order of a sample's `points`.")]
     is_floating: Annotated[bool, _doc("Whether the robot's wrist is free to move.")]
     stream_port: Annotated[int, _doc("Port of the stream of commands (ZeroMQ PUB); 0 on WebSocket.")] = 0
 
@@ -165,7 +165,7 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
 
     human_points: Annotated[Points, _doc("In the human's world [m].")]
     human_q: Annotated[Numbers | None, _doc("[rad]; null where the sample was points.")]
-    human_wrist: Pose | None
+    human_wrist: Annotated[Pose | None, _doc("In the human's world; null where nothing needed it.")]
     motion: Annotated[Matrix, _doc("T (eqs. 5-6), 4x4.")]
     motion_rigid: Annotated[Matrix, _doc("T_rb (eq. 2), 4x4.")]
     motion_deformation: Annotated[Matrix, _doc("T_def (eq. 2), 4x4.")]
@@ -193,7 +193,7 @@ class Command(Reply, frozen=True):
     restarts: Annotated[int, _doc("How often `reset` said where the robot is: only commands of one count are near each other.")] = 0
     dt: Annotated[float, _doc("Time that the speed limits were granted [s].")] = 0.0
     solve_time: Annotated[float, _doc("Time spent on the mapping [s].")] = 0.0
-    detail: Detail | None = None
+    detail: Annotated[Detail | None, _doc("Every stage, where `has_detail` asks for it.")] = None
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
@@ -206,8 +206,8 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     human_points: Annotated[str | None, _doc("Set of reference points on the human hand; null for the usual one.")]
     robot_points: Annotated[str | None, _doc("Set of reference points on the robot hand; null for the usual one.")]
     mount: Annotated[str | None, _doc("The robot's wrist; null for the hand's own.")]
-    mapping: Annotated[dict[str, Any], _doc("MappingOptions; in JSON, null stands for what is infinite.")]
-    ik: Annotated[dict[str, Any], _doc("IkOptions.")]
+    mapping: Annotated[dict[str, Any], _doc("All of MappingOptions; in JSON, null stands for what is infinite.")]
+    ik: Annotated[dict[str, Any], _doc("All of IkOptions.")]
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")]
     is_shared: Annotated[bool, _doc("Whether others may release, clutch and configure the session.")]
 
@@ -234,7 +234,7 @@ class Error(Reply, frozen=True):
     """The request was not carried out; the session goes on as it was."""
 
     code: Annotated[str, _doc("One word; see the list.")]
-    message: str
+    message: Annotated[str, _doc("What was expected, and what came.")]
     field: Annotated[str, _doc("The field at fault, as `q[3]` or `mapping.ridge`; empty where none is.")] = ""
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import types
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+import docstring_parser
 import msgspec
 
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.options import MappingOptions
 from handmap_qp.service import messages
 from handmap_qp.service.messages import PROTOCOL, About, AnyReply, AnyRequest, Detail, Lengths, Pose, Reply, Request
 
@@ -30,8 +34,8 @@ CODES = {
     "taken": "another client has taken the session over (`restore`)",
     "stale": "the number is not above the last one, and the message is not its repetition",
     "busy": "all sessions are taken",
-    "rate": "too many messages, or sessions opened, a second; `seq` may be 0",
-    "denied": "the server does not allow it",
+    "rate": "too many messages, openings of sessions or changes of options a second; `seq` may be 0",
+    "denied": "the server does not allow it, or the session's client",
     "internal": "the server failed at it, and has logged why",
 }
 """What an error's `code` may be."""
@@ -56,6 +60,7 @@ def schema_text() -> str:
         *(_table(kind) for kind in get_args(AnyReply)),
         "## Values",
         *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
+        *(_options_table(kind) for kind in (MappingOptions, IkOptions)),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Codes of an error",
@@ -84,6 +89,18 @@ def _table(kind: type[msgspec.Struct]) -> str:
         rows.append(f"| `{item.name}` | {_type(hints[item.name])} | {default} | {_description(hints[item.name])} |")
     head = ["", "| field | type | default | |", "|---|---|---|---|"] if rows else []
     return "\n".join([f"### {title}", "", " ".join((kind.__doc__ or "").split()), *head, *rows])
+
+
+def _options_table(kind: type[MappingOptions | IkOptions]) -> str:
+    """Options as their class describes them."""
+    described = docstring_parser.parse(kind.__doc__ or "")
+    hints, texts = get_type_hints(kind), {param.arg_name: param.description or "" for param in described.params}
+    rows = [
+        f"| `{item.name}` | {_type(hints[item.name])} | `{json.dumps(item.default)}` | {' '.join(texts[item.name].split())} |"
+        for item in dataclasses.fields(kind)
+    ]
+    head = ["", "| field | type | default | |", "|---|---|---|---|"]
+    return "\n".join([f"### `{kind.__name__}`", "", described.short_description or "", *head, *rows])
 
 
 def _default(item: msgspec.structs.FieldInfo) -> Any:

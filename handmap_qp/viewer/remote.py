@@ -173,7 +173,7 @@ class ServiceSession:
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),
-            targets=np.array(detail["targets"]),
+            targets=None if self.is_released else np.array(detail["targets"]),
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
             at_limit=np.array([name in command.at_limit for name in self.robot.joint_names]),

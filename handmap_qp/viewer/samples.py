@@ -27,7 +27,7 @@ class ViewSample:
         robot_q: Robot joint angles [rad], shape (n,).
         robot_wrist: Robot wrist pose in V, shape (4, 4).
         robot_points: Robot reference points in V [m], shape (n_r, 3).
-        targets: Where those should be [m], shape (n_r, 3); None where the source does not say.
+        targets: Where those should be [m], shape (n_r, 3); None where the source does not say, or the robot was let go.
         deformation: Linear part of T_def, shape (3, 3); None where the source does not say.
         pivot: Where T takes the human's pivot [m], shape (3,); goes with `deformation`.
         at_limit: Robot joints that a limit holds, shape (n,).
@@ -152,7 +152,7 @@ def view_sample(time: float, human_q: np.ndarray, human_wrist: np.ndarray, step:
         robot_q=step.command.q,
         robot_wrist=step.command.wrist,
         robot_points=step.points,
-        targets=step.targets,
+        targets=None if step.status == "released" else step.targets,
         deformation=step.motion_deformation[:3, :3],
         pivot=step.transfer.image,
         at_limit=step.at_limit,

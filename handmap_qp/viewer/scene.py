@@ -11,7 +11,7 @@ import contextlib
 import io
 import socket
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -222,7 +222,7 @@ class HandScene:
         """Put a hand into its world, and its world into the scene."""
         hand = world.hand
         pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
-        world.model.update_cfg(_in_order(world.order, q))
+        world.model.update_cfg(in_order(world.order, q))
         world.body.wxyz, world.body.position = quat_wxyz_from_rotation(pose[:3, :3]), pose[:3, 3]
         middle, first_middle = (world.axes @ transform_points(held, world.focus[None])[0] for held in (wrist, first_wrist))
         world.frame.position = world.anchor - (middle if self.follow == "hands" else first_middle)
@@ -237,18 +237,22 @@ class HandScene:
         from viser.extras import ViserUrdf
 
         scene = self.server.scene
-        urdf = _load_urdf(hand)
+        urdf = load_urdf(hand)
         frame = scene.add_frame(f"/{node}", show_axes=False)
         body = scene.add_frame(f"/{node}/body", show_axes=False)
         model = ViserUrdf(self.server, urdf, root_node_name=f"/{node}/body")
-        places = {name: i for i, name in enumerate(hand.joint_names)}
-        order = [places.get(name) for name in model.get_actuated_joint_names()]
+        order = joint_places(hand, model.get_actuated_joint_names())
         label = scene.add_label(f"/{node}_name", hand.name, anchor="top-center", font_screen_scale=1.3)
-        model.update_cfg(_in_order(order, q))
-        low, high = urdf.scene.bounds
-        in_wrist = inverse_pose(hand.frame_pose("wrist", q)) @ hand.link_poses([urdf.base_link], q)[0]
-        focus = transform_points(in_wrist, 0.5 * (low + high)[None])[0]
-        radius = 0.45 * float(np.linalg.norm(high - low))
+        model.update_cfg(in_order(order, q))
+        to_wrist = inverse_pose(hand.frame_pose("wrist", q))
+        if hand.has_moving_wrist and not hand.is_floating:
+            # On an arm, of which the picture shows what there is room for.
+            points = transform_points(to_wrist, hand.points(q))
+            focus, radius = 0.5 * points.mean(axis=0), float(np.linalg.norm(points, axis=1).max())
+        else:
+            low, high = urdf.scene.bounds
+            in_wrist = to_wrist @ hand.link_poses([urdf.base_link], q)[0]
+            focus, radius = transform_points(in_wrist, 0.5 * (low + high)[None])[0], 0.45 * float(np.linalg.norm(high - low))
         return _World(hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius, np.zeros(3))
 
     def _add_spheres(
@@ -302,7 +306,13 @@ class HandScene:
         camera.look_at, camera.fov = np.zeros(3), float(_FIELD_OF_VIEW)
 
 
-def _in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
+def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
+    """For each joint of a model that draws a hand, its place in `hand.joint_names`; None for one that the hand does not move."""
+    places = {name: i for i, name in enumerate(hand.joint_names)}
+    return [places.get(name) for name in names]
+
+
+def in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
     """Joint angles for the model that draws a hand."""
     return np.array([0.0 if i is None else q[i] for i in order])
 
@@ -324,7 +334,7 @@ def caption(sample: ViewSample) -> str:
     return " · ".join(parts)
 
 
-def _load_urdf(hand: Hand) -> Any:
+def load_urdf(hand: Hand) -> Any:
     """The hand's URDF with its meshes, as `ViserUrdf` wants it."""
     from yourdfpy import URDF
 
