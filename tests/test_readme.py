@@ -2,9 +2,11 @@
 
 import re
 import shlex
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from service_tools import address_of, serving
 
 import handmap_qp
 from handmap_qp import cli
@@ -15,7 +17,10 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 @pytest.mark.parametrize("block", re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL))
 def test_python_examples_run(block: str, capsys: pytest.CaptureFixture[str]) -> None:
-    exec(compile(block, "README.md", "exec"), {})
+    needs_server = "Client()" in block
+    with serving() if needs_server else nullcontext() as server:
+        code = block if server is None else block.replace("Client()", f"Client({address_of(server)!r})")
+        exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out
 
 
