@@ -123,7 +123,8 @@ _DOORS = (RequestsDoor, partial(WebDoor, is_json=False), RequestsDoor, partial(W
 
 def _maltreat(service: ServiceProcess, door: Door, number: int, codes: Counter[str]) -> Driver:
     """Open a session, send nonsense to it, close it; what its robot was told."""
-    secret, name = f"a-secret-that-got-about-{number}", f"victim-{number}"
+    # Its number twice: with one byte altered, it is not the next victim's.
+    secret, name = f"a-secret-{number}-that-got-about-{number}", f"victim-{number}"
     nonsense = Nonsense(secret, name, number, is_json=door.is_json)
     with zmq.Context.instance().socket(zmq.SUB) as listener:
         listener.linger = 0
