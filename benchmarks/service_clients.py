@@ -100,14 +100,23 @@ class Honest(threading.Thread):
         keys: Keys of an encrypted connection.
         streams: Whether samples are streamed rather than answered one by one.
         jumps: Whether its time stamps jump about.
+        is_shared: Whether others may steer its session.
     """
 
     def __init__(
-        self, service: ServiceProcess, seed: int = 0, *, keys: KeyFiles | None = None, streams: bool = False, jumps: bool = False
+        self,
+        service: ServiceProcess,
+        seed: int = 0,
+        *,
+        keys: KeyFiles | None = None,
+        streams: bool = False,
+        jumps: bool = False,
+        is_shared: bool = False,
     ) -> None:
         super().__init__(daemon=True)
         self.client = Client(service.address, timeout=TIMEOUT, keys=keys)
-        self.driver: Driver = open_driver(self.client, "three_finger", name=f"honest-{seed}", max_dt=1.0 / 30.0)
+        choices = {"name": f"honest-{seed}", "max_dt": 1.0 / 30.0, "is_shared": is_shared}
+        self.driver: Driver = open_driver(self.client, "three_finger", **choices)
         self.answered, self.timeouts, self.longest = 0, 0, 0.0
         self.refusals: list[str] = []
         self.last: Command | None = None

@@ -15,19 +15,23 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import common
 import msgspec
+import numpy as np
 import zmq
 from service_clients import TIMEOUT, HumanMotion, honest, told
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+from handmap_qp.service.caps import Caps
 
 
 def restarts(duration: float) -> dict[str, Any]:
@@ -201,6 +205,69 @@ def sessions_come_and_go(duration: float) -> dict[str, Any]:
     return told(clients, **memory.found(), failures=len(service.failures), opened=opened)
 
 
+# Each is valid, and so is every combination.
+_WILD: dict[str, dict[str, tuple[Any, ...]]] = {
+    "mapping": {
+        "scale": (0.0, 0.1, 1.0, 30.0, 1e6, 1e18),
+        "pivot": ("centroid", "palm", "world"),
+        "alignment": ("world", "palm"),
+        "reference": ("initial", "previous"),
+        "rigid_from": ("points", "wrist", "none"),
+        "deformation_gain": (0.0, 0.5, 1.0, 10.0),
+    },
+    "ik": {
+        "rest_weight": (0.0, 0.2, 1e3, 1e9),
+        "wrist_position_weight": (0.0, 3.0, 1e9),
+        "max_iterations": (1, 3, 20),
+        "step_tolerance": (0.0, 0.1),
+        "has_velocity_limits": (True, False),
+    },
+}
+
+
+def steering(duration: float) -> dict[str, Any]:
+    """Others clutch, release and configure shared sessions as fast as they are let, with options that are wild and valid."""
+    # Of the caps, the one on changes of options alone is to slow them down.
+    with serving(rate=1e7) as service, honest(service, is_shared=True) as clients, MemoryWatch(service) as memory:
+        started = time.monotonic()
+        with ThreadPoolExecutor(4) as pool:
+            answers = sum(pool.map(lambda seed: _steer(service, seed, started + duration), range(4)), Counter[str]())
+        most = Caps().configures * (time.monotonic() - started + 0.25) + 1.0
+    found = told(clients, **memory.found(), failures=len(service.failures), answers=dict(answers.most_common()))
+    if not answers["configure: rate"] or answers["configure: done"] > most:
+        found["wrong"].append("changes of options were not capped")
+    if not set(answers) <= {"release: done", "clutch: done", "configure: done", "configure: rate"}:
+        found["wrong"].append("what is valid was refused, or not answered")
+    return found
+
+
+def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
+    """Steer one of two honest clients' sessions by its name, mostly by its options; the answers by their kind."""
+    generator, answers = np.random.default_rng(seed), Counter[str]()
+    with Client(service.address, timeout=TIMEOUT) as client:
+        client.watch(f"honest-{seed % 2}")
+        while time.monotonic() < end:
+            kind = str(generator.choice(["release", "clutch", "configure"], p=[0.01, 0.02, 0.97]))
+            changes = _wild_changes(generator) if kind == "configure" else {}
+            try:
+                getattr(client, kind)(**changes)
+                answers[f"{kind}: done"] += 1
+            except ServiceError as error:
+                answers[f"{kind}: {error.error.code}"] += 1
+            except ServiceTimeoutError:
+                answers[f"{kind}: timeout"] += 1
+    return answers
+
+
+def _wild_changes(generator: np.random.Generator) -> dict[str, Any]:
+    """About a third of the options, each anywhere."""
+    changes: dict[str, Any] = {"has_detail": bool(generator.integers(2))}
+    for field, options in _WILD.items():
+        drawn = [name for name in options if generator.random() < 1.0 / 3.0]
+        changes[field] = {name: options[name][int(generator.integers(len(options[name])))] for name in drawn}
+    return changes
+
+
 SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "restarts": restarts,
     "vanishing": vanishing,
@@ -209,6 +276,7 @@ SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "clock_jumps": clock_jumps,
     "wrong_keys": wrong_keys,
     "sessions": sessions_come_and_go,
+    "steering": steering,
 }
 
 

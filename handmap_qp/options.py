@@ -32,7 +32,7 @@ class MappingOptions:
         scale: Factor on translations.
         reference: Configuration that T starts from: `initial`, the reference; `previous`, the sample before (Fig. 3).
         residual_gain: Part of each human point's misfit to T that its partner on the robot takes over, 0 (the paper) to 1.
-        deformation_gain: Exponent g of the stretch, `U^g`; 1 is the paper, 0 leaves the fingers undeformed.
+        deformation_gain: Exponent g of the stretch, `U^g`, 10 at most; 1 is the paper, 0 leaves the fingers undeformed.
         stretch_min: Smallest stretch that is passed on.
         stretch_max: Largest stretch that is passed on.
         joint_tolerance: How far a human joint may be outside its limits before the sample is refused [rad].
@@ -69,7 +69,8 @@ class MappingOptions:
             "ridge": (0.0, np.inf),
             "scale": (0.0, np.inf),
             "residual_gain": (0.0, 1.0),
-            "deformation_gain": (0.0, np.inf),
+            # Far more than makes sense, and a power that no stretch overflows.
+            "deformation_gain": (0.0, 10.0),
             "stretch_min": (0.0, 1.0),
             "stretch_max": (1.0, np.inf),
             "joint_tolerance": (0.0, np.inf),

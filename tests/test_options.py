@@ -232,6 +232,7 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
         ({"alignment": ((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))}, "mirrors; map a left hand"),
         ({"deformation_gain": 0.5, "stretch_min": 0.0}, "give stretch_min > 0"),
         ({"deformation_gain": -1.0}, "deformation_gain"),
+        ({"deformation_gain": 11.0}, "deformation_gain"),
         ({"residual_gain": 1.01}, "residual_gain: expected a number in [0, 1]"),
         ({"residual_gain": -0.1}, "residual_gain: expected a number in [0, 1]"),
         ({"scale": -1.0}, "scale"),

@@ -26,8 +26,9 @@ from handmap_qp.recording import Recording
 from handmap_qp.service.messages import Open
 from handmap_qp.trackers.landmarks import LandmarkFitter, human_name, measure_hand
 
-SOLVERS = ("daqp", "proxqp")
-"""Solvers that a client may choose: others take a second to import, and their time is not bounded."""
+SOLVERS = ("daqp",)
+"""Solvers that a client may choose: the time of others is not bounded, and all sessions would wait. With a large weight ProxQP was
+seen to take 97 s for one sample."""
 MOST_ITERATIONS = 20
 CALIBRATION_SAMPLES = 30
 """Landmark samples that the human hand is measured from."""
