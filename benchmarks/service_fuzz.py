@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from abc import abstractmethod
 from collections import Counter
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
@@ -65,13 +67,13 @@ class Door(AbstractContextManager["Door"]):
     name = "requests"
     is_json = False
 
+    @abstractmethod
     def send(self, payload: bytes) -> None:
         """Send a message as it is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def receive(self) -> bytes:
-        """Wait for the next answer."""
-        raise NotImplementedError
+        """Wait for the next answer, or command of a stream that nonsense has subscribed to."""
 
     def ask(self, **message: Any) -> None:
         """Send a message that is in order."""
@@ -91,7 +93,14 @@ class RequestsDoor(Door):
         self._socket = zmq.Context.instance().socket(zmq.DEALER)
         self._socket.linger, self._socket.rcvtimeo = 0, round(1e3 * _PATIENCE)
         self._socket.connect(service.address)
-        self.send, self.receive = self._socket.send, self._socket.recv
+
+    def send(self, payload: bytes) -> None:
+        """Send a message as it is."""
+        self._socket.send(payload)
+
+    def receive(self) -> bytes:
+        """Wait for the next answer."""
+        return self._socket.recv()
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
@@ -111,14 +120,19 @@ class WebDoor(Door):
         self._connection.send(payload.decode("latin-1") if self.is_json else payload)
 
     def receive(self) -> bytes:
-        """Wait for the next answer, or command of a stream that nonsense has subscribed to."""
+        """Wait for the next answer, as the bytes that it came in."""
         return self._connection.recv(_PATIENCE, decode=False)
 
     def __exit__(self, *_: object) -> None:
         self._connection.close()
 
 
-_DOORS = (RequestsDoor, partial(WebDoor, is_json=False), RequestsDoor, partial(WebDoor, is_json=True))
+_DOORS: tuple[Callable[[ServiceProcess], Door], ...] = (
+    RequestsDoor,
+    partial(WebDoor, is_json=False),
+    RequestsDoor,
+    partial(WebDoor, is_json=True),
+)
 
 
 def _maltreat(service: ServiceProcess, door: Door, number: int, codes: Counter[str]) -> Driver:
