@@ -18,10 +18,11 @@ import asyncio
 import math
 import secrets
 import time as clock
-from collections.abc import Awaitable, Callable, Generator
+from collections.abc import Callable, Generator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
+from functools import wraps
 from pathlib import Path
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast, overload
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import msgspec
 import numpy as np
@@ -48,8 +49,7 @@ class Pose(msgspec.Struct, frozen=True):
         x, y, z, w = np.array(self.quat_xyzw) / np.linalg.norm(self.quat_xyzw)
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         matrix = np.eye(4)
-        matrix[:3, :3] += 2.0 * (w * cross + cross @ cross)
-        matrix[:3, 3] = self.position
+        matrix[:3] = np.column_stack([np.eye(3) + 2.0 * (w * cross + cross @ cross), self.position])
         return matrix
 
     @classmethod
@@ -103,7 +103,7 @@ class Command(_Reply, frozen=True):
     residual: float = 0.0
     at_limit: Names = ()
     out_of_range: Names = ()
-    restarts: int = 0
+    epoch: int = 0
     dt: float = 0.0
     solve_time: float = 0.0
     detail: dict[str, Any] | None = None
@@ -147,33 +147,31 @@ class ServiceTimeoutError(TimeoutError):
     """No answer came in time."""
 
 
+# Heartbeats find out about lines that are dead, of which nobody tells.
+_OPTIONS = (zmq.IPV6, 1), (zmq.LINGER, 0), (zmq.RECONNECT_IVL, 50), (zmq.HEARTBEAT_IVL, 1000), (zmq.HEARTBEAT_TIMEOUT, 3000)
+# Arrays of any kind, wherever they are, travel as lists.
+_ENCODE = msgspec.msgpack.Encoder(enc_hook=lambda value: np.asarray(value).tolist()).encode
 P = ParamSpec("P")
 R = TypeVar("R")
 _Work = Generator[tuple[zmq.Socket, int, float], bool, R]
 """What a call does, but for the waiting: it yields a socket, an event and until when, and is sent whether the event came."""
 
 
-class _Call(Generic[P, R]):
+def _call(work: Callable[Concatenate[Any, P], _Work[Any]]) -> Callable[Concatenate[Any, P], Any]:
     """A method of both clients, written once: it gives the answer itself in `Client`, and what can be awaited in `AsyncClient`."""
 
-    def __init__(self, work: Callable[Concatenate[Any, P], _Work[R]]) -> None:
-        self._work = work
-        self.__doc__ = work.__doc__
+    @wraps(work)
+    def method(client: Any, *args: P.args, **kwargs: P.kwargs) -> Any:
+        return client._run(work(client, *args, **kwargs))
 
-    @overload
-    def __get__(self, client: Client, kind: Any = None) -> Callable[P, R]: ...
-    @overload
-    def __get__(self, client: AsyncClient, kind: Any = None) -> Callable[P, Awaitable[R]]: ...
-    def __get__(self, client: Any, kind: Any = None) -> Any:
-        return self if client is None else lambda *args, **kwargs: client._run(self._work(client, *args, **kwargs))
+    return method
 
 
 class _Connection:
     """Sockets and messages: all that `Client` and `AsyncClient` share.
 
-    A call takes `timeout` [s] at most, in which a request is sent on `attempts` connections, one after the other; the server
-    carries it out once. `keys` are files that `handmap keys` made, for an encrypted service: this client's `NAME.key_secret`, and
-    `server.key`. `opened` is the open session, and `reopened` how often it was opened anew, since the server had lost it.
+    A call takes `timeout` [s] at most, over `attempts` connections one after the other. `keys` are files of `handmap keys`: this
+    client's `NAME.key_secret`, and `server.key`. `opened` is the session, and `reopened` how often it had to be opened anew.
     """
 
     def __init__(self, address: str = ADDRESS, *, timeout: float = 2.0, attempts: int = 2, keys: KeyFiles | None = None) -> None:
@@ -182,9 +180,10 @@ class _Connection:
         self.opened: Opened | None = None
         self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
         self._sockets: dict[str, zmq.Socket] = {}
-        self.reopened, self._seq, self._request = 0, 0, dict[str, Any]()
-        self._last, self._stream = cast(Command | None, None), ("", 0)
-        self._turn = asyncio.Lock()
+        self._request: dict[str, Any] = {}
+        self._last: Command | None = None
+        self.reopened, self._seq, self._who, self._stream = 0, 0, {"session": ""}, ("", 0)
+        self._turns = asyncio.Lock(), asyncio.Lock()
 
     def _socket(self, use: str) -> zmq.Socket:
         """The socket for `requests`, `samples` or the `stream`, made when it is first needed."""
@@ -192,10 +191,10 @@ class _Connection:
             return self._sockets[use]
         socket = self._sockets[use] = zmq.Context.instance().socket(zmq.SUB if use == "stream" else zmq.DEALER)
         host, _, port = self.address.rpartition(":")
-        for option, value in ((zmq.LINGER, 0), (zmq.RECONNECT_IVL, 50), (zmq.IPV6, 1)):
-            socket.setsockopt(option, value)
         # A request waits here until there is a connection; of samples and commands, the newest one waits in the socket.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
+        for option, value in _OPTIONS:
+            socket.setsockopt(option, value)
         if self._keys is not None:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
         if use == "stream":
@@ -209,88 +208,71 @@ class _Connection:
             self._sockets.pop(use).close(linger=0)
 
     def _number(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The request as it is sent next: its number, and the session of now unless it bears its own."""
+        """The request as it is sent next: its number, and the session that it is for."""
         self._seq += 1
-        is_watching = self._stream[0] and not self._request and request["type"] != "open"
-        session = {"name": self._stream[0]} if is_watching else {"session": self._request.get("session", "")}
-        return session | request | {"protocol": PROTOCOL, "seq": self._seq}
+        return self._who | request | {"protocol": PROTOCOL, "seq": self._seq}
 
-    @_Call
+    @_call
     def open(self, robot: str, **choices: Any) -> _Work[Opened]:
         """Open a session; choices are the fields of `open`: `input`, `robot_q`, `mapping` and so on."""
+        self._who = {"session": ""}
         return self._exchange(_message("open", robot=robot, session=secrets.token_urlsafe(24), **choices), Opened)
 
-    @_Call
-    def step(
-        self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None
-    ) -> _Work[Command]:
-        """Map one sample: `q` (n,) [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s]."""
-        return self._exchange(_message("step", q=q, landmarks=landmarks, points=points, wrist=wrist, time=time), Command)
+    step = _call(lambda self, **sample: self._exchange(_message("step", **sample), Command))
+    step.__doc__ = "Map one sample: `q` (n,) [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s]."
+    clutch = _call(lambda self: self._exchange(_message("clutch"), Done))
+    clutch.__doc__ = "Take hold (again): the next sample is the reference, and the robot goes on from where it is."
+    release = _call(lambda self: self._exchange(_message("release"), Done))
+    release.__doc__ = "Let go: the robot holds still until `clutch`."
+    reset = _call(lambda self, **start: self._exchange(_message("reset", **start), Done))
+    reset.__doc__ = "Start anew where `robot_q` and `robot_wrist` say that the robot is; without them it goes to rest, within its limits."
+    status = _call(lambda self: self._exchange(_message("status"), State))
+    status.__doc__ = "How the session is; the server, if none is open."
 
-    @_Call
-    def send(self, *, q: Any = None, landmarks: Any = None, points: Any = None, wrist: Any = None, time: Any = None) -> _Work[None]:
+    @_call
+    def send(self, **sample: Any) -> _Work[None]:
         """Send a sample as of `step` and do not wait for its command, which comes in the stream; the newest counts."""
-        sample = _message("sample", q=q, landmarks=landmarks, points=points, wrist=wrist, time=time)
-        socket = self._socket("samples")
-        if socket.poll(0):
-            reply = self._decode(socket.recv(zmq.NOBLOCK))
-            if isinstance(reply, Error) and reply.code == "no_session":
-                yield from self._reopen(clock.monotonic() + self.timeout)
-        self._socket("samples").send(msgspec.msgpack.encode(self._number(sample)), zmq.NOBLOCK)
+        if self.opened is None:
+            raise RuntimeError("open a session first")
+        if (socket := self._socket("samples")).poll(0) and isinstance(reply := self._decode(socket.recv(zmq.NOBLOCK)), Error):
+            # Of an earlier sample; what is wrong inside one is told in the stream.
+            if reply.code != "no_session":
+                raise ServiceError(reply)
+            yield from self._reopen(clock.monotonic() + self.timeout)
+        self._socket("samples").send(_ENCODE(self._number(_message("sample", **sample))), zmq.NOBLOCK)
 
-    @_Call
+    @_call
     def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
         """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
         if not self._stream[1]:
             raise RuntimeError("open a session first, or watch one")
-        if not (yield (socket := self._socket("stream")), zmq.POLLIN, clock.monotonic() + min(timeout, self.timeout)):
+        if not (yield self._socket("stream"), zmq.POLLIN, clock.monotonic() + timeout):
             return None
-        reply = self._decode(socket.recv(zmq.NOBLOCK).partition(b"\0")[2])
+        reply = self._read()
         if isinstance(reply, Error) and reply.code != "no_session":
             raise ServiceError(reply)
-        self._last = reply if isinstance(reply, Command) else self._last
         return reply if isinstance(reply, Command) else None
 
-    @_Call
+    @_call
     def watch(self, name: str) -> _Work[State]:
         """Look on another's session: `latest` gives its commands, and if it is shared, it can be steered from here."""
         if self.opened is not None:
             raise RuntimeError("this client has a session of its own; watch with another one")
         state = yield from self._exchange(_message("status", name=name), State)
-        self._drop("stream")
-        self._stream = name, state.stream_port
+        self._who = {"name": name}
+        self._listen(name, state.stream_port)
         return state
 
-    @_Call
-    def clutch(self) -> _Work[Done]:
-        """Take hold (again): the next sample is the reference, and the robot goes on from where it is."""
-        return self._exchange(_message("clutch"), Done)
-
-    @_Call
-    def release(self) -> _Work[Done]:
-        """Let go: the robot holds still until `clutch`."""
-        return self._exchange(_message("release"), Done)
-
-    @_Call
+    @_call
     def configure(self, **changes: Any) -> _Work[Done]:
         """Change `mapping`, `ik` and `has_detail` as of `open`; options not named, and the reference, stay as they are."""
-        done = yield from self._exchange(_message("configure", **changes), Done)
-        for field, value in changes.items() if self.opened else ():
-            # A session that has to be opened anew is to have them too.
-            self._request[field] = self._request.get(field, {}) | value if isinstance(value, dict) else value
+        done = yield from self._exchange(request := _message("configure", **changes), Done)
+        # A session that has to be opened anew is to have them too.
+        for field in request.keys() & {"mapping", "ik", "has_detail"} if self.opened else ():
+            self._request[field] = request[field] if field == "has_detail" else self._request.get(field, {}) | request[field]
         return done
 
-    @_Call
-    def reset(self, robot_q: Any = None, robot_wrist: Any = None) -> _Work[Done]:
-        """Start anew where the robot is said to be; otherwise it goes to rest, within its limits."""
-        return self._exchange(_message("reset", robot_q=robot_q, robot_wrist=robot_wrist), Done)
-
-    @_Call
-    def status(self) -> _Work[State]:
-        """How the session is; the server, if none is open."""
-        return self._exchange(_message("status"), State)
-
-    @_Call
+    @_call
     def close(self) -> _Work[None]:
         """End the session, if there is one and the server can be reached, and let go of the sockets."""
         try:
@@ -299,7 +281,7 @@ class _Connection:
         except (ServiceError, ServiceTimeoutError):
             pass
         finally:
-            self.opened, self._request, self._last, self._stream = None, {}, None, ("", 0)
+            self.opened, self._request, self._last, self._who, self._stream = None, {}, None, {"session": ""}, ("", 0)
             self._drop(*tuple(self._sockets))
 
     def _exchange(self, request: dict[str, Any], kind: type[R], deadline: float | None = None) -> _Work[R]:
@@ -313,22 +295,43 @@ class _Connection:
             other = Error(code="protocol", message=f"expected {kind.__name__}, got {type(reply).__name__}")
             raise ServiceError(reply if isinstance(reply, Error) else other)
         if isinstance(reply, Opened):
-            self._request, self.opened, self._last, self._stream = numbered, reply, None, (reply.name, reply.stream_port)
-            self._drop("stream", "samples")
+            self._request, self.opened, self._last, self._who = numbered, reply, None, {"session": numbered["session"]}
+            self._drop("samples")
+            self._listen(reply.name, reply.stream_port)
+        elif self._request and request["type"] in ("clutch", "release"):
+            self._request["is_released"] = request["type"] == "release"
         self._last = reply if isinstance(reply, Command) else self._last
         return reply
 
+    def _listen(self, name: str, port: int) -> None:
+        """Take a session's stream from now on."""
+        if self._stream != (name, port):
+            self._drop("stream")
+        self._stream = name, port
+        self._socket("stream")
+
+    def _read(self) -> _Reply:
+        """What waits in the stream."""
+        reply = self._decode(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
+        if isinstance(reply, Command) and (self._last is None or reply.seq >= self._last.seq):
+            self._last = reply
+        return reply
+
     def _reopen(self, deadline: float) -> _Work[None]:
-        """The session anew; the robot is where the last command left it, which the server need not remember."""
-        start, last = {}, self._last
-        if last is not None and self.opened is not None:
-            start = {"robot_q": last.q, "robot_wrist": last.wrist if self.opened.is_floating else None, "restore": False}
-        yield from self._exchange(self._request | start | {"session": secrets.token_urlsafe(24)}, Opened, deadline)
+        """The session anew, where it was; a server that does not remember that takes where its last command left the robot."""
+        if self._socket("stream").poll(0):
+            self._read()
+        start, last = {"session": secrets.token_urlsafe(24)}, self._last
+        if self.opened is not None and last is not None:
+            wrist = last.wrist if self.opened.is_floating else None
+            start |= {"name": self.opened.name, "restore": True, "robot_q": last.q, "robot_wrist": wrist}
+            start |= {"is_released": True} if last.status == "released" else {}
+        yield from self._exchange(self._request | start, Opened, deadline)
         self._last, self.reopened = last, self.reopened + 1
 
     def _ask(self, request: dict[str, Any], deadline: float) -> _Work[_Reply]:
         """Send a request and wait for its answer, each time on a new connection."""
-        payload = msgspec.msgpack.encode(request)
+        payload = _ENCODE(request)
         for left in range(self.attempts, 0, -1):
             until = (now := clock.monotonic()) + (deadline - now) / left
             socket = self._socket("requests")
@@ -344,14 +347,10 @@ class _Connection:
 
 
 def _message(kind: str, **fields: Any) -> dict[str, Any]:
-    """A request of plain values: arrays as lists, poses in any form as `Pose`, and nothing where there is None."""
-    message: dict[str, Any] = {"type": kind} | ({"time": clock.monotonic()} if kind in ("step", "sample") else {})
-    for name, value in fields.items():
-        if value is not None and name in ("q", "robot_q", "landmarks", "points"):
-            message[name] = np.asarray(value, dtype=float).tolist()
-        elif value is not None:
-            message[name] = Pose.of(value) if name in ("wrist", "robot_wrist") else value
-    return message
+    """A request: poses in any form as `Pose`, and nothing where there is None."""
+    given = {name: value for name, value in fields.items() if value is not None}
+    poses = {name: Pose.of(given[name]) for name in ("wrist", "robot_wrist") if name in given}
+    return {"type": kind} | ({"time": clock.monotonic()} if kind in ("step", "sample") else {}) | given | poses
 
 
 class Client(_Connection, AbstractContextManager["Client"]):
@@ -373,7 +372,8 @@ class AsyncClient(_Connection, AbstractAsyncContextManager["AsyncClient"]):
     """The same for asyncio; calls of several tasks take turns."""
 
     async def _run(self, work: _Work[R]) -> R:
-        async with self._turn:
+        # One task may wait for the stream while another sends what makes it flow.
+        async with self._turns[getattr(work, "__name__", "") == "latest"]:
             try:
                 wanted = next(work)
                 while True:
@@ -383,8 +383,8 @@ class AsyncClient(_Connection, AbstractAsyncContextManager["AsyncClient"]):
 
     async def _wait(self, socket: zmq.Socket, event: int, until: float) -> bool:
         """Whether the event comes in time. ZeroMQ's descriptor tells that something has changed, and `EVENTS` what."""
-        changed, loop = asyncio.Event(), asyncio.get_running_loop()
-        loop.add_reader(socket.FD, changed.set)
+        changed, loop, descriptor = asyncio.Event(), asyncio.get_running_loop(), socket.FD
+        loop.add_reader(descriptor, changed.set)
         try:
             async with asyncio.timeout_at(loop.time() + until - clock.monotonic()):
                 while not int(socket.EVENTS) & event:
@@ -394,7 +394,7 @@ class AsyncClient(_Connection, AbstractAsyncContextManager["AsyncClient"]):
         except TimeoutError:
             return False
         finally:
-            loop.remove_reader(socket.FD)
+            loop.remove_reader(descriptor)
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,3 +34,11 @@ def recordings() -> Path:
     if not any(folder.glob("*.npz")):
         pytest.skip(f"no recordings (*.npz) in {folder}: set HANDMAP_RECORDINGS to the folder that holds them")
     return folder
+
+
+@pytest.fixture
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

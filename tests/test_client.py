@@ -32,13 +32,6 @@ def server() -> Iterator[Server]:
         yield running
 
 
-@pytest.fixture
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def test_it_needs_numpy_msgspec_and_zmq_and_nothing_else() -> None:
     tree = ast.parse(FILE.read_text(encoding="utf-8"))
     imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}

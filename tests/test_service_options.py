@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from service_tools import SECRET, Sampler, human_q, make_session
+from service_tools import SECRET, SHELF, Sampler, human_q, make_session
 
 from handmap_qp import IkOptions, MappingOptions
 from handmap_qp.errors import RefusedError
+from handmap_qp.human import HumanLengths
 from handmap_qp.ik import solvers
 from handmap_qp.service.messages import PROTOCOL, Configure, Pose
 
@@ -97,3 +98,57 @@ def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch
         wrist = Pose(tuple(random.normal(size=3).tolist()), (0.0, 0.0, 0.0, 1.0))
         assert session.step(sample(i * PERIOD, human_q(random.normal()), wrist), i * PERIOD).status != "failed"
     assert 500 < max(iterations) < 1100
+
+
+def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
+    session, sample = make_session(), Sampler()
+    for i in range(20):
+        session.step(sample(i * PERIOD, human_q(0.1 * i)), i * PERIOD)
+    now, before = 20 * PERIOD, session.posture[0].copy()
+    session.configure(change(mapping={"deformation_gain": 0.0}, ik={"rest_weight": 1.0}, has_detail=True))
+    np.testing.assert_array_equal(session.posture[0], before)
+    command = session.step(sample(now, human_q(1.0)), now)
+    assert (np.abs(np.array(command.q) - before) <= session.robot.velocity_limits * PERIOD * (1.0 + 1e-6)).all()
+    assert command.detail is not None
+    np.testing.assert_allclose(command.detail.motion_deformation, np.eye(4), atol=0.5)
+    about = session.state(1, "", 0, now).about
+    assert about is not None
+    assert (about.mapping["deformation_gain"], about.mapping["ridge"], about.ik["rest_weight"]) == (0.0, 0.1, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"mapping": {"ridges": 1.0}}, "mapping.ridges"),
+        ({"mapping": {"ridge": -1.0}}, "mapping.ridge"),
+        ({"mapping": {"ridge": "much"}}, "mapping.ridge"),
+        ({"mapping": {"scale": 2.0}, "ik": {"damping": 0.0}}, "ik.damping"),
+        ({"ik": {"solver": "abacus"}}, "ik.solver"),
+        ({"ik": {"max_iterations": 1000}}, "ik.max_iterations"),
+        ({"mapping": {"residual_gain": 1.0, "pivot": "point"}}, "mapping"),
+    ],
+)
+def test_options_that_cannot_be_change_nothing(changes: dict[str, Any], field: str) -> None:
+    session, sample = make_session(), Sampler()
+    session.step(sample(), 0.0)
+    before = session.state(1, "", 0, 0.0).about
+    with pytest.raises(RefusedError) as raised:
+        session.configure(change(**changes))
+    assert raised.value.field.startswith(field)
+    assert session.state(1, "", 0, 0.0).about == before
+
+
+def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
+    session, sample = make_session(input="landmarks"), Sampler()
+    landmarks = SHELF.human("right", "landmarks").points(human_q(), np.eye(4))
+    session.configure(change(mapping={"ridge": 0.4}))
+    for i in range(40):
+        session.step(sample(PERIOD * i, landmarks=tuple(map(tuple, landmarks.tolist()))), PERIOD * i)
+    about = session.state(1, "", 0, 0.0).about
+    assert session.mode == "following"
+    assert about is not None
+    assert about.mapping["ridge"] == 0.4
+    assert about.lengths is not None
+    # The measured hand is the one that the landmarks were made of.
+    own = HumanLengths.from_urdf(SHELF.human("right", None).urdf_text)
+    np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)

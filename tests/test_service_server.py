@@ -17,6 +17,7 @@ import pytest
 import zmq
 from service_tools import HERE, SECRET, Sampler, address_of, connected, human_q, opening, serving
 
+from handmap_qp import load_hand
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
@@ -248,12 +249,17 @@ def test_options_survive_a_server_that_has_lost_the_session() -> None:
 
 
 def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
-    with connected(server, name="mine") as first:
+    with connected(server, name="mine", watchdog=0.1) as first:
         last = [first.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
         with Client(address_of(server)) as second:
             with pytest.raises(ServiceError) as raised:
                 second.open("three_finger", name="mine")
             assert code_of(raised) == ("invalid", "name")
+            with pytest.raises(ServiceError) as raised:
+                second.open("three_finger", name="mine", restore=True)
+            assert code_of(raised) == ("busy", "name")
+            # Now its client is silent.
+            time.sleep(0.2)
             opened = second.open("three_finger", name="mine", restore=True)
             assert opened.q == last.q
             with pytest.raises(ServiceError) as taken:
@@ -276,6 +282,25 @@ def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_resto
     with serving(state=tmp_path / "state") as after, Client(address_of(after)) as client:
         opened = client.open("three_finger", name="mine", restore=wants_restore)
         assert (opened.q == last.q) == wants_restore
+
+
+def test_a_takeover_needs_no_room_of_its_own() -> None:
+    with serving(caps=Caps(sessions=1)) as server, connected(server, name="mine"), Client(address_of(server)) as second:
+        # The cap of openings a second is of one, too.
+        time.sleep(0.1)
+        second.open("three_finger", name="mine", restore=True, robot_q=np.zeros(8))
+
+
+def test_a_robot_on_its_way_to_rest_gets_there_before_its_session_is_closed() -> None:
+    with serving(caps=Caps(idle=0.2)) as server, connected(server, watchdog=0.05, return_after=0.3, name="mine") as client:
+        for i in range(10):
+            client.step(q=human_q(0.2 * i), wrist=WRIST)
+        end = time.monotonic() + 5.0
+        while server.dispatcher.sessions.entries and time.monotonic() < end:
+            time.sleep(0.02)
+        record = server.dispatcher._store.find("mine", "three_finger", 8)
+    assert record is not None
+    np.testing.assert_array_equal(record.q, load_hand("three_finger").rest)
 
 
 def test_sessions_are_capped() -> None:

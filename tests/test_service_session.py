@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from service_tools import HERE, SHELF, Sampler, human_q, make_session, opening, run_now
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.human import HumanLengths
 from handmap_qp.recording import read_recording
 from handmap_qp.service.messages import PROTOCOL, Command, Configure, Pose, Reset
 from handmap_qp.service.opening import Calibration, Hands, prepare_hands
@@ -68,7 +67,7 @@ def test_joints_keep_their_speed_limits_whatever_comes(choices: dict[str, Any], 
     for kind, wait, stamp, phase in events:
         now += wait
         if kind == "reset":
-            session.reset(RESET)
+            session.reset(RESET, now)
         elif kind == "configure":
             session.configure(change(mapping={"scale": abs(phase), "reference": "previous" if phase < 0.0 else "initial"}))
         elif kind in ("clutch", "release"):
@@ -118,59 +117,6 @@ def test_a_held_robot_follows_again_from_where_it_is() -> None:
     assert (speeds(session, before, command, 1.0 / 30.0) <= 1.0 + 1e-6).all()
 
 
-def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
-    session, sample = make_session(), Sampler()
-    now = follow(session, sample, 0.0)
-    before = session.posture[0].copy()
-    session.configure(change(mapping={"deformation_gain": 0.0}, ik={"rest_weight": 1.0}, has_detail=True))
-    np.testing.assert_array_equal(session.posture[0], before)
-    command = session.step(sample(now, human_q(1.0)), now + PERIOD)
-    assert (speeds(session, before, command, session.request.max_dt) <= 1.0 + 1e-6).all()
-    assert command.detail is not None
-    np.testing.assert_allclose(command.detail.motion_deformation, np.eye(4), atol=0.5)
-    about = session.state(1, "", 0, now).about
-    assert about is not None
-    assert (about.mapping["deformation_gain"], about.mapping["ridge"], about.ik["rest_weight"]) == (0.0, 0.1, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"mapping": {"ridges": 1.0}}, "mapping.ridges"),
-        ({"mapping": {"ridge": -1.0}}, "mapping.ridge"),
-        ({"mapping": {"ridge": "much"}}, "mapping.ridge"),
-        ({"mapping": {"scale": 2.0}, "ik": {"damping": 0.0}}, "ik.damping"),
-        ({"ik": {"solver": "abacus"}}, "ik.solver"),
-        ({"ik": {"max_iterations": 1000}}, "ik.max_iterations"),
-        ({"mapping": {"residual_gain": 1.0, "pivot": "point"}}, "mapping"),
-    ],
-)
-def test_options_that_cannot_be_change_nothing(changes: dict[str, Any], field: str) -> None:
-    session, sample = make_session(), Sampler()
-    follow(session, sample, 0.0)
-    before = session.state(1, "", 0, 0.0).about
-    with pytest.raises(RefusedError) as raised:
-        session.configure(change(**changes))
-    assert raised.value.field.startswith(field)
-    assert session.state(1, "", 0, 0.0).about == before
-
-
-def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
-    session, sample = make_session(input="landmarks"), Sampler()
-    landmarks = SHELF.human("right", "landmarks").points(human_q(), np.eye(4))
-    session.configure(change(mapping={"ridge": 0.4}))
-    for i in range(40):
-        session.step(sample(PERIOD * i, landmarks=tuple(map(tuple, landmarks.tolist()))), PERIOD * i)
-    about = session.state(1, "", 0, 0.0).about
-    assert session.mode == "following"
-    assert about is not None
-    assert about.mapping["ridge"] == 0.4
-    assert about.lengths is not None
-    # The measured hand is the one that the landmarks were made of.
-    own = HumanLengths.from_urdf(SHELF.human("right", None).urdf_text)
-    np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)
-
-
 def test_with_an_acceleration_limit_a_held_robot_sets_out_from_standstill() -> None:
     limit = 20.0
     session, sample = make_session(ik={"max_acceleration": limit}), Sampler()
@@ -180,6 +126,56 @@ def test_with_an_acceleration_limit_a_held_robot_sets_out_from_standstill() -> N
     command = session.step(sample(9.0, human_q(2.0)), end + 1.0 + PERIOD)
     # From rest, x = a dt^2 in one sample of the QP's displacement.
     assert (np.abs(np.array(command.q) - before) <= limit * PERIOD**2 + 1e-9).all()
+
+
+def returning_session() -> tuple[Session, Sampler, float]:
+    """A session whose robot is on its way to rest, and the time."""
+    session, sample = make_session(watchdog=0.1, return_after=0.1), Sampler()
+    now = follow(session, sample, 0.0)
+    while session.mode != "returning":
+        now += 0.01
+        session.tick(now)
+    for _ in range(20):
+        now += 0.01
+        session.tick(now)
+    return session, sample, now
+
+
+def test_a_clutch_on_the_way_back_takes_hold_where_the_robot_is_then() -> None:
+    session, sample, now = returning_session()
+    session.clutch()
+    for _ in range(50):
+        now += 0.01
+        session.tick(now)
+    before = session.robot.points(*session.posture)
+    for _ in range(20):
+        now += PERIOD
+        command = session.step(sample(0.0, human_q(2.0)), now)
+        assert "slewing" not in command.flags
+    assert np.linalg.norm(session.robot.points(*session.posture) - before, axis=1).max() < 1e-3
+
+
+def test_a_robot_said_to_be_elsewhere_on_the_way_back_waits_there() -> None:
+    session, _, now = returning_session()
+    there = session.robot.rest + 0.2
+    session.reset(msgspec.structs.replace(RESET, robot_q=tuple(there)), now)
+    assert session.tick(now + 0.05) is None
+    held = session.tick(now + 0.15)
+    assert held is not None
+    assert (held.status, held.q) == ("hold", tuple(there.tolist()))
+
+
+def test_a_session_goes_on_from_a_former_one_with_its_epoch_and_released_if_it_was() -> None:
+    session, sample = make_session(), Sampler()
+    now = follow(session, sample, 0.0)
+    session.release()
+    request = opening()
+    after = Session(request, prepare_hands(request, SHELF), "test", now, former=session.record)
+    command = after.step(sample(0.0, human_q(2.0)), now + PERIOD)
+    assert (command.q, command.epoch, command.status) == (session.record.q, session.record.epoch, "released")
+    other = make_session()
+    assert other.record.epoch > session.record.epoch
+    assert make_session(is_released=True).mode == "released"
 
 
 def test_return_to_rest_is_slow_and_ends_there() -> None:
@@ -246,7 +242,7 @@ def test_clutch_goes_on_from_where_the_robot_is() -> None:
 def test_reset_goes_to_rest_within_the_limits() -> None:
     session, sample = make_session(), Sampler()
     now = follow(session, sample, 0.0)
-    session.reset(RESET)
+    session.reset(RESET, now)
     flags = []
     for _ in range(120):
         now += PERIOD
@@ -259,10 +255,10 @@ def test_reset_goes_to_rest_within_the_limits() -> None:
 def test_reset_to_where_the_robot_is_said_to_be_starts_there() -> None:
     session, sample = make_session(), Sampler()
     now = follow(session, sample, 0.0)
-    there = session.robot.rest + 0.1
-    session.reset(msgspec.structs.replace(RESET, robot_q=tuple(there)))
+    there, epoch = session.robot.rest + 0.1, session.record.epoch
+    session.reset(msgspec.structs.replace(RESET, robot_q=tuple(there)), now)
     command = session.step(sample(0.0, human_q(2.0)), now + PERIOD)
-    assert command.restarts == 1
+    assert command.epoch > epoch
     assert (speeds(session, there, command, PERIOD) <= 1.0 + 1e-6).all()
 
 
@@ -344,7 +340,7 @@ def test_a_fixed_wrist_is_told_and_not_taken() -> None:
     command = session.step(sample(), 0.1)
     assert command.wrist is not None
     with pytest.raises(RefusedError) as raised:
-        session.reset(msgspec.structs.replace(RESET, robot_wrist=HERE))
+        session.reset(msgspec.structs.replace(RESET, robot_wrist=HERE), 0.1)
     assert raised.value.field == "robot_wrist"
 
 

@@ -9,33 +9,39 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import InvalidInputError, RefusedError
-from handmap_qp.service.store import PostureStore
+from handmap_qp.service.store import PostureStore, Record
 
 Q = np.array([0.1, -0.2, 0.3])
 WRIST = np.arange(16.0).reshape(4, 4)
 
 
+def record(name: str, q: np.ndarray, wrist: np.ndarray | None) -> Record:
+    return Record(name, "hand", tuple(q.tolist()), None if wrist is None else tuple(wrist.ravel().tolist()), 7)
+
+
 def test_postures_survive_the_process(tmp_path: Path) -> None:
     with PostureStore(tmp_path / "state") as store:
-        store.note("left", "hand", Q, WRIST)
-        store.note("right", "hand", -Q, None)
+        store.note(record("left", Q, WRIST))
+        store.note(record("right", -Q, None))
     with PostureStore(tmp_path / "state") as store:
         found = store.find("left", "hand", 3)
         assert found is not None
-        assert np.array_equal(found[0], Q)
-        assert found[1] is not None
-        assert np.array_equal(found[1], WRIST)
+        assert found.epoch == 7
+        q, wrist = found.posture
+        assert np.array_equal(q, Q)
+        assert wrist is not None
+        assert np.array_equal(wrist, WRIST)
         other = store.find("right", "hand", 3)
         assert other is not None
-        assert np.array_equal(other[0], -Q)
-        assert other[1] is None
+        assert np.array_equal(other.q, -Q)
+        assert other.posture[1] is None
         assert store.find("middle", "hand", 3) is None
 
 
 def test_a_write_is_in_the_file_at_once(tmp_path: Path) -> None:
     # A killed process closes nothing: the file is read as it is while the store is still open.
     with PostureStore(tmp_path / "state") as store:
-        store.note("left", "hand", Q, WRIST)
+        store.note(record("left", Q, WRIST))
         (tmp_path / "copy").write_bytes((tmp_path / "state").read_bytes())
     with PostureStore(tmp_path / "copy") as store:
         assert store.find("left", "hand", 3) is not None
@@ -43,28 +49,29 @@ def test_a_write_is_in_the_file_at_once(tmp_path: Path) -> None:
 
 def test_a_torn_write_leaves_the_posture_before_it(tmp_path: Path) -> None:
     with PostureStore(tmp_path / "state") as store:
-        store.note("left", "hand", Q, None)
-        store.note("left", "hand", 2 * Q, None)
+        store.note(record("left", Q, None))
+        store.note(record("left", 2 * Q, None))
     whole = (tmp_path / "state").read_bytes()
     newest = whole.index(struct.pack(">d", 0.2))
     (tmp_path / "state").write_bytes(whole[:newest] + b"torn" + whole[newest + 4 :])
     with PostureStore(tmp_path / "state") as store:
         found = store.find("left", "hand", 3)
         assert found is not None
-        assert np.array_equal(found[0], Q)
+        assert np.array_equal(found.q, Q)
 
 
-def test_the_name_unheard_of_for_the_longest_time_gives_way(tmp_path: Path) -> None:
-    with PostureStore(tmp_path / "state") as store:
+@pytest.mark.parametrize("file", ["state", None])
+def test_the_name_unheard_of_for_the_longest_time_gives_way(tmp_path: Path, file: str | None) -> None:
+    with PostureStore(tmp_path / file if file else None) as store:
         for i in range(140):
-            store.note(f"session-{i}", "hand", Q * i, None)
+            store.note(record(f"session-{i}", Q * i, None))
         assert store.find("session-0", "hand", 3) is None
         assert store.find("session-139", "hand", 3) is not None
 
 
 def test_another_robots_posture_is_refused(tmp_path: Path) -> None:
     with PostureStore(tmp_path / "state") as store:
-        store.note("left", "hand", Q, None)
+        store.note(record("left", Q, None))
         with pytest.raises(RefusedError) as raised:
             store.find("left", "other", 3)
         assert raised.value.field == "restore"

@@ -55,7 +55,7 @@ class Dispatcher:
         caps: What clients are allowed.
         shelf: The hands there are.
         metrics: Where to count.
-        store: Where to note what was commanded, if anywhere.
+        store: Where to note what was commanded; in memory alone if omitted.
         clock: Monotonic clock [s].
 
     Attributes:
@@ -72,9 +72,10 @@ class Dispatcher:
         store: PostureStore | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.sessions = Sessions(caps, shelf, metrics, store, clock)
+        self._store = store or PostureStore(None)
+        self.sessions = Sessions(caps, shelf, metrics, self._store, clock)
         self.stream_port = 0
-        self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
+        self._caps, self._shelf, self._metrics, self._clock = caps, shelf, metrics, clock
         self._version = version("handmap-qp")
         self._started = clock()
         self._rates, self._configures = RateLimit(caps.rate), Bucket(caps.configures, clock())
@@ -158,7 +159,7 @@ class Dispatcher:
         now = self._clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
-            if now - session.last_request > self._caps.idle:
+            if now - session.last_request > self._caps.idle and not session.has_plans:
                 self.sessions.end(secret, "no_session", "closed, for nothing was heard of its client")
                 continue
             trips = session.counts["watchdog"]
@@ -216,7 +217,7 @@ class Dispatcher:
             if isinstance(request, Status):
                 return session.state(request.seq, self._version, self.stream_port, now)
             if isinstance(request, Reset):
-                session.reset(request)
+                session.reset(request, now)
             elif isinstance(request, Configure):
                 if not self._configures.take(now):
                     raise RefusedError("rate", f"more than {self._caps.configures:g} changes of options a second; try again later")
@@ -227,6 +228,8 @@ class Dispatcher:
                 session.release()
             else:
                 self.sessions.end(request.session, "no_session", "closed by its client")
+            # Whether it was let go counts as much as where it is.
+            self._store.note(session.record)
             return Done(seq=request.seq)
         except RefusedError as error:
             return self._refusal(request.seq, error)
@@ -268,8 +271,7 @@ class Dispatcher:
 
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""
-        if self._store is not None:
-            self._store.note(session.name, session.robot.name, *session.posture)
+        self._store.note(session.record)
         self._written = encode_reply(command)
         self.sessions.send(session.name, self._written)
 

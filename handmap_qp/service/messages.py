@@ -69,9 +69,10 @@ class Open(Request, frozen=True):
     ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; its solver is daqp.")] = {}
     robot_q: Annotated[Numbers | None, _doc("Where the robot is now [rad]; at rest if omitted.")] = None
     robot_wrist: Annotated[Pose | None, _doc("Where its wrist is; at the first sample's palm if omitted.")] = None
-    restore: Annotated[bool, _doc("Start where the last session of this name left the robot, and end it if it is still open.")] = (
-        False
-    )
+    restore: Annotated[
+        bool, _doc("Go on where the last session of this name left the robot; it ends, if its client is silent.")
+    ] = False
+    is_released: Annotated[bool, _doc("Start released: the robot holds still until `clutch`.")] = False
     max_dt: Annotated[float, _doc("Most time that one command may account for [s]: about two samples.", ge=1e-4, le=1)] = 1 / 30
     time_from: Annotated[Literal["server", "client"], _doc("Clock that speed limits count in; `client` needs leave.")] = "server"
     watchdog: Annotated[float, _doc("Without a sample for so long, the robot holds [s].", ge=0.01, le=10)] = 0.25
@@ -190,7 +191,9 @@ class Command(Reply, frozen=True):
     residual: Annotated[float, _doc("How far the human's motion is from a linear one: RMS over its points [m].")] = 0.0
     at_limit: Annotated[tuple[str, ...], _doc("Joints that a position or speed limit holds.")] = ()
     out_of_range: Annotated[tuple[str, ...], _doc("Human joints outside their limits, within the tolerance.")] = ()
-    restarts: Annotated[int, _doc("How often `reset` said where the robot is: only commands of one count are near each other.")] = 0
+    epoch: Annotated[
+        int, _doc("Only commands of one epoch are near each other: in another, the robot was said to be elsewhere.")
+    ] = 0
     dt: Annotated[float, _doc("Time that the speed limits were granted [s].")] = 0.0
     solve_time: Annotated[float, _doc("Time spent on the mapping [s].")] = 0.0
     detail: Annotated[Detail | None, _doc("Every stage, where `has_detail` asks for it.")] = None

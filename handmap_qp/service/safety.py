@@ -12,8 +12,13 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.errors import RefusedError
 from handmap_qp.hand import Hand
+from handmap_qp.service.convert import to_matrix
+from handmap_qp.service.messages import Pose
 
+START_TOLERANCE = 0.1
+"""How far outside its limits a robot may say it is [rad]: encoders do not read exactly what was commanded."""
 SHORTEST_DT = 1e-6
 """Time granted where none has passed [s]: the robot stands still, and the mapper wants a number > 0."""
 _ROUNDING = 1e-9
@@ -147,3 +152,34 @@ class StepClock:
         """Time for a command that answers no sample: the watchdog's [s]."""
         elapsed, self._last = now - self._last, now
         return min(max(elapsed, SHORTEST_DT), self._max_dt)
+
+
+def start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
+    """Joint angles that a robot says it is at [rad], or rest, shape (n,).
+
+    Raises:
+        RefusedError: If it cannot be there.
+    """
+    if robot_q is None:
+        return robot.rest.copy()
+    if len(robot_q) != len(robot.joint_names):
+        raise RefusedError("invalid", f"expected {len(robot.joint_names)} angles, got {len(robot_q)}", field="robot_q")
+    q = np.array(robot_q)
+    outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
+    worst = int(np.argmax(outside))
+    if outside[worst] > START_TOLERANCE:
+        limits = f"[{robot.lower_limits[worst]:.6g}, {robot.upper_limits[worst]:.6g}]"
+        message = f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, expected within {START_TOLERANCE:g} rad of {limits}"
+        raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
+    return q
+
+
+def start_wrist(robot: Hand, robot_wrist: Pose | None) -> np.ndarray | None:
+    """The wrist pose that a robot says it is at, shape (4, 4), or None.
+
+    Raises:
+        RefusedError: If its wrist is fixed.
+    """
+    if robot_wrist is not None and not robot.is_floating:
+        raise RefusedError("invalid", f"{robot.name} has a fixed wrist, which stays where it is", field="robot_wrist")
+    return to_matrix(robot_wrist)

@@ -33,7 +33,7 @@ CODES = {
     "no_session": "the server does not know the session: it was restarted, or has closed it",
     "taken": "another client has taken the session over (`restore`)",
     "stale": "the number is not above the last one, and the message is not its repetition",
-    "busy": "all sessions are taken",
+    "busy": "all sessions are taken, or this one is in use",
     "rate": "too many messages, openings of sessions or changes of options a second; `seq` may be 0",
     "denied": "the server does not allow it, or the session's client",
     "internal": "the server failed at it, and has logged why",

@@ -9,6 +9,7 @@ inside the mapper), the mapper is seated where the guard is before the next samp
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from dataclasses import asdict
 from typing import Any, Literal
@@ -16,20 +17,18 @@ from typing import Any, Literal
 import numpy as np
 
 from handmap_qp.errors import HandmapError, RefusedError
-from handmap_qp.hand import Hand
 from handmap_qp.options import MappingOptions
 from handmap_qp.samples import MapStep
 from handmap_qp.service.convert import name_joints, to_detail, to_lengths, to_matrix, to_pose, to_row
 from handmap_qp.service.messages import About, Command, Configure, Open, Opened, Reset, State, Step
 from handmap_qp.service.opening import Calibration, Hands, name_field, read_ik, read_options, refused
-from handmap_qp.service.safety import SpeedGuard, StepClock
+from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start_wrist
+from handmap_qp.service.store import Record
 
 HEARTBEAT = 0.1
 """Time between commands that repeat a hold [s]."""
 RETURN_PERIOD = 1.0 / 60.0
 """Time between commands on the way back to rest [s]."""
-START_TOLERANCE = 0.1
-"""How far outside its limits a robot may say it is [rad]: encoders do not read exactly what was commanded."""
 
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the wrist's pose (4, 4), None where it is not known."""
@@ -45,7 +44,7 @@ class Session:
         name: Public name.
         now: The present on a monotonic clock [s].
         calibration: Measures the human hand where `hands` says that it needs it.
-        start: Where the robot is; what the request says if omitted.
+        former: The session that this one goes on from; what the request says if omitted.
 
     Attributes:
         request: What the client opened it with.
@@ -66,7 +65,7 @@ class Session:
         now: float,
         *,
         calibration: Calibration | None = None,
-        start: Posture | None = None,
+        former: Record | None = None,
     ) -> None:
         self.request = request
         self.name = name
@@ -76,17 +75,19 @@ class Session:
         self._hands = hands
         self._calibration = calibration if hands.needs_measuring else None
         self._has_detail = request.has_detail
-        q, wrist = start or (_start_angles(self.robot, request.robot_q), to_matrix(request.robot_wrist))
-        _check_wrist(self.robot, request.robot_wrist)
+        start = start_angles(self.robot, request.robot_q), start_wrist(self.robot, request.robot_wrist)
+        q, wrist = start if former is None else former.posture
         self._guard = SpeedGuard(self.robot, q, wrist)
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._engaged: Literal["waiting", "following", "released"] = "waiting"
         self._watch: Literal["hold", "returning"] | None = None
         self._is_apart = self._needs_reference = False
-        self._restarts = 0
+        self._epoch = _new_epoch() if former is None else former.epoch
         self._opened_at = self._last_sample = self._last_output = self._held_since = now
         self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
         self._seat()
+        if request.is_released or (former is not None and former.is_released):
+            self.release()
 
     @property
     def posture(self) -> Posture:
@@ -99,6 +100,23 @@ class Session:
         if self._watch is not None:
             return self._watch
         return "calibrating" if self._calibration is not None and self._engaged == "following" else self._engaged
+
+    @property
+    def record(self) -> Record:
+        """Where the robot is, for a session that is to go on from here."""
+        q, wrist = self.posture
+        pose = None if wrist is None else tuple(wrist.ravel().tolist())
+        return Record(self.name, self.robot.name, to_row(q), pose, self._epoch, self._engaged == "released")
+
+    @property
+    def is_attended(self) -> bool:
+        """Whether its client sends samples."""
+        return self._engaged != "waiting" and self._watch is None
+
+    @property
+    def has_plans(self) -> bool:
+        """Whether the robot is to go to rest yet."""
+        return self._wants_return and not self._is_at_rest
 
     def opened(self, seq: int, stream_port: int) -> Opened:
         """The answer to `open`."""
@@ -197,18 +215,17 @@ class Session:
                 return None
             self._watch, self._held_since, self._last_output = "hold", now, -np.inf
             self.counts["watchdog"] += 1
-        is_at_rest = bool((self._guard.q == self.robot.rest).all())
-        after = self.request.return_after
-        wants_return = after is not None and self._engaged == "following" and now - self._held_since >= after
-        if self._watch == "hold" and wants_return and not is_at_rest:
+        is_at_rest, after = self._is_at_rest, self.request.return_after
+        if self._watch == "hold" and self.has_plans and now - self._held_since >= (after or 0.0):
             self._watch = "returning"
-            self._is_apart = self._needs_reference = True
         if now - self._last_output < (RETURN_PERIOD if self._watch == "returning" else HEARTBEAT):
             return None
         # A heartbeat counts too: to a driver, the next motion starts there.
         self._last_output, self._dt = now, self._clock.grant_tick(now)
         if self._watch == "returning":
             is_at_rest = self._guard.advance(self.robot.rest, None, self._dt, self.request.return_speed)
+            # Also where the client has clutched meanwhile: the mapper's robot does not come along.
+            self._is_apart = self._needs_reference = True
         command = self._command(self._watch, ["watchdog", "at_rest"] if is_at_rest else ["watchdog"])
         if is_at_rest:
             self._watch = "hold"
@@ -240,11 +257,12 @@ class Session:
         name_field("mapping", lambda: mapper.configure(mapping, ik=ik))
         self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
 
-    def reset(self, request: Reset) -> None:
+    def reset(self, request: Reset, now: float) -> None:
         """Start anew.
 
         Args:
             request: Where the robot is now; where it does not say, the robot goes from where it is to rest, within its limits.
+            now: The present [s].
 
         Raises:
             RefusedError: If the robot cannot be there.
@@ -253,13 +271,21 @@ class Session:
             self._seat(self.robot.rest)
             self._is_apart = True
         else:
-            _check_wrist(self.robot, request.robot_wrist)
-            q = self._guard.q if request.robot_q is None else _start_angles(self.robot, request.robot_q)
-            wrist = self._guard.wrist if request.robot_wrist is None else to_matrix(request.robot_wrist)
+            q = self._guard.q if request.robot_q is None else start_angles(self.robot, request.robot_q)
+            wrist = self._guard.wrist if request.robot_wrist is None else start_wrist(self.robot, request.robot_wrist)
             self._guard = SpeedGuard(self.robot, q, wrist)
             self._seat()
-            self._restarts += 1
+            self._epoch = _new_epoch()
+        self._watch, self._last_sample = None, now
         self._engaged = "waiting" if self._engaged == "waiting" else "following"
+
+    @property
+    def _wants_return(self) -> bool:
+        return self.request.return_after is not None and self._engaged == "following"
+
+    @property
+    def _is_at_rest(self) -> bool:
+        return bool((self._guard.q == self.robot.rest).all())
 
     # -- the way of one sample ------------------------------------------------------------------------------------------
 
@@ -353,28 +379,12 @@ class Session:
             wrist=to_pose(self._guard.wrist),
             status=status,
             flags=tuple(flags),
-            restarts=self._restarts,
+            epoch=self._epoch,
             dt=self._dt,
             **told,
         )
 
 
-def _start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
-    """Where the robot says it is, or rest."""
-    if robot_q is None:
-        return robot.rest.copy()
-    if len(robot_q) != len(robot.joint_names):
-        raise RefusedError("invalid", f"expected {len(robot.joint_names)} angles, got {len(robot_q)}", field="robot_q")
-    q = np.array(robot_q)
-    outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
-    worst = int(np.argmax(outside))
-    if outside[worst] > START_TOLERANCE:
-        limits = f"[{robot.lower_limits[worst]:.6g}, {robot.upper_limits[worst]:.6g}]"
-        message = f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, expected within {START_TOLERANCE:g} rad of {limits}"
-        raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
-    return q
-
-
-def _check_wrist(robot: Hand, wrist: Any) -> None:
-    if wrist is not None and not robot.is_floating:
-        raise RefusedError("invalid", f"{robot.name} has a fixed wrist, which stays where it is", field="robot_wrist")
+def _new_epoch() -> int:
+    """A number that no session has had, on this server or one before it: microseconds of the calendar."""
+    return time.time_ns() // 1000

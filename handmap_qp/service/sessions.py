@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,8 +16,8 @@ from handmap_qp.service.logs import report
 from handmap_qp.service.messages import Error, Open, encode_reply
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import Calibration, HandShelf, prepare_hands
-from handmap_qp.service.session import Posture, Session
-from handmap_qp.service.store import PostureStore
+from handmap_qp.service.session import Session
+from handmap_qp.service.store import PostureStore, Record
 
 _SHORTEST_SECRET = 16
 _REMEMBERED = 1024
@@ -49,7 +50,7 @@ class Sessions:
         caps: What clients are allowed.
         shelf: The hands there are.
         metrics: Where to count.
-        store: Where the postures of former sessions are, if they are kept.
+        store: Where former sessions left their robots.
         clock: Monotonic clock [s].
 
     Attributes:
@@ -57,9 +58,7 @@ class Sessions:
         publish: Who hears of what goes into streams.
     """
 
-    def __init__(
-        self, caps: Caps, shelf: HandShelf, metrics: Metrics, store: PostureStore | None, clock: Callable[[], float]
-    ) -> None:
+    def __init__(self, caps: Caps, shelf: HandShelf, metrics: Metrics, store: PostureStore, clock: Callable[[], float]) -> None:
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
         self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
@@ -107,16 +106,17 @@ class Sessions:
             loop = asyncio.get_running_loop()
             hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._shelf)
             robot = hands.mapper.robot
-            start = self._former(request, name, robot.name, len(robot.joint_names))
+            former = self._former(request, name, robot.name, len(robot.joint_names))
             calibration = Calibration(request, self._shelf, self._executor.submit)
-            session = Session(request, hands, name, self._clock(), calibration=calibration, start=start)
+            session = Session(request, hands, name, self._clock(), calibration=calibration, former=former)
         finally:
             self._names_opening.discard(name)
         for secret in [secret for secret, entry in self.entries.items() if entry.session.name == name]:
             self.end(secret, "taken", "another client has taken this session over")
         self.entries[request.session] = Entry(session, request.seq, payload)
+        self._store.note(session.record)
         self._metrics.counts["opened"] += 1
-        report(INFO, "opened", session=name, robot=robot.name, input=request.input, restored=start is not None)
+        report(INFO, "opened", session=name, robot=robot.name, input=request.input, restored=former is not None)
         return session
 
     def end(self, secret: str, code: str, reason: str) -> None:
@@ -151,36 +151,32 @@ class Sessions:
             raise RefusedError("invalid", f"expected at least {_SHORTEST_SECRET} random characters", field="session")
         if request.session in self.entries:
             raise RefusedError("invalid", "there is such a session already; choose another secret", field="session")
-        if len(self.entries) + len(self._names_opening) >= self._caps.sessions:
+        last = next((entry.session for entry in self.entries.values() if entry.session.name == request.name), None)
+        is_replacing = last is not None and request.restore
+        if len(self.entries) + len(self._names_opening) - is_replacing >= self._caps.sessions:
             raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
         if not self._opens.take(self._clock()):
             raise RefusedError("rate", f"more than {self._caps.opens:g} sessions opened a second; try again later")
         if request.time_from == "client" and not self._caps.allows_client_time:
             raise RefusedError("denied", "the server takes its own clock (see handmap serve --simulated-time)", field="time_from")
-        is_used = any(entry.session.name == request.name for entry in self.entries.values())
-        if request.name in self._names_opening or (is_used and not request.restore):
+        if request.name in self._names_opening or (last is not None and not request.restore):
             raise RefusedError("invalid", f"there is a session {request.name!r}; restore=true takes it over", field="name")
+        if last is not None and last.is_attended:
+            raise RefusedError("busy", f"session {request.name!r} is in use: its client sends samples", field="name")
         if request.restore and request.name is None:
             raise RefusedError("invalid", "missing; restore needs to know whose session", field="name")
 
-    def _former(self, request: Open, name: str, robot: str, joints: int) -> Posture | None:
+    def _former(self, request: Open, name: str, robot: str, joints: int) -> Record | None:
         """Where the session of this name left the robot, if the request asks for it."""
         if not request.restore:
             return None
-        for entry in self.entries.values():
-            if entry.session.name == name and entry.session.robot.name == robot:
-                return entry.session.posture
-        found = None if self._store is None else self._store.find(name, robot, joints)
+        found = self._store.find(name, robot, joints)
         if found is None and request.robot_q is None:
             message = f"nothing is known of a session {name!r}; say where the robot is in robot_q"
             raise RefusedError("invalid", message, field="restore")
         return found
 
     def _new_name(self) -> str:
-        """A name that nobody has: `session-1` and so on."""
-        taken = self._names_opening | {entry.session.name for entry in self.entries.values()}
-        while True:
-            self._last_name += 1
-            name = f"session-{self._last_name}"
-            if name not in taken:
-                return name
+        """A name that nobody has, nor will have after a restart: somebody may be watching it."""
+        self._last_name += 1
+        return f"session-{self._last_name}-{secrets.token_hex(3)}"

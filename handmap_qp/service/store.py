@@ -1,4 +1,4 @@
-"""The postures last commanded, in a file that outlives the server: for sessions that ask to be restored.
+"""Where sessions left their robots, for those that ask to be restored: in memory, and in a file that outlives the server.
 
 The file is mapped into memory, so that noting a command costs microseconds and survives a kill of the process (a power cut may
 lose the last ones). Each session has a slot with two copies, written in turn, each with a checksum: a kill in the middle of a
@@ -27,24 +27,48 @@ _SLOTS = 128
 _SIZE = 2 * _SLOTS * _COPY
 
 
-class _Record(msgspec.Struct, forbid_unknown_fields=True):
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a session left its robot.
+
+    Attributes:
+        name: The session's name.
+        robot: The robot hand's.
+        q: Joint angles last commanded [rad].
+        wrist: Wrist pose row by row, 16 numbers; None where it was not known.
+        epoch: The last command's.
+        is_released: Whether its client had let go.
+    """
+
     name: str
     robot: str
     q: tuple[float, ...]
     wrist: tuple[float, ...] | None
+    epoch: int
+    is_released: bool = False
+
+    @property
+    def posture(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Joint angles (n,) [rad] and wrist pose (4, 4)."""
+        return np.array(self.q), None if self.wrist is None else np.array(self.wrist).reshape(4, 4)
 
 
 class PostureStore:
     """Postures by session name.
 
     Args:
-        path: The file; made if it does not exist. One server at a time.
+        path: The file; made if it does not exist. One server at a time. None for memory alone.
 
     Raises:
         InvalidInputError: If the file cannot be used, is no such file, or another server has it.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | None) -> None:
+        self._records: dict[str, Record] = {}
+        self._memory: mmap.mmap | None = None
+        if path is not None:
+            self._open(path)
+
+    def _open(self, path: Path) -> None:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as error:
@@ -63,13 +87,12 @@ class PostureStore:
         except InvalidInputError:
             os.close(self._file)
             raise
-        self._encode, self._decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(_Record).decode
-        self._records: dict[str, _Record] = {}
+        self._encode, self._decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Record).decode
         self._slots: dict[str, int] = {}
         self._written = [0] * _SLOTS
         self._writes = 0
         for slot in range(_SLOTS):
-            self._load(slot)
+            self._load(self._memory, slot)
 
     def __enter__(self) -> Self:
         return self
@@ -77,33 +100,33 @@ class PostureStore:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def note(self, name: str, robot: str, q: np.ndarray, wrist: np.ndarray | None) -> None:
-        """Note what was commanded.
+    def note(self, record: Record) -> None:
+        """Note where a session's robot is."""
+        # In the order of the last news, so that the name not heard of for the longest time comes first.
+        self._records.pop(record.name, None)
+        self._records[record.name] = record
+        if self._memory is not None:
+            self._write(self._memory, record)
+        elif len(self._records) > _SLOTS:
+            del self._records[next(iter(self._records))]
 
-        Args:
-            name: The session's name.
-            robot: The robot hand's.
-            q: Joint angles [rad], shape (n,).
-            wrist: Wrist pose, shape (4, 4), or None.
-        """
-        record = _Record(name, robot, tuple(q.tolist()), None if wrist is None else tuple(wrist.ravel().tolist()))
+    def _write(self, memory: mmap.mmap, record: Record) -> None:
         payload = self._encode(record)
         if len(payload) > _COPY - _HEAD.size:
             return
-        self._records[name] = record
-        slot = self._slots.get(name)
+        slot = self._slots.get(record.name)
         if slot is None:
             slot = self._free_slot()
-            self._slots[name] = slot
+            self._slots[record.name] = slot
         self._writes += 1
         self._written[slot] = self._writes
-        first, second = (_HEAD.unpack_from(self._memory, (2 * slot + copy) * _COPY)[2] for copy in (0, 1))
+        first, second = (_HEAD.unpack_from(memory, (2 * slot + copy) * _COPY)[2] for copy in (0, 1))
         start = (2 * slot + (second < first)) * _COPY
-        self._memory[start + _HEAD.size : start + _HEAD.size + len(payload)] = payload
-        _HEAD.pack_into(self._memory, start, len(payload), zlib.crc32(payload), self._writes)
+        memory[start + _HEAD.size : start + _HEAD.size + len(payload)] = payload
+        _HEAD.pack_into(memory, start, len(payload), zlib.crc32(payload), self._writes)
 
-    def find(self, name: str, robot: str, joints: int) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Where the session of a name left its robot: joint angles (n,) [rad] and wrist pose (4, 4); None if nothing is known.
+    def find(self, name: str, robot: str, joints: int) -> Record | None:
+        """Where the last session of a name left its robot; None if nothing is known.
 
         Raises:
             RefusedError: If it was another robot.
@@ -113,13 +136,14 @@ class PostureStore:
             return None
         if record.robot != robot or len(record.q) != joints:
             raise RefusedError("invalid", f"the last session {name!r} moved {record.robot}, not {robot}", field="restore")
-        return np.array(record.q), None if record.wrist is None else np.array(record.wrist).reshape(4, 4)
+        return record
 
     def close(self) -> None:
         """Write the file out and let go of it."""
-        self._memory.flush()
-        self._memory.close()
-        os.close(self._file)
+        if self._memory is not None:
+            self._memory.flush()
+            self._memory.close()
+            os.close(self._file)
 
     def _free_slot(self) -> int:
         """An unused slot, or that of the name not heard of for the longest time."""
@@ -129,11 +153,11 @@ class PostureStore:
             self._records.pop(name, None)
         return slot
 
-    def _load(self, slot: int) -> None:
+    def _load(self, memory: mmap.mmap, slot: int) -> None:
         for copy in (2 * slot, 2 * slot + 1):
-            length, checksum, write = _HEAD.unpack_from(self._memory, copy * _COPY)
+            length, checksum, write = _HEAD.unpack_from(memory, copy * _COPY)
             start = copy * _COPY + _HEAD.size
-            payload = self._memory[start : start + min(length, _COPY)]
+            payload = memory[start : start + min(length, _COPY)]
             if length == 0 or write <= self._written[slot] or zlib.crc32(payload) != checksum:
                 continue
             try:
