@@ -19,6 +19,7 @@ TIMEOUT = 1.0
 # Calls may be this much longer than their timeout: other programs want the machine too [s].
 _GRACE = 0.5
 _MEMORY = 15.0
+_MAX_DT = 1.0 / 30.0
 _ROUNDING = 1e-6
 
 
@@ -51,13 +52,17 @@ class Driver:
 
     Attributes:
         speed: Limits of the joints' speed [rad/s].
+        hears_all: Whether every command comes here; else one may account for those between it and the one before.
         fastest: Highest speed between two commands, as a part of its limit.
         commands: How many came.
+        epochs: How often the robot was said to be elsewhere.
     """
 
     speed: np.ndarray
+    hears_all: bool = False
     fastest: float = 0.0
     commands: int = 0
+    epochs: int = 0
     flags: set[str] = field(default_factory=set)
     _last: Command | None = None
 
@@ -66,19 +71,21 @@ class Driver:
         self.flags |= set(command.flags)
         last, self._last = self._last, command
         self.commands += 1
-        if last is not None and last.restarts != command.restarts:
-            # A reset has said that the robot is elsewhere.
+        if last is None:
             return
-        if last is not None and command.server_time > last.server_time:
-            moved = np.abs(np.subtract(command.q, last.q))
-            self.fastest = max(self.fastest, float((moved / (self.speed * (command.server_time - last.server_time))).max()))
-        elif last is not None and command.q != last.q:
-            self.fastest = np.inf
+        if last.epoch != command.epoch:
+            self.epochs += 1
+            return
+        time = command.dt if self.hears_all else command.server_time - last.server_time
+        moved = float((np.abs(np.subtract(command.q, last.q)) / self.speed).max())
+        # Rounding of a displacement of nothing in no time is no jump.
+        if moved > 1e-9:
+            self.fastest = max(self.fastest, moved / time if time > 0.0 else np.inf)
 
 
-def open_driver(client: Client, robot: str = "three_finger", **choices: Any) -> Driver:
+def open_driver(client: Client, robot: str = "three_finger", *, hears_all: bool = False, **choices: Any) -> Driver:
     """Open a session, and a driver for its robot."""
-    return Driver(np.array(client.open(robot, **choices).speed))
+    return Driver(np.array(client.open(robot, **choices).speed), hears_all)
 
 
 def pace(rate: float, duration: float) -> Iterator[float]:
@@ -98,9 +105,15 @@ class Honest(threading.Thread):
         service: The service.
         seed: Whose hand moves.
         keys: Keys of an encrypted connection.
-        streams: Whether samples are streamed rather than answered one by one.
+        streams: Whether samples are only sent, and the driver listens in a client of its own; else each is answered.
         jumps: Whether its time stamps jump about.
         is_shared: Whether others may steer its session.
+        lets_go: Whether it releases the robot after a second, for good.
+
+    Attributes:
+        start_offset: How far from its last command the robot was taken to be where a session was opened anew, in parts of what
+            three commands may account for.
+        is_disobeyed: Whether a released robot moved.
     """
 
     def __init__(
@@ -112,11 +125,17 @@ class Honest(threading.Thread):
         streams: bool = False,
         jumps: bool = False,
         is_shared: bool = False,
+        lets_go: bool = False,
     ) -> None:
         super().__init__(daemon=True)
         self.client = Client(service.address, timeout=TIMEOUT, keys=keys)
-        choices = {"name": f"honest-{seed}", "max_dt": 1.0 / 30.0, "is_shared": is_shared}
-        self.driver: Driver = open_driver(self.client, "three_finger", **choices)
+        choices = {"name": f"honest-{seed}", "max_dt": _MAX_DT, "is_shared": is_shared}
+        self.driver: Driver = open_driver(self.client, "three_finger", hears_all=not streams and not is_shared, **choices)
+        self._listener = Client(service.address, timeout=TIMEOUT, keys=keys)
+        if streams:
+            self._listener.watch(choices["name"])
+        self.start_offset, self.is_disobeyed = 0.0, False
+        self._lets_go, self._has_let_go, self._reopened = lets_go, False, 0
         self.answered, self.timeouts, self.longest = 0, 0, 0.0
         self.refusals: list[str] = []
         self.last: Command | None = None
@@ -132,8 +151,10 @@ class Honest(threading.Thread):
             started = time.monotonic()
             try:
                 command = self._work(now)
+                self._look_where_it_starts()
                 if command is not None:
                     self.driver.take(command)
+                    self.is_disobeyed |= self._has_let_go and self.last is not None and command.q != self.last.q
                     self.last = command
                     self.answered += 1
             except ServiceTimeoutError:
@@ -148,13 +169,25 @@ class Honest(threading.Thread):
         self.join(10.0)
         with suppress(ServiceError, ServiceTimeoutError):
             self.client.close()
+            self._listener.close()
+
+    def _look_where_it_starts(self) -> None:
+        """After a session was opened anew: where the server takes the robot to be, and where it was last told to go."""
+        opened = self.client.opened
+        if self.client.reopened != self._reopened and opened is not None and self.last is not None:
+            offset = np.abs(np.subtract(opened.q, self.last.q)) / (self.driver.speed * 3.0 * _MAX_DT)
+            self.start_offset = max(self.start_offset, float(offset.max()))
+        self._reopened = self.client.reopened
 
     def _work(self, now: float) -> Command | None:
         stamp = now if not self._jumps else float(self._generator.choice([now, -1e9, 1e9, 1e15, 0.0, now - 3600.0]))
+        if self._lets_go and now > 1.0 and not self._has_let_go:
+            self.client.release()
+            self._has_let_go = True
         if not self._streams:
             return self.client.step(**self._motion(now), time=stamp)
         self.client.send(**self._motion(now), time=stamp)
-        return self.client.latest(0.005)
+        return self._listener.latest(0.005)
 
 
 @contextmanager
@@ -178,6 +211,7 @@ def told(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
         "refused": sum(len(client.refusals) for client in clients),
         "longest_call_s": max(client.longest for client in clients),
         "fastest_joint": max(client.driver.fastest for client in clients),
+        "epochs": sum(client.driver.epochs for client in clients),
         **more,
     }
     wrong = []
@@ -185,6 +219,10 @@ def told(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
         wrong.append("a call hung")
     if not found["fastest_joint"] <= 1.0 + _ROUNDING:
         wrong.append("a robot jumped")
+    if any(client.start_offset > 1.0 for client in clients):
+        wrong.append("a robot was taken to be elsewhere")
+    if any(client.is_disobeyed for client in clients):
+        wrong.append("a released robot moved")
     if found.get("memory_growth_MB", 0.0) > _MEMORY:
         wrong.append("memory grew")
     if found.get("failures"):

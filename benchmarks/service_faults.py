@@ -35,11 +35,18 @@ from handmap_qp.service.caps import Caps
 
 
 def restarts(duration: float) -> dict[str, Any]:
-    """The service is killed hard under load every three seconds, and started again; half of the clients stream."""
+    """The service is killed hard under load every three seconds, and started again.
+
+    Three clients have each sample answered; two only send, with drivers of their own that listen; one has let its robot go.
+    """
     with tempfile.TemporaryDirectory() as folder, serving(state=Path(folder) / "state") as service:
         restored, outages, end = 0, [], time.monotonic() + duration
-        with honest(service, 3) as asking, honest(service, 2, first=100, streams=True) as streaming:
-            clients = [*asking, *streaming]
+        with (
+            honest(service, 3) as asking,
+            honest(service, 2, first=100, streams=True) as streaming,
+            honest(service, 1, first=200, lets_go=True) as released,
+        ):
+            clients = [*asking, *streaming, *released]
             while time.monotonic() < end:
                 time.sleep(3.0)
                 service.kill()
@@ -58,7 +65,11 @@ def restarts(duration: float) -> dict[str, Any]:
             opened = fresh.open("three_finger", name="honest-0", restore=True)
             restored = int(last is not None and opened.q == last.q)
         reopened = sum(client.client.reopened for client in clients)
-        found = told(clients, kills=len(outages), reopened=reopened, longest_outage_s=max(outages), restored=restored)
+        offset = max(client.start_offset for client in clients)
+        numbers = {"kills": len(outages), "reopened": reopened, "longest_outage_s": max(outages), "restored": restored}
+        found = told(clients, **numbers, start_offset=offset)
+        if found["epochs"]:
+            found["wrong"].append("a session did not go on from the one before")
         if not restored:
             found["wrong"].append("the posture was not restored")
         return found
