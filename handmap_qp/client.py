@@ -219,13 +219,13 @@ class _Connection:
         return self._exchange(_message("open", robot=robot, session=secrets.token_urlsafe(24), **choices), Opened)
 
     step = _call(lambda self, **sample: self._exchange(_message("step", **sample), Command))
-    step.__doc__ = "Map one sample: `q` (n,) [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n_h, 3) [m]; `time` [s]."
+    step.__doc__ = "Map one sample: `q` [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n, 3) [m]; `time` [s]."
     clutch = _call(lambda self: self._exchange(_message("clutch"), Done))
     clutch.__doc__ = "Take hold (again): the next sample is the reference, and the robot goes on from where it is."
     release = _call(lambda self: self._exchange(_message("release"), Done))
     release.__doc__ = "Let go: the robot holds still until `clutch`."
     reset = _call(lambda self, **start: self._exchange(_message("reset", **start), Done))
-    reset.__doc__ = "Start anew where `robot_q` and `robot_wrist` say that the robot is; without them it goes to rest, within its limits."
+    reset.__doc__ = "Start anew where `robot_q` and `robot_wrist` say the robot is; without them it goes to rest within its limits."
     status = _call(lambda self: self._exchange(_message("status"), State))
     status.__doc__ = "How the session is; the server, if none is open."
 
