@@ -13,15 +13,17 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.client import Client
-from handmap_qp.service.messages import PROTOCOL, Open, Pose, Step
+from handmap_qp.service.messages import PROTOCOL, Command, Open, Pose, Reset, Step
 from handmap_qp.service.opening import Calibration, Hands, HandShelf, prepare_hands
 from handmap_qp.service.server import Server, Settings
-from handmap_qp.service.session import Session
+from handmap_qp.service.session import Posture, Session
 
 SHELF = HandShelf()
 """Hands are loaded once for all tests."""
 HERE = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 SECRET = "a-secret-of-the-tests"
+PERIOD = 1.0 / 60.0
+RESET = Reset(protocol=PROTOCOL, seq=99)
 LOCAL = Settings(port=0, stream_port=0, health_port=None)
 
 
@@ -64,6 +66,23 @@ class Sampler:
         angles = None if human else tuple(np.asarray(human_q() if q is None else q).tolist())
         pose = None if "landmarks" in human else wrist
         return Step(protocol=PROTOCOL, seq=self.seq, session=SECRET, time=time, q=angles, wrist=pose, **human)
+
+
+def speeds(session: Session, before: np.ndarray, command: Command, time: float) -> np.ndarray:
+    """Joint speeds as parts of their limits, shape (n,)."""
+    return np.abs(np.array(command.q) - before) / (session.robot.velocity_limits * time)
+
+
+def moved_points(session: Session, before: Posture) -> float:
+    """How far the fingertips have gone [m]: at a new reference not far, though joints may drift towards rest meanwhile."""
+    return float(np.linalg.norm(session.robot.points(*session.posture) - session.robot.points(*before), axis=1).max())
+
+
+def follow(session: Session, sample: Sampler, start: float, count: int = 20) -> float:
+    """Steps at 60 Hz; the time of the last one."""
+    for i in range(count):
+        session.step(sample(i * PERIOD, human_q(0.1 * i)), start + i * PERIOD)
+    return start + (count - 1) * PERIOD
 
 
 @contextmanager

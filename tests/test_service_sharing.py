@@ -1,0 +1,97 @@
+"""Others than a session's client: anyone may look on, and steer where its client has allowed that."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from service_tools import address_of, connected, human_q, serving
+
+from handmap_qp.client import Client, ServiceError
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.server import Server
+
+WRIST = np.eye(4)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as running:
+        yield running
+
+
+def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
+    return raised.value.error.code, raised.value.error.field
+
+
+def test_anyone_may_look_and_only_at_a_shared_session_steer(server: Server) -> None:
+    with connected(server, name="shared", is_shared=True) as owner, Client(address_of(server)) as other:
+        state = other.watch("shared")
+        assert state.about is not None
+        assert (state.about["robot"], state.about["has_detail"]) == ("three_finger", False)
+        other.latest(0.2)
+        sent = owner.step(q=human_q(), wrist=WRIST, time=3.0)
+        seen = other.latest(1.0)
+        assert seen is not None
+        assert (seen.q, seen.time, seen.detail) == (sent.q, 3.0, None)
+        other.configure(mapping={"ridge": 0.5}, ik={"rest_weight": 0.0}, has_detail=True)
+        about = owner.status().about
+        assert about is not None
+        assert (about["mapping"]["ridge"], about["ik"]["rest_weight"], about["ik"]["damping"]) == (0.5, 0.0, 0.1)
+        assert owner.step(q=human_q(0.2), wrist=WRIST).detail is not None
+        other.release()
+        assert owner.step(q=human_q(1.0), wrist=WRIST).status == "released"
+        other.clutch()
+        assert owner.step(q=human_q(1.0), wrist=WRIST).status != "released"
+
+
+def test_a_session_that_is_not_shared_is_its_clients_alone(server: Server) -> None:
+    with connected(server, name="private") as owner, Client(address_of(server)) as other:
+        owner.step(q=human_q(), wrist=WRIST)
+        assert other.watch("private").mode == "following"
+        for steer in (other.clutch, other.release, lambda: other.configure(mapping={"ridge": 0.5})):
+            with pytest.raises(ServiceError) as raised:
+                steer()
+            assert code_of(raised) == ("denied", "name")
+        for reach in (other.reset, lambda: other.step(q=human_q(), wrist=WRIST)):
+            with pytest.raises(ServiceError) as raised:
+                reach()
+            assert code_of(raised) == ("invalid", "name")
+        assert owner.step(q=human_q(), wrist=WRIST).status == "converged"
+
+
+def test_looking_on_needs_a_session_and_does_not_keep_it_alive() -> None:
+    with serving(caps=Caps(idle=0.3)) as server, connected(server, name="short"), Client(address_of(server)) as other:
+
+        def look_again_and_again() -> None:
+            for _ in range(100):
+                other.watch("short")
+                time.sleep(0.02)
+
+        with pytest.raises(ServiceError) as raised:
+            look_again_and_again()
+        assert code_of(raised) == ("invalid", "name")
+        with pytest.raises(RuntimeError, match="session of its own"), connected(server) as owner:
+            owner.watch("short")
+
+
+def test_changes_of_options_are_capped() -> None:
+    with serving(caps=Caps(configures=4.0)) as server, connected(server) as client:
+        with pytest.raises(ServiceError) as raised:
+            deque((client.configure(mapping={"ridge": 0.2}) for _ in range(100)), maxlen=0)
+        assert code_of(raised)[0] == "rate"
+
+
+def test_options_survive_a_server_that_has_lost_the_session() -> None:
+    with serving() as first, connected(first, mapping={"scale": 2.0}) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        client.configure(mapping={"ridge": 0.3})
+        first.dispatcher.sessions.entries.clear()
+        client.step(q=human_q(), wrist=WRIST)
+        assert client.reopened == 1
+        about = client.status().about
+        assert about is not None
+        assert (about["mapping"]["ridge"], about["mapping"]["scale"]) == (0.3, 2.0)
