@@ -75,6 +75,27 @@ def test_what_cannot_be_carried_out_in_time_or_in_numbers_is_refused(changes: di
         assert raised.value.field == field
 
 
+FIXED = {"mount": "fixed", "mapping": {"rigid_from": "none"}}
+
+
+@pytest.mark.parametrize(
+    ("choices", "changes", "field"),
+    [
+        ({"robot": "panda_gripper"}, {"ik": {"avoids_self_collision": True}}, "ik"),
+        ({}, {"ik": {"rest_weight": 1e300}}, "ik"),
+        ({}, {"ik": {"max_acceleration": 0.0}, "mapping": {"ridge": 0.2}}, "ik.max_acceleration"),
+        (FIXED, {"mapping": {"rigid_from": "points"}}, "mapping"),
+    ],
+    ids=str,
+)
+def test_the_options_at_fault_are_named(choices: dict[str, Any], changes: dict[str, Any], field: str) -> None:
+    session = make_session(**choices)
+    for choose in (lambda: make_session(**choices | changes), lambda: session.configure(change(**changes))):
+        with pytest.raises(RefusedError) as raised:
+            choose()
+        assert raised.value.field == field
+
+
 def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch) -> None:
     iterations = []
 
