@@ -10,6 +10,7 @@ import urllib.request
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -317,6 +318,16 @@ def test_simulated_time_needs_leave(server: Server) -> None:
 
 
 # -- keys -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("port", [-2, -1, 65536, 10**9, 10**30])
+@pytest.mark.parametrize("name", ["port", "stream_port", "health_port"])
+def test_a_number_that_is_no_port_is_refused(name: str, port: int) -> None:
+    choice: dict[str, Any] = {name: port}
+    with pytest.raises(InvalidInputError, match=f"^{name.replace('_', ' ')}: expected 0 to 65535, got {port}$"):
+        Settings(**choice)
+    with pytest.raises(InvalidInputError, match=f"^web port: expected 0 to 65535, got {port}$"):
+        WebSettings(port=port)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.2", "::", "example.org", "127.0.0.1.example.org"])

@@ -23,12 +23,13 @@ import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.addresses import check_port, is_loopback
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.keys import read_server_keys
 from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
-from handmap_qp.service.metrics import Metrics, is_loopback, serve_metrics
+from handmap_qp.service.metrics import Metrics, serve_metrics
 from handmap_qp.service.opening import HandShelf
 from handmap_qp.service.store import PostureStore
 from handmap_qp.service.websocket import WebDoor, WebSettings
@@ -73,8 +74,13 @@ class Settings:
         """Refuse to be reached from elsewhere without keys.
 
         Raises:
+            InvalidInputError: If there is no such port.
             InvalidOptionsError: Saying what is missing.
         """
+        check_port("port", self.port)
+        check_port("stream port", self.stream_port)
+        if self.health_port is not None:
+            check_port("health port", self.health_port)
         if not is_loopback(self.host) and self.keys is None:
             raise InvalidOptionsError(
                 f"host {self.host}: others could move the robot; off loopback, give keys (handmap keys FOLDER makes them)"
