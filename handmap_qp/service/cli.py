@@ -116,7 +116,8 @@ class Serve:
 class Keys:
     """Make the keys that `handmap serve --keys` needs; keys that are there stay.
 
-    Give each client its NAME.key_secret and server.key; take a client's right away by deleting clients/NAME.key.
+    Give each client its NAME.key_secret and server.key. A running server takes new keys at once; delete clients/NAME.key, and that
+    client cannot connect any more. A connection that is open stays until it ends, at the latest with the server.
 
     Attributes:
         folder: Where to put them.
