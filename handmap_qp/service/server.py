@@ -1,7 +1,7 @@
 """`Server`: the mapping service on its sockets. ZeroMQ here; WebSocket and HTTP are started from here.
 
     ROUTER  requests, each answered; and samples, not answered, of which the newest counts
-    PUB     the stream: commands of every session under its name, to each reader the newest
+    PUB     the stream: commands of every session under its name; a reader needs a SUB socket for each of its sessions
 
 Off loopback, both speak CURVE and take only the clients whose public keys lie in the keys' folder.
 """
@@ -177,7 +177,8 @@ class Server:
         socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
         socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
         socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
-        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader.
+        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader's socket,
+        # whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
         if (keys := self._keys) is not None:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_server = keys.public, keys.secret, True
