@@ -1,5 +1,6 @@
 """Landmarks to joint angles: exact on a hand like the model's, close on real ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,14 +67,55 @@ def test_samples_without_a_hand_hold_the_posture_before() -> None:
     assert np.isnan(motion.fit_error[~valid]).all()
 
 
-@pytest.mark.parametrize("bad", [np.zeros((20, 3)), np.full((21, 3), np.nan)], ids=["shape", "nan"])
+@pytest.mark.parametrize("scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"])
+def test_what_is_not_as_long_as_a_hand_is_not_measured(scale: float) -> None:
+    lengths = HumanLengths.from_hand_length(0.19)
+    recording, _, _ = synthetic("right", lengths)
+    scaled = replace(recording, landmarks=scale * recording.landmarks)
+    message = rf"landmarks: expected metres .* 0\.08 to 0\.35 m .* got {scale * lengths.hand_length:.3g}$"
+    for use in (measure_hand, fit_recording):
+        with pytest.raises(InvalidInputError, match=message):
+            use(scaled)
+
+
+def test_samples_that_are_not_of_the_hands_size_hold_the_posture_before() -> None:
+    recording, _, _ = synthetic("left", HumanLengths.from_hand_length(0.18))
+    spoilt = recording.landmarks.copy()
+    spoilt[[0, 20]] *= 1000.0
+    spoilt[[1, 21]] = 0.0
+    motion = fit_recording(replace(recording, landmarks=spoilt))
+    np.testing.assert_array_equal(np.flatnonzero(~motion.valid), [0, 1, 20, 21])
+    np.testing.assert_array_equal(motion.q[[0, 1, 20, 21]], motion.q[[2, 2, 19, 19]])
+    assert recording.valid.all()
+
+
+def test_a_size_that_no_sample_bears_out_is_no_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.1))
+    # As medians of a tracker that has lost the hand may come out.
+    monkeypatch.setattr("handmap_qp.trackers.landmarks.measure_hand", lambda _: HumanLengths.from_hand_length(0.3))
+    with pytest.raises(InvalidInputError, match="landmarks: expected a hand that keeps its size"):
+        fit_recording(recording)
+
+
+BAD = {
+    "shape": np.zeros((20, 3)),
+    "nan": np.full((21, 3), np.nan),
+    "zeros": np.zeros((21, 3)),
+    "one place": np.full((21, 3), 0.3),
+    "mm": 1000.0 * load_hand("human", points="landmarks").points(load_hand("human").rest),
+}
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
 def test_bad_landmarks_are_refused_and_change_nothing(bad: np.ndarray) -> None:
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.18))
     disturbed, calm = LandmarkFitter(), LandmarkFitter()
     for fitter in (disturbed, calm):
         fitter.fit(recording.landmarks[0])
-    with pytest.raises(InvalidInputError):
+    with pytest.raises(InvalidInputError, match="landmarks: expected"):
         disturbed.fit(bad)
+    with pytest.raises(InvalidInputError, match="landmarks: expected"):
+        LandmarkFitter().fit(bad)
     np.testing.assert_array_equal(disturbed.fit(recording.landmarks[1])[0], calm.fit(recording.landmarks[1])[0])
 
 

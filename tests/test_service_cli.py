@@ -70,6 +70,11 @@ def test_keys_are_made_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[st
         ({"keys": Path("missing")}, InvalidInputError, "handmap keys"),
         ({"state": Path("missing/state")}, InvalidInputError, "cannot be used"),
         ({"sessions": 0}, InvalidInputError, "numbers > 0"),
+        ({"port": -1}, InvalidInputError, "^port: expected 0 to 65535, got -1"),
+        ({"stream_port": 70000}, InvalidInputError, "^stream port: expected"),
+        ({"health_port": -2}, InvalidInputError, "^health port: expected"),
+        ({"web": True, "web_port": -1}, InvalidInputError, "^web port: expected"),
+        ({"web_port": 0, "web_origin": ("https://a.example",)}, InvalidInputError, "^--web-port, --web-origin: expected --web"),
     ],
     ids=str,
 )
@@ -78,7 +83,7 @@ def test_mistakes_are_told_before_anything_listens(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
-        Serve(port=0, stream_port=0, health_port=-1, **choices).run()  # type: ignore[arg-type]
+        Serve(**{"port": 0, "stream_port": 0, "health_port": -1, **choices}).run()  # type: ignore[arg-type]
 
 
 def test_without_its_packages_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

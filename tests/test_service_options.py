@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from service_tools import SECRET, SHELF, Sampler, human_q, make_session
+from service_tools import SECRET, Sampler, human_q, make_session
 
 from handmap_qp import IkOptions, MappingOptions
 from handmap_qp.errors import RefusedError
-from handmap_qp.human import HumanLengths
 from handmap_qp.ik import solvers
 from handmap_qp.service.messages import PROTOCOL, Configure, Pose
 
@@ -71,6 +70,27 @@ def test_options_that_are_taken_can_be_followed(mapping: dict[str, float], ik: d
 )
 def test_what_cannot_be_carried_out_in_time_or_in_numbers_is_refused(changes: dict[str, Any], field: str) -> None:
     for choose in (lambda: make_session(**changes), lambda: make_session().configure(change(**changes))):
+        with pytest.raises(RefusedError) as raised:
+            choose()
+        assert raised.value.field == field
+
+
+FIXED = {"mount": "fixed", "mapping": {"rigid_from": "none"}}
+
+
+@pytest.mark.parametrize(
+    ("choices", "changes", "field"),
+    [
+        ({"robot": "panda_gripper"}, {"ik": {"avoids_self_collision": True}}, "ik"),
+        ({}, {"ik": {"rest_weight": 1e300}}, "ik"),
+        ({}, {"ik": {"max_acceleration": 0.0}, "mapping": {"ridge": 0.2}}, "ik.max_acceleration"),
+        (FIXED, {"mapping": {"rigid_from": "points"}}, "mapping"),
+    ],
+    ids=str,
+)
+def test_the_options_at_fault_are_named(choices: dict[str, Any], changes: dict[str, Any], field: str) -> None:
+    session = make_session(**choices)
+    for choose in (lambda: make_session(**choices | changes), lambda: session.configure(change(**changes))):
         with pytest.raises(RefusedError) as raised:
             choose()
         assert raised.value.field == field
@@ -136,19 +156,3 @@ def test_options_that_cannot_be_change_nothing(changes: dict[str, Any], field: s
         session.configure(change(**changes))
     assert raised.value.field.startswith(field)
     assert session.state(1, "", 0, 0.0).about == before
-
-
-def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
-    session, sample = make_session(input="landmarks"), Sampler()
-    landmarks = SHELF.human("right", "landmarks").points(human_q(), np.eye(4))
-    session.configure(change(mapping={"ridge": 0.4}))
-    for i in range(40):
-        session.step(sample(PERIOD * i, landmarks=tuple(map(tuple, landmarks.tolist()))), PERIOD * i)
-    about = session.state(1, "", 0, 0.0).about
-    assert session.mode == "following"
-    assert about is not None
-    assert about.mapping["ridge"] == 0.4
-    assert about.lengths is not None
-    # The measured hand is the one that the landmarks were made of.
-    own = HumanLengths.from_urdf(SHELF.human("right", None).urdf_text)
-    np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)

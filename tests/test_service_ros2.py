@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 import time
 import types
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +51,21 @@ class Node:
         return types.SimpleNamespace(warning=self.published.setdefault("log", []).append)
 
 
+DEFAULTS = {"JointState": {"velocity": [], "effort": []}, "Header": {"frame_id": ""}}
+"""What ROS's own classes of messages leave empty by themselves, and those of rosbags do not."""
+
+
 @pytest.fixture
-def bridge(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The names that the bridge's code defines."""
+def code() -> str:
+    """The bridge's code."""
     text = (Path(str(handmap_qp.service.__file__)).parent / "ros2.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    (found,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    return found
+
+
+@pytest.fixture
+def bridge(code: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The names that the bridge's code defines."""
     modules: dict[str, dict[str, Any]] = {
         "rclpy": {},
         "rclpy.node": {"Node": Node},
@@ -64,11 +76,13 @@ def bridge(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         "sensor_msgs": ("JointState",),
         "std_msgs": ("Header",),
     }.items():
-        modules[f"{package}.msg"] = {name: TYPES[f"{package}/msg/{name}"] for name in names}
+        modules[f"{package}.msg"] = {name: partial(TYPES[f"{package}/msg/{name}"], **DEFAULTS.get(name, {})) for name in names}
     for name, content in modules.items():
         module = types.ModuleType(name)
         vars(module).update(content)
         monkeypatch.setitem(sys.modules, name, module)
+    # What the import of a real submodule does by itself.
+    vars(sys.modules["rclpy"])["node"] = sys.modules["rclpy.node"]
     namespace: dict[str, Any] = {"__name__": "bridge"}
     exec(compile(code, "ros2.md", "exec"), namespace)
     return namespace
@@ -103,6 +117,12 @@ def command(**changes: Any) -> Command:
     pose = Pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8))
     fields = {"name": "s", "time": 0.0, "server_time": 0.0, "joint_names": ("b", "a"), "q": (0.25, -0.5), "status": "converged"}
     return Command(**{**fields, "wrist": pose, **changes})
+
+
+def test_it_is_as_short_as_the_readme_says_and_runs_on_the_python_of_ros(code: str) -> None:
+    assert len([line for line in code.splitlines() if line.strip()]) <= 40
+    for source in (code, Path(handmap_qp.client.__file__).read_text(encoding="utf-8")):
+        ast.parse(source, feature_version=(3, 10))
 
 
 def test_a_sample_is_ordered_by_name_and_keeps_pose_and_time(bridge: dict[str, Any]) -> None:

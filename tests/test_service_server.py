@@ -10,6 +10,7 @@ import urllib.request
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,10 +19,9 @@ import zmq
 from service_tools import HERE, SECRET, Sampler, address_of, connected, human_q, opening, serving
 
 from handmap_qp import load_hand
-from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+from handmap_qp.client import Client, ServiceError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
-from handmap_qp.service.keys import make_keys
 from handmap_qp.service.logs import JsonLines
 from handmap_qp.service.messages import PROTOCOL, Request, Status
 from handmap_qp.service.server import Server, Settings
@@ -268,7 +268,17 @@ def test_simulated_time_needs_leave(server: Server) -> None:
         assert client.step(q=human_q(), wrist=WRIST, time=0.02).dt == pytest.approx(0.02)
 
 
-# -- keys -------------------------------------------------------------------------------------------------------------
+# -- where it listens -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("port", [-2, -1, 65536, 10**9, 10**30])
+@pytest.mark.parametrize("name", ["port", "stream_port", "health_port"])
+def test_a_number_that_is_no_port_is_refused(name: str, port: int) -> None:
+    choice: dict[str, Any] = {name: port}
+    with pytest.raises(InvalidInputError, match=f"^{name.replace('_', ' ')}: expected 0 to 65535, got {port}$"):
+        Settings(**choice)
+    with pytest.raises(InvalidInputError, match=f"^web port: expected 0 to 65535, got {port}$"):
+        WebSettings(port=port)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.2", "::", "example.org", "127.0.0.1.example.org"])
@@ -277,43 +287,6 @@ def test_off_loopback_keys_are_needed(host: str) -> None:
         Settings(host=host)
     with pytest.raises(InvalidOptionsError, match="token"):
         WebSettings(host=host, token="x" * 20)
-
-
-def test_only_admitted_keys_come_in(tmp_path: Path) -> None:
-    make_keys(tmp_path / "keys", ["mine"])
-    make_keys(tmp_path / "others", ["theirs"])
-    server_key = tmp_path / "keys" / "server.key"
-    mine = tmp_path / "keys" / "mine.key_secret", server_key
-    theirs = tmp_path / "others" / "theirs.key_secret", server_key
-    wrong_server = tmp_path / "keys" / "mine.key_secret", tmp_path / "others" / "server.key"
-    with serving(keys=tmp_path / "keys") as server:
-        for keys in (None, theirs, wrong_server):
-            with Client(address_of(server), timeout=0.4, keys=keys) as client, pytest.raises(ServiceTimeoutError):
-                client.status()
-        with Client(address_of(server), keys=mine) as client:
-            client.open("three_finger")
-            client.latest(0.2)
-            client.send(q=human_q(), wrist=WRIST)
-            assert client.latest(1.0) is not None
-
-
-def test_secret_keys_are_for_their_owner_alone_and_stay(tmp_path: Path) -> None:
-    written = make_keys(tmp_path / "keys", ["a", "b"])
-    assert len(written) == 8
-    secrets = [file for file in written if file.suffix == ".key_secret"]
-    assert all(file.stat().st_mode & 0o777 == 0o600 for file in secrets)
-    before = secrets[0].read_bytes()
-    assert len(make_keys(tmp_path / "keys", ["a", "c"])) == 3
-    assert secrets[0].read_bytes() == before
-    secrets[0].chmod(0o644)
-    with pytest.raises(InvalidInputError, match="others can read"), serving(keys=tmp_path / "keys"):
-        pass
-
-
-@pytest.mark.parametrize("name", ["../up", "server", "", "a b"])
-def test_names_of_clients_are_file_names(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InvalidInputError):
-        make_keys(tmp_path / "keys", [name])
 
 
 # -- what watches it ----------------------------------------------------------------------------------------------------
@@ -339,6 +312,19 @@ def test_metrics_and_health_are_told_on_loopback() -> None:
 def test_a_taken_port_is_said(server: Server) -> None:
     with pytest.raises(InvalidInputError, match="in use"), serving(port=server.ports["requests"]):
         pass
+
+
+def test_only_what_was_ready_has_stopped(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    events: list[str] = []
+    monkeypatch.setattr("handmap_qp.service.server.report", lambda level, event, **data: events.append(event))
+    for taken in ("port", "stream_port", "health_port"):
+        choice: dict[str, Any] = {taken: server.ports["requests"]}
+        with pytest.raises(InvalidInputError, match="in use"), serving(**choice):
+            pass
+    assert events == []
+    with serving():
+        pass
+    assert events == ["ready", "stopped"]
 
 
 def test_logs_are_json_lines() -> None:

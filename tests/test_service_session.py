@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -21,16 +19,11 @@ from service_tools import (
     human_q,
     make_session,
     moved_points,
-    opening,
-    run_now,
     speeds,
 )
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.recording import read_recording
 from handmap_qp.service.messages import PROTOCOL, Configure, Pose
-from handmap_qp.service.opening import Calibration, Hands, prepare_hands
-from handmap_qp.service.session import Session
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -225,39 +218,3 @@ def test_what_cannot_be_opened_is_refused_by_field(choices: dict[str, Any], fiel
         make_session(**choices)
     assert raised.value.field == field
     assert "/work" not in str(raised.value)
-
-
-def test_landmarks_are_measured_first_and_then_mapped(recordings: Any) -> None:
-    recording = read_recording(sorted(recordings.glob("*_right.npz"))[0])
-    seen = np.flatnonzero(recording.valid)[:50]
-    session, sample = make_session(input="landmarks", has_detail=True), Sampler()
-    commands = []
-    for i, k in enumerate(seen):
-        landmarks = tuple(map(tuple, recording.landmarks[k].tolist()))
-        commands.append(session.step(sample(i * PERIOD, landmarks=landmarks), i * PERIOD))
-    states = [command.status for command in commands]
-    assert states[:30] == ["calibrating"] * 30
-    assert "calibrating" not in states[31:]
-    assert all(command.q == tuple(session.robot.rest) for command in commands[:30])
-    assert commands[-1].detail is not None
-
-
-def test_landmarks_that_are_no_hand_are_refused_and_gathered_anew() -> None:
-    session, sample = make_session(input="landmarks"), Sampler()
-    nowhere = ((0.0, 0.0, 0.0),) * 21
-    with pytest.raises(RefusedError) as raised:
-        deque((session.step(sample(landmarks=nowhere), i * PERIOD) for i in range(40)), maxlen=0)
-    assert raised.value.field == "landmarks"
-    assert session.step(sample(landmarks=nowhere), 1.0).status == "calibrating"
-
-
-def test_a_known_hand_needs_no_measuring() -> None:
-    request = opening(input="landmarks", hand_length=0.19)
-    hands: Hands = prepare_hands(request, SHELF)
-    assert not hands.needs_measuring
-    assert hands.fitter is not None
-    session = Session(request, hands, "test", 0.0, calibration=Calibration(request, SHELF, run_now))
-    landmarks = hands.fitter.human.points(human_q())
-    command = session.step(Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1)
-    assert command.status != "calibrating"
-    assert replace(hands, needs_measuring=True).needs_measuring

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
@@ -79,6 +79,7 @@ class Serve:
             raise MissingExtraError(str(error.name), "service") from error
         from handmap_qp.service.caps import Caps
 
+        self._check_web()
         if self.sessions < 1 or not (self.rate > 0.0 and self.idle > 0.0):
             raise InvalidInputError("--sessions, --rate and --idle: expected numbers > 0")
         web = None
@@ -89,7 +90,7 @@ class Serve:
             host=self.host,
             port=self.port,
             stream_port=self.stream_port,
-            health_port=None if self.health_port < 0 else self.health_port,
+            health_port=None if self.health_port == -1 else self.health_port,
             keys=self.keys,
             web=web,
             state=self.state,
@@ -103,12 +104,20 @@ class Serve:
         )
         run_server(settings, self.log_level)
 
+    def _check_web(self) -> None:
+        """Refuse choices for a door that stays shut."""
+        choices = [item for item in fields(self) if item.name.startswith("web_") and getattr(self, item.name) != item.default]
+        if choices and not self.web:
+            names = ", ".join("--" + item.name.replace("_", "-") for item in choices)
+            raise InvalidInputError(f"{names}: expected --web too, which opens the WebSocket door")
+
 
 @dataclass(frozen=True)
 class Keys:
     """Make the keys that `handmap serve --keys` needs; keys that are there stay.
 
-    Give each client its NAME.key_secret and server.key; take a client's right away by deleting clients/NAME.key.
+    Give each client its NAME.key_secret and server.key. A running server takes new keys at once; delete clients/NAME.key, and that
+    client cannot connect any more. A connection that is open stays until it ends, at the latest with the server.
 
     Attributes:
         folder: Where to put them.

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from logging import INFO, WARNING
 from pathlib import Path
 
 from zmq.auth import create_certificates, load_certificate
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.service.logs import report
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +21,45 @@ class ServerKeys:
     Attributes:
         public: Its public key, Z85.
         secret: Its secret key, Z85.
-        has_clients: Whether any client may come in.
     """
 
     public: bytes
     secret: bytes
-    has_clients: bool
+
+
+class ClientKeys:
+    """The keys of the clients that may come in, as they lie in a folder: pyzmq's authenticator asks it at every handshake.
+
+    Args:
+        folder: Where the public keys are, each in a file `*.key`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._seen: dict[Path, tuple[int, int, int]] = {}
+        self._keys: frozenset[bytes] = frozenset()
+
+    def read(self) -> frozenset[bytes]:
+        """The keys, Z85. Files are read again only if one has come, gone or changed."""
+        seen = {}
+        for file in self._folder.glob("*.key"):
+            # What cannot be looked at has gone meanwhile, and lets nobody in.
+            with suppress(OSError):
+                status = file.stat()
+                seen[file] = (status.st_ino, status.st_mtime_ns, status.st_size)
+        if seen != self._seen:
+            self._seen, self._keys = seen, frozenset(filter(None, map(_read_public, seen)))
+            report(INFO, "keys", clients=len(self._keys))
+        return self._keys
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """Whether a client may come in; pyzmq's name for it.
+
+        Args:
+            domain: Not used: there is one for all.
+            key: The client's public key, Z85.
+        """
+        return key in self.read()
 
 
 def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
@@ -80,4 +116,13 @@ def read_server_keys(folder: Path) -> ServerKeys:
         raise InvalidInputError(f"{file}: cannot be read; handmap keys {folder} makes it") from error
     if secret is None:
         raise InvalidInputError(f"{file}: holds no secret key")
-    return ServerKeys(public, secret, any((folder / "clients").glob("*.key")))
+    return ServerKeys(public, secret)
+
+
+def _read_public(file: Path) -> bytes | None:
+    """A client's public key; None, and a warning, where the file holds none: the other clients are not to suffer."""
+    try:
+        return load_certificate(file)[0]
+    except (OSError, ValueError) as error:
+        report(WARNING, "no_key", file=str(file), error=str(error))
+        return None

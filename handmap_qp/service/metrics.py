@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import json
 import re
 import resource
@@ -13,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from handmap_qp.service.addresses import is_loopback
 
 BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
@@ -134,14 +135,6 @@ def _is_for_loopback(head: bytes) -> bool:
         if name.strip().lower() == b"host":
             return is_loopback(re.sub(r":\d*$", "", value.strip().decode("latin-1")).strip("[]"))
     return True
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host, as a name or address, is this machine and cannot be reached from another."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _page(status: str, kind: str, body: str) -> bytes:

@@ -19,6 +19,7 @@ from handmap_qp.hand import Hand
 from handmap_qp.hand_spec import Mount, Side, read_hand_spec
 from handmap_qp.human import HumanLengths
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.library import HUMAN_HANDS, hand_names, load_hand
 from handmap_qp.mapping import HandMapper
 from handmap_qp.options import MappingOptions
@@ -141,7 +142,7 @@ def prepare_hands(request: Open, shelf: HandShelf, lengths: HumanLengths | None 
     else:
         name = human_name(request.side)
         human = name_field("human_points", lambda: load_hand(name, points=request.human_points, lengths=lengths))
-    mapper = name_field("mapping", lambda: HandMapper(human, robot, mapping, ik=ik))
+    mapper = name_options(robot, ik, lambda: HandMapper(human, robot, mapping, ik=ik))
     return Hands(mapper, fitter, lengths, needs_measuring=fitter is not None and lengths is None)
 
 
@@ -233,6 +234,24 @@ def read_ik(values: dict[str, Any]) -> IkOptions:
     return ik
 
 
+def name_options(robot: Hand, ik: IkOptions, make: Callable[[], _T]) -> _T:
+    """What `make` makes of options for mapping and QP; what it raises as a refusal of those that are at fault.
+
+    Args:
+        robot: The robot hand.
+        ik: The QP's options.
+        make: Makes or configures a mapper.
+
+    Raises:
+        RefusedError: Naming the option, or else `ik` where the QP cannot be set up by itself, and `mapping` where it can.
+    """
+    try:
+        return name_field("mapping", make)
+    except RefusedError:
+        name_field("ik", lambda: PointIk(robot, ik))
+        raise
+
+
 def refused(error: HandmapError, field: str = "") -> RefusedError:
     """An error of the library as a refusal: the field is the name that the message begins with, as clients call it."""
     if isinstance(error, RefusedError):
@@ -240,7 +259,7 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
     # The server's paths are no business of its clients.
     message = " ".join(str(error).replace(f"{getattr(error, 'file', None)}: ", "", 1).split())
     head, colon, rest = message.partition(": ")
-    own = _FIELDS.get(head, "") if colon else ""
+    own = (f"{field}.{head}" if head in _OPTIONS.get(field, ()) else _FIELDS.get(head, "")) if colon else ""
     return RefusedError("invalid", (rest if own else message)[:400], field=own or field)
 
 
@@ -253,6 +272,8 @@ _FIELDS = {
     "robot_wrist": "robot_wrist",
 }
 """What clients call the arguments of `HandMapper`."""
+_OPTIONS = {"mapping": MappingOptions.__slots__, "ik": IkOptions.__slots__}
+"""Names of options by what clients call the whole of them."""
 
 
 def name_field(field: str, make: Callable[[], _T]) -> _T:

@@ -47,7 +47,8 @@ def schema_text() -> str:
         f"# Messages of the mapping service, protocol {PROTOCOL}",
         "One message is one map with a key `type`. SI and radians; poses are of the wrist frame, in right-handed worlds.\n\n"
         "- ZeroMQ: msgpack. A DEALER (or REQ) socket to the port of requests; a SUB socket to the port of the stream, where a "
-        "message is the session's name, a zero byte, and the message.\n"
+        "message is the session's name, a zero byte, and the message. One SUB socket per session: for each the server keeps the "
+        "newest message alone, whatever session it is of.\n"
         "- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` turns on a stream.\n\n"
         "A request that is repeated byte by byte is answered again and carried out once. One that bears a session's public "
         "`name` in place of its secret is carried out each time.",

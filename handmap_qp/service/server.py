@@ -1,7 +1,7 @@
 """`Server`: the mapping service on its sockets. ZeroMQ here; WebSocket and HTTP are started from here.
 
     ROUTER  requests, each answered; and samples, not answered, of which the newest counts
-    PUB     the stream: commands of every session under its name, to each reader the newest
+    PUB     the stream: commands of every session under its name; a reader needs a SUB socket for each of its sessions
 
 Off loopback, both speak CURVE and take only the clients whose public keys lie in the keys' folder.
 """
@@ -23,12 +23,13 @@ import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.addresses import check_port, is_loopback
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.keys import read_server_keys
+from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
 from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
-from handmap_qp.service.metrics import Metrics, is_loopback, serve_metrics
+from handmap_qp.service.metrics import Metrics, serve_metrics
 from handmap_qp.service.opening import HandShelf
 from handmap_qp.service.store import PostureStore
 from handmap_qp.service.websocket import WebDoor, WebSettings
@@ -73,8 +74,13 @@ class Settings:
         """Refuse to be reached from elsewhere without keys.
 
         Raises:
+            InvalidInputError: If there is no such port.
             InvalidOptionsError: Saying what is missing.
         """
+        check_port("port", self.port)
+        check_port("stream port", self.stream_port)
+        if self.health_port is not None:
+            check_port("health port", self.health_port)
         if not is_loopback(self.host) and self.keys is None:
             raise InvalidOptionsError(
                 f"host {self.host}: others could move the robot; off loopback, give keys (handmap keys FOLDER makes them)"
@@ -100,6 +106,7 @@ class Server:
         self._closing = contextlib.AsyncExitStack()
         store = None if settings.state is None else self._closing.enter_context(PostureStore(settings.state))
         self.dispatcher = Dispatcher(settings.caps, HandShelf(settings.hands), self.metrics, store=store)
+        self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._bugs = Throttle()
         self._is_draining = False
@@ -115,7 +122,8 @@ class Server:
         settings, context = self.settings, zmq.asyncio.Context()
         self._closing.callback(context.term)
         if settings.keys is not None:
-            self._authenticate(context, settings.keys)
+            self._keys = read_server_keys(settings.keys)
+            self._authenticate(context, settings.keys / "clients")
         # Plain sockets, read as soon as their descriptor stirs: a future for each message would cost as much as a third of a step.
         plain = zmq.Context.shadow(context.underlying)
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
@@ -141,11 +149,13 @@ class Server:
 
     async def stop(self) -> None:
         """Close all sessions and doors."""
+        was_ready = bool(self._tasks)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._closing.aclose()
-        report(INFO, "stopped")
+        if was_ready:
+            report(INFO, "stopped")
 
     def health(self) -> dict[str, Any]:
         """What the health check says."""
@@ -167,21 +177,22 @@ class Server:
         socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
         socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
         socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
-        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader.
+        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader's socket,
+        # whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
-        if self.settings.keys is not None:
-            keys = read_server_keys(self.settings.keys)
+        if (keys := self._keys) is not None:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_server = keys.public, keys.secret, True
         return socket
 
     def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
-        """Let in only clients whose public keys lie in the folder."""
-        if not read_server_keys(folder).has_clients:
-            raise InvalidInputError(f"{folder / 'clients'}: holds no client's key (*.key), so that nobody could come in")
+        """Let in only clients whose public keys lie in the folder when they knock."""
+        clients = ClientKeys(folder)
+        if not clients.read():
+            raise InvalidInputError(f"{folder}: holds no client's key (*.key), so that nobody could come in")
         authenticator = AsyncioAuthenticator(context)
         authenticator.start()
         self._closing.callback(authenticator.stop)
-        authenticator.configure_curve(domain="*", location=str(folder / "clients"))
+        authenticator.configure_curve_callback("*", credentials_provider=clients)
 
     def _drain(self) -> None:
         """Take what has come, up to a batch; then samples that wait are mapped, and others get their turn."""

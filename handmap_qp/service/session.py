@@ -21,7 +21,7 @@ from handmap_qp.options import MappingOptions
 from handmap_qp.samples import MapStep
 from handmap_qp.service.convert import name_joints, to_detail, to_lengths, to_matrix, to_pose, to_row
 from handmap_qp.service.messages import About, Command, Configure, Open, Opened, Reset, State, Step
-from handmap_qp.service.opening import Calibration, Hands, name_field, read_ik, read_options, refused
+from handmap_qp.service.opening import Calibration, Hands, name_options, read_ik, read_options, refused
 from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start_wrist
 from handmap_qp.service.store import Record
 
@@ -254,7 +254,7 @@ class Session:
         mapper = self._hands.mapper
         mapping = read_options("mapping", asdict(mapper.options) | request.mapping, MappingOptions)
         ik = read_ik(asdict(mapper.ik) | request.ik)
-        name_field("mapping", lambda: mapper.configure(mapping, ik=ik))
+        name_options(self.robot, ik, lambda: mapper.configure(mapping, ik=ik))
         self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
 
     def reset(self, request: Reset, now: float) -> None:

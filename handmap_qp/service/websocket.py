@@ -26,10 +26,10 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.addresses import check_port, is_loopback
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log
-from handmap_qp.service.metrics import is_loopback
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """What a browser names besides `bearer.TOKEN`, since it cannot set headers."""
@@ -66,8 +66,10 @@ class WebSettings:
         """Refuse to be reached from elsewhere without token and TLS.
 
         Raises:
+            InvalidInputError: If there is no such port.
             InvalidOptionsError: Saying what is missing.
         """
+        check_port("web port", self.port)
         if (self.certificate is None) != (self.key is None):
             raise InvalidOptionsError("web: certificate and key go together; give both or neither")
         if self.token is not None and not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", self.token):

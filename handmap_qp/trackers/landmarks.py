@@ -28,6 +28,11 @@ FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
 """First joint of every finger: thumb CMC and the four MCPs."""
 TIPS = np.array([4, 8, 12, 16, 20])
 """The fingertips."""
+HAND_LENGTHS = (0.08, 0.35)
+"""Lengths that a hand may have [m]: from a baby's to somewhat more than the longest on record (0.32). What is outside was measured
+in other units."""
+_PALM_RATIOS = (0.5, 2.0)
+"""Size of a sample's palm as a part of the hand's own, which is rigid: over all recordings 0.87 to 1.12."""
 
 # Fingertips are what the mapping uses most, so they are fitted a little closer than the joints on the way to them.
 _TIP_WEIGHT = 4.0
@@ -74,7 +79,20 @@ class LandmarkFitter:
         self.human = load_hand(human_name(side), points=_landmark_points(side), lengths=lengths)
         self._ik = PointIk(self.human, _FIT)
         self._palm = self.human.points(np.clip(0.0, self.human.lower_limits, self.human.upper_limits))[PALM]
+        self._palm_size = float(_palm_sizes(self._palm))
         self._is_warm = False
+
+    def fits_size(self, landmarks: np.ndarray) -> np.ndarray:
+        """Whether landmarks are of a hand as large as this one: neither in other units, nor all in one place.
+
+        Args:
+            landmarks: Of one sample or many [m], shape (..., 21, 3).
+
+        Returns:
+            An answer for every sample, shape (...).
+        """
+        sizes = _palm_sizes(landmarks[..., PALM, :])
+        return (sizes >= _PALM_RATIOS[0] * self._palm_size) & (sizes <= _PALM_RATIOS[1] * self._palm_size)
 
     def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit one sample, starting from the one before.
@@ -86,10 +104,15 @@ class LandmarkFitter:
             Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark [m], shape (21,).
 
         Raises:
-            InvalidInputError: On a wrong shape or numbers that are not finite.
+            InvalidInputError: On a wrong shape, numbers that are not finite, or a palm of quite another size than the hand's.
         """
         if landmarks.shape != (LANDMARK_COUNT, 3) or not np.isfinite(landmarks).all():
             raise InvalidInputError(f"landmarks: expected finite numbers of shape ({LANDMARK_COUNT}, 3), got {landmarks.shape}")
+        if not self.fits_size(landmarks):
+            ratio = float(_palm_sizes(landmarks[PALM])) / self._palm_size
+            raise InvalidInputError(
+                f"landmarks: expected metres and a palm as large as the hand's, got one {ratio:.3g} times as large"
+            )
         if not self._is_warm:
             wrist = _rigid_fit(self._palm, landmarks[PALM])
             self._ik.place(self.human.configuration_vector(self.human.rest, wrist))
@@ -112,8 +135,14 @@ def measure_hand(recording: Recording) -> HumanLengths:
 
     Returns:
         Lengths in the coordinates of a right hand, whichever hand was recorded.
+
+    Raises:
+        InvalidInputError: If no hand is as long as that.
     """
     landmarks = recording.landmarks[recording.valid]
+    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
+    segments = np.median(bones, axis=0)
+    _check_length(landmarks, segments)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
     right = load_hand("human", points="landmarks")
@@ -124,8 +153,7 @@ def measure_hand(recording: Recording) -> HumanLengths:
         in_palm = _lay_on(landmarks, palm)
         palm = np.median(in_palm[:, PALM], axis=0)
         palm = palm - palm[0]
-    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
-    return HumanLengths(bases=np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0), segments=np.median(bones, axis=0))
+    return HumanLengths(bases=np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0), segments=segments)
 
 
 def fit_recording(recording: Recording, progress: Callable[[int], None] | None = None) -> HumanMotion:
@@ -136,22 +164,29 @@ def fit_recording(recording: Recording, progress: Callable[[int], None] | None =
         progress: Called with the number of samples done after each one.
 
     Returns:
-        The motion; samples that are not valid hold the posture before them.
+        The motion; samples that are not valid, or of quite another size than the hand, hold the posture before them.
+
+    Raises:
+        InvalidInputError: If no hand is as long as the one recorded, or none of the samples as large as all together.
     """
     fitter = LandmarkFitter(recording.side, measure_hand(recording))
+    valid = recording.valid.copy()
+    valid[valid] = fitter.fits_size(recording.landmarks[valid])
+    if not valid.any():
+        raise InvalidInputError("landmarks: expected a hand that keeps its size, got none as large as the median of all samples")
     count = len(recording)
     q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
     error = np.full((count, LANDMARK_COUNT), np.nan)
-    first = int(np.argmax(recording.valid))
+    first = int(np.argmax(valid))
     for i in range(first, count):
-        if recording.valid[i]:
+        if valid[i]:
             q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
         else:
             q[i], wrist[i] = q[i - 1], wrist[i - 1]
         if progress is not None:
             progress(i + 1)
     q[:first], wrist[:first] = q[first], wrist[first]
-    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, recording.valid, error)
+    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, valid, error)
 
 
 def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
@@ -159,6 +194,21 @@ def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
     points = load_hand(human_name(side), points="landmarks").reference_points
     tips = {points[i].name for i in TIPS}
     return tuple(msgspec.structs.replace(point, weight=_TIP_WEIGHT) if point.name in tips else point for point in points)
+
+
+def _palm_sizes(palms: np.ndarray) -> np.ndarray:
+    """Root mean square distances of palms' points (..., 5, 3) from their middles [m], shape (...)."""
+    offsets = palms - palms.mean(axis=-2, keepdims=True)
+    return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
+
+
+def _check_length(landmarks: np.ndarray, segments: np.ndarray) -> None:
+    """Refuse landmarks (T, 21, 3) and bones (5, 3) of something that is no hand, or of a hand in other units than metres."""
+    low, high = HAND_LENGTHS
+    length = float(np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum())
+    if not low <= length <= high:
+        message = f"landmarks: expected metres and a hand of {low} to {high} m from wrist to middle fingertip, got {length:.3g}"
+        raise InvalidInputError(message, value=length)
 
 
 def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:

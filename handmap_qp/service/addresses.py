@@ -1,0 +1,29 @@
+"""Checks of where the service listens, shared by its doors."""
+
+from __future__ import annotations
+
+import ipaddress
+
+from handmap_qp.errors import InvalidInputError
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host, as a name or address, is this machine and cannot be reached from another."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check_port(name: str, port: int) -> None:
+    """Refuse a number that is no port: ZeroMQ takes -1 for any port, and others fail late and in their own words.
+
+    Args:
+        name: What the port is called.
+        port: The port; 0 lets the system choose.
+
+    Raises:
+        InvalidInputError: If there is no such port.
+    """
+    if not 0 <= port <= 65535:
+        raise InvalidInputError(f"{name}: expected 0 to 65535, got {port}", value=port)
