@@ -16,7 +16,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 from browser import Browser, find_chromium
 from viewer_cases import make_replay, write_recording
 
-from handmap_qp import HandError, HandmapError, InvalidInputError, MissingExtraError, RecordingError
+from handmap_qp import HandError, HandmapError, InvalidInputError, MappingOptions, MissingExtraError, RecordingError
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
@@ -39,6 +39,7 @@ def test_the_command_writes_one_page_that_needs_no_network(
     assert capsys.readouterr().out == f"wrote {page}\n"
     text = page.read_text(encoding="utf-8")
     assert "__VISER_EMBED_DATA__" in text
+    assert "<title>handmap view</title>" in text
     for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):
         assert attribute not in text
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closing.npz", "page.html"]
@@ -55,6 +56,13 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
     "page of a service": ({"recording": None, "live": "127.0.0.1", "html": Path("page.html")}, InvalidInputError),
     "service nowhere": ({"recording": None, "live": "127.0.0.1:no"}, InvalidInputError),
     "no such keys": ({"recording": None, "live": "127.0.0.1", "keys": (Path("a"), Path("b"))}, InvalidInputError),
+    "keys for a recording": ({"keys": (Path("a"), Path("b"))}, InvalidInputError),
+    "session of a recording": ({"session": "lab"}, InvalidInputError),
+    "address of a page": ({"html": Path("page.html"), "host": "127.0.0.2"}, InvalidInputError),
+    "points for a service": ({"recording": None, "live": "127.0.0.1", "human_points": "fingertips"}, InvalidInputError),
+    "options for a service": ({"recording": None, "live": "127.0.0.1", "mapping": MappingOptions(ridge=0.3)}, InvalidInputError),
+    "all addresses": ({"host": ""}, InvalidInputError),
+    "service of no name": ({"recording": None, "live": ""}, InvalidInputError),
     "not our address": ({"host": "192.0.2.1"}, InvalidInputError),
 }
 
