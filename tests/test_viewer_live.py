@@ -22,7 +22,6 @@ from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.samples import ViewSample
 from handmap_qp.viewer.scene import serving
 
-
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 

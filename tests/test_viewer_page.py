@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -114,15 +115,24 @@ def viewer() -> Iterator[ReplayViewer]:
         shown.play_bar.toggle()
         shown.play_bar.slider.value = 1.6
         shown.tick(0.0)
-        is_over = threading.Event()
+        with kept_going(lambda: shown.tick(0.05)):
+            yield shown
 
-        def keep_going() -> None:
-            while not is_over.wait(0.05):
-                shown.tick(0.05)
 
-        thread = threading.Thread(target=keep_going)
-        thread.start()
-        yield shown
+@contextmanager
+def kept_going(act: Callable[[], object]) -> Iterator[None]:
+    """A thread that does something again and again."""
+    is_over = threading.Event()
+
+    def keep_going() -> None:
+        while not is_over.wait(0.05):
+            act()
+
+    thread = threading.Thread(target=keep_going)
+    thread.start()
+    try:
+        yield
+    finally:
         is_over.set()
         thread.join()
 
@@ -177,6 +187,34 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser
     after = settled_picture(browser)
     changed = np.abs(after.astype(int) - before).max(axis=2) > 30
     assert changed[:, half:].sum() > 500, "the robot has moved"
+    assert not browser.errors
+
+
+def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) -> None:
+    pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+    import service_tools
+
+    from handmap_qp.viewer.live import LiveViewer
+    from handmap_qp.viewer.remote import ServiceSession
+
+    with (
+        service_tools.serving() as service,
+        service_tools.connected(service, name="lab", is_shared=True) as client,
+        serving() as server,
+    ):
+        browser.resize(1100, 700)
+        with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))):
+            viewer = LiveViewer(server, ServiceSession(service_tools.address_of(service).removeprefix("tcp://")))
+        with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))), kept_going(viewer.tick):
+            browser.open(f"http://127.0.0.1:{server.get_port()}")
+            browser.wait_for("!!document.querySelector('canvas')")
+            picture = settled_picture(browser)
+            half = picture.shape[1] // 2
+            assert skin(picture[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
+            assert reference_points(picture[:, half:]) > 100, "the robot's points, on the right"
+            browser.evaluate("[...document.querySelectorAll('button')].find(e => e.innerText.trim() == 'Release').click()")
+            browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch')")
+        viewer.close()
     assert not browser.errors
 
 

@@ -91,6 +91,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         assert command.detail is not None
         # What the service says about its points, and where this side's own model has them.
         np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
+        assert sample.human_q is not None
         np.testing.assert_allclose(sample.human_points, session.human.points(sample.human_q, sample.human_wrist), atol=1e-9)
         np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)
         np.testing.assert_allclose(sample.human_wrist, WRIST, atol=1e-12)
@@ -222,7 +223,7 @@ def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> 
         return {"points": human.points(human.rest + 1e-4 * np.sin(i), pose)}
 
     with (
-        connected(service, name="lab", input="points", is_shared=True) as client,
+        connected(service, name="lab", input="points", is_shared=True, robot_wrist=np.eye(4)) as client,
         moving(client, points),
         watching(service) as (_, samples),
     ):

@@ -37,21 +37,19 @@ class Camera:
     def attend(self) -> None:
         """Move the cameras of browsers that are new, have another shape than before, or have something else to look at.
 
-        Their size is that of the room between the panels, which they tell once these are in place. Where a user has turned or
-        zoomed, the picture is nearer or farther in proportion.
+        Their size is that of the room between the panels, which they tell once these are in place. Where a user has turned the
+        picture, it stays turned.
         """
         distances = {}
         for name, client in self._server.get_clients().items():
             camera = client.camera
             distances[name] = distance = self._distance(camera.image_width / max(camera.image_height, 1))
-            before = self._distances.get(name)
-            if before is None:
-                camera.position, camera.look_at = distance * _DIRECTION, np.zeros(3)
-            elif distance != before:
-                look_at = camera.look_at.copy()
+            if distance != self._distances.get(name):
+                sight = camera.position - camera.look_at
+                is_new = name not in self._distances
+                direction = _DIRECTION if is_new else sight / np.linalg.norm(sight)
                 # A camera that is moved takes along what it looks at.
-                camera.position = look_at + distance / before * (camera.position - look_at)
-                camera.look_at = look_at
+                camera.position, camera.look_at = distance * direction, np.zeros(3)
         self._distances = distances
 
     def _distance(self, aspect: float) -> float:

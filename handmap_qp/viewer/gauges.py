@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from html import escape
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,7 +132,8 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
 def short_names(names: Sequence[str]) -> list[str]:
     """Names without the beginning that all share, and long ones without their middle: they differ at either end."""
     # What a name is called after must not be torn apart.
-    shared = re.split(r"[^_./]*$", os.path.commonprefix(list(names)))[0] if len(names) > 1 else ""
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    shared = re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
     rest = [name.removeprefix(shared) for name in names]
     head, tail = _LONGEST_NAME // 2 - 3, _LONGEST_NAME // 2 + 3
     return [name if len(name) <= _LONGEST_NAME else f"{name[:head]}…{name[-tail:]}" for name in rest]
@@ -152,7 +153,10 @@ def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], col
         title=title,
         height=175,
         scales=_scales((0.0, 1.0), np.ones(2)),
-        axes=(uplot.Axis(**_AXIS, label="time [s]", labelFont="11px sans-serif", labelSize=16, size=30), uplot.Axis(**_AXIS, size=50)),
+        axes=(
+            uplot.Axis(**_AXIS, label="time [s]", labelFont="11px sans-serif", labelSize=16, size=30),
+            uplot.Axis(**_AXIS, size=50),
+        ),
         legend=uplot.Legend(show=False),
     )
 
@@ -183,7 +187,9 @@ def _only(count: int, place: int, value: float) -> np.ndarray:
 def _legend(entries: Sequence[tuple[str, str]]) -> str:
     """Dots in colours, and what each stands for, as HTML."""
     return _foot(
-        " ".join(f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>' for name, colour in entries)
+        " ".join(
+            f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>' for name, colour in entries
+        )
     )
 
 

@@ -38,7 +38,6 @@ class LiveSource(Protocol):
         options: What is in force there, whoever asked for it.
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot was let go.
-        is_busy: Whether wishes are still to be carried out.
         is_outdated: Whether it has ended because other hands are mapped there now.
         trouble: Why a wish was not fulfilled; None once that is over.
     """
@@ -52,7 +51,9 @@ class LiveSource(Protocol):
     trouble: HandmapError | None
 
     @property
-    def is_busy(self) -> bool: ...
+    def is_busy(self) -> bool:
+        """Whether wishes are still to be carried out."""
+        ...
 
     def __iter__(self) -> Iterator[ViewSample]:
         """Samples as they come, ending where the source ends; may raise `HandmapError`."""

@@ -137,7 +137,9 @@ class OptionControls:
                 self._add_slider(slider)
             self._add_box("has_velocity_limits", "speed limits", "Whether speed limits hold; position limits always do")
             if robot.spec.collision is not None:
-                self._add_box("avoids_self_collision", "self-collision", "Whether the pairs of links that the hand names are kept apart")
+                self._add_box(
+                    "avoids_self_collision", "self-collision", "Whether the pairs of links that the hand names are kept apart"
+                )
         self.show(options)
 
     @property

@@ -40,7 +40,7 @@ DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
 _HUMAN_POINT_SIZE, _ROBOT_POINT_SIZE, _TARGET_SIZE = 0.08, 0.1, 0.115
 _GAP = 0.05
 # Height of the names and the caption below the hands, and as much above [m].
-_CAPTION_ROOM = 0.2
+_CAPTION_ROOM = 0.15
 # A box that travels are seen to stay in grows by more than it has to, so that it does not grow all the time [m].
 _MARGIN = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -175,9 +175,7 @@ class HandScene:
         self._cube = server.scene.add_line_segments(
             "/human/cube", np.zeros((len(_EDGES), 2, 3)), _bytes(DEFORMATION_COLOUR), thickness=2.5, thickness_units="screen"
         )
-        self._caption = server.scene.add_label(
-            "/caption", "", position=(0.0, 0.0, 0.0), anchor="top-center", font_screen_scale=1.1
-        )
+        self._caption = server.scene.add_label("/caption", "", position=(0.0, 0.0, 0.0), anchor="top-center", font_screen_scale=1.1)
         self._laid_out: tuple[object, ...] = ()
 
     def align(self, options: MappingOptions) -> None:
@@ -266,7 +264,9 @@ class HandScene:
             human.anchor = np.array([0.5 * (width - sizes[0][0]), 0.0, 0.0])
             robot.anchor = np.array([-0.5 * (width - sizes[1][0]), 0.0, 0.0])
             self._caption.position = (0.0, -0.5 * height - 0.055, 0.0)
-            self._camera.fit(width, height + _CAPTION_ROOM, is_travelling * max(np.ptp(world.travel[:, 2]) for world in (human, robot)))
+            # A hand is widest in its middle, not in front.
+            depth = max(sizes[0][2] - human.radius, sizes[1][2] - robot.radius)
+            self._camera.fit(width, height + _CAPTION_ROOM, depth)
         self._camera.attend()
 
     def _place(self, world: _World, q: np.ndarray | None, wrist: np.ndarray, middle: np.ndarray) -> None:
