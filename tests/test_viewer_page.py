@@ -202,20 +202,25 @@ def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) ->
         service_tools.connected(service, name="lab", is_shared=True) as client,
         serving() as server,
     ):
-        browser.resize(1100, 700)
+        browser.resize(1000, 600)
         with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))):
             viewer = LiveViewer(server, ServiceSession(service_tools.address_of(service).removeprefix("tcp://")))
-        with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))), kept_going(viewer.tick):
+        with kept_going(viewer.tick):
             browser.open(f"http://127.0.0.1:{server.get_port()}")
             browser.wait_for("!!document.querySelector('canvas')")
-            picture = settled_picture(browser)
-            half = picture.shape[1] // 2
-            assert skin(picture[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
-            assert reference_points(picture[:, half:]) > 100, "the robot's points, on the right"
+            # It never settles: time goes on.
+            end = time.monotonic() + 30.0
+            while not has_both_hands(browser.screenshot()[1][160:, 340:660]):
+                assert time.monotonic() < end, "no human hand on the left, or no robot's points on the right"
             browser.evaluate("[...document.querySelectorAll('button')].find(e => e.innerText.trim() == 'Release').click()")
             browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch')")
         viewer.close()
     assert not browser.errors
+
+
+def has_both_hands(pixels: np.ndarray) -> bool:
+    half = pixels.shape[1] // 2
+    return skin(pixels[:, :half]) > 500 and reference_points(pixels[:, half:]) > 50
 
 
 def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:

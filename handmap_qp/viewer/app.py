@@ -75,6 +75,7 @@ class ReplayViewer:
         self.play_bar.advance(elapsed)
         self._do_as_asked()
         self.steering.picture.apply_to(self.scene)
+        self.scene.camera.attend()
         state = (self.sample, self.scene.follow, self.scene.deformation_shape)
         if state != self._drawn:
             self.scene.draw(self.sample)

@@ -131,6 +131,7 @@ class LiveViewer:
         sample, rows = self.sample, tuple(self.rows)
         self.picture.apply_to(self.scene)
         self.scene.draw(sample)
+        self.scene.camera.attend()
         now = time.monotonic()
         if now - self._gauges_time >= _GAUGES_PERIOD:
             self.gauges.set_rows(rows, latest=_SPAN)

@@ -145,12 +145,18 @@ class ServiceSession:
 
     def toggle_clutch(self) -> None:
         """Wish to let go, or to take hold again."""
-        self._wishes.append(lambda: (self._client.clutch if self.is_released else self._client.release)())
+        self._wishes.append(self._toggle_clutch)
 
     def configure(self, changes: dict[str, Any]) -> None:
         """Wish for other values of some options."""
         mapping, ik = split_changes(changes)
         self._wishes.append(lambda: self._client.configure(mapping=mapping, ik=ik))
+
+    def _toggle_clutch(self) -> None:
+        act = self._client.clutch if self.is_released else self._client.release
+        act()
+        # While the watchdog holds the robot, nothing else tells.
+        self.is_released = not self.is_released
 
     def _fulfil_wishes(self) -> None:
         """Carry out what was wished for, and see what came of it."""

@@ -142,6 +142,7 @@ class HandScene:
     Attributes:
         follow: Whether the picture goes along with each hand, or stays with the worlds.
         deformation_shape: How T_def is shown.
+        camera: Where the browsers look from; wants to be told to `attend` even where nothing new is drawn.
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class HandScene:
         self._set_up_stage()
         self._human = self._add_hand("human", human, first.human_q)
         self._robot = self._add_hand("robot", robot, first.robot_q)
-        self._camera = Camera(server)
+        self.camera = Camera(server)
         self.align(options)
         self._human_points = self._add_spheres(self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR)
         self._robot_points = self._add_spheres(self._robot, "points", first.robot_points, _ROBOT_POINT_SIZE, ROBOT_COLOUR)
@@ -266,8 +267,7 @@ class HandScene:
             self._caption.position = (0.0, -0.5 * height - 0.055, 0.0)
             # A hand is widest in its middle, not in front.
             depth = max(sizes[0][2] - human.radius, sizes[1][2] - robot.radius)
-            self._camera.fit(width, height + _CAPTION_ROOM, depth)
-        self._camera.attend()
+            self.camera.fit(width, height + _CAPTION_ROOM, depth)
 
     def _place(self, world: _World, q: np.ndarray | None, wrist: np.ndarray, middle: np.ndarray) -> None:
         """Put a hand into its world, and its world into the scene; nothing but its points where no posture is known."""
