@@ -18,6 +18,8 @@ from handmap_qp.library import hand_names
 from handmap_qp.trajectory import map_motion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.gauges import short_names
+from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls, Options
 from handmap_qp.viewer.samples import Replay
 from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf, serving
 
@@ -184,6 +186,25 @@ def test_hands_stay_in_place_or_travel_as_asked(server: Any, follow: Literal["ha
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 
 
+@pytest.mark.parametrize("follow", ["hands", "world"])
+def test_both_hands_are_in_the_picture_of_a_page_that_stands_upright(server: Any, follow: Literal["hands", "world"]) -> None:
+    replay = make_replay()
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.foresee(replay.samples)
+    scene.follow = follow
+    for sample in replay.samples:
+        scene.draw(sample)
+        camera = server.initial_camera
+        forward = (camera.look_at - camera.position) / np.linalg.norm(camera.look_at - camera.position)
+        right = np.cross(forward, (0.0, 1.0, 0.0))
+        for side, points in (("human", sample.human_points), ("robot", sample.robot_points)):
+            seen = in_scene(server, f"/{side}", points) - camera.position
+            depth = seen @ forward
+            half_height = np.tan(0.5 * camera.fov)
+            assert np.abs(seen @ right / depth).max() < 0.75 * half_height * np.linalg.norm(right)
+            assert np.abs(seen @ np.cross(right, forward) / depth).max() < half_height
+
+
 def test_caption_says_that_the_hand_was_not_seen() -> None:
     samples = make_replay().samples
     assert "no hand seen" in caption(samples[GAP.start])
@@ -203,24 +224,34 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
     assert np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3]) > 1e-3
 
 
-def test_every_control_reaches_its_option(viewer: ReplayViewer) -> None:
-    for name, handle in viewer.steering.options.handles.items():
-        before, value = viewer.steering.options.options(), handle.value
-        options = getattr(handle, "options", ())
-        if options:
-            handle.value = next(option for option in options if option != value)
+def test_every_control_reaches_its_option(server: Any) -> None:
+    options = Options(MappingOptions(pivot="point", pivot_point=(0.0, 0.0, 0.0)), IkOptions())
+    controls = OptionControls(server, load_hand("allegro_right"), options)
+    assert controls.take_changes() == {}
+    for name, handle in controls.handles.items():
+        value = handle.value
+        choices = getattr(handle, "options", ())
+        if choices:
+            handle.value = next(choice for choice in choices if choice != value)
         elif isinstance(value, bool):
             handle.value = not value
+        elif isinstance(value, tuple):
+            handle.value = (0.0, 0.5, 0.0)
         else:
             handle.value = value + handle.step if value + handle.step <= handle.max else value - handle.step
-        changed = [
-            field
-            for old, new in zip(before, viewer.steering.options.options(), strict=True)
-            for field in type(old).__slots__
-            if getattr(old, field) != getattr(new, field)
-        ]
-        assert changed == [name]
-        handle.value = value
+        changes = controls.take_changes()
+        assert changes.keys() == ({"pivot", "pivot_point"} if name == "pivot" else {name})
+        assert options.changes_to(options.with_changes(changes)) == changes
+        controls.show(options)
+        assert handle.value == value
+        assert controls.take_changes() == {}
+
+
+def test_every_option_has_a_control_or_is_left_out_by_name(server: Any) -> None:
+    controls = OptionControls(server, load_hand("allegro_right"), Options(MappingOptions(), IkOptions()))
+    assert sorted((*controls.handles, *LEFT_OUT)) == sorted((*MappingOptions.__slots__, *IkOptions.__slots__))
+    with_nothing_to_keep_apart = OptionControls(server, load_hand("hey5"), Options(MappingOptions(), IkOptions()))
+    assert controls.handles.keys() - with_nothing_to_keep_apart.handles.keys() == {"avoids_self_collision"}
 
 
 def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
@@ -228,9 +259,15 @@ def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
     replay = make_replay()
     replay.remap(given, IkOptions())
     viewer = ReplayViewer(server, replay)
-    assert viewer.steering.options.options() == (given, IkOptions())
     viewer.steering.options.handles["pivot"].value = "palm"
-    assert viewer.steering.options.options()[0] == replace(given, pivot="palm", pivot_point=None)
+    viewer.tick(0.0)
+    assert replay.mapping == replace(given, pivot="palm", pivot_point=None)
+    viewer.steering.options.handles["alignment"].value = "palm"
+    viewer.tick(0.0)
+    viewer.steering.options.handles["alignment"].value = "as given"
+    press(viewer.steering.reset)
+    viewer.tick(0.0)
+    assert replay.mapping == given
 
 
 def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -> None:
@@ -296,3 +333,22 @@ def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     for name, q in zip(viewer.replay.robot.joint_names, samples[40].robot_q, strict=True):
         assert name in bars
         assert f"{np.degrees(q):.0f}°" in bars
+
+
+def test_long_names_of_joints_stay_different() -> None:
+    for name in ("hey5", "tiago_arm", "allegro_right", "ur5_allegro"):
+        joints = load_hand(name).joint_names
+        short = short_names(joints)
+        assert len(set(short)) == len(joints)
+        assert max(map(len, short)) <= 19
+    assert short_names(["only_one_joint"]) == ["only_one_joint"]
+
+
+def test_mapping_anew_is_said(viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    remap = viewer.replay.remap
+    monkeypatch.setattr(viewer.replay, "remap", lambda *options: (said.append(viewer.steering.message.content), remap(*options)))
+    viewer.steering.options.handles["ridge"].value = 0.3
+    viewer.tick(0.0)
+    assert said == ["mapping …"]
+    assert not viewer.steering.message.visible

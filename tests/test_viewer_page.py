@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 from browser import Browser, find_chromium
 from viewer_cases import make_replay, write_recording
 
-from handmap_qp import HandError, HandmapError, InvalidInputError, MissingExtraError, RecordingError
+from handmap_qp import HandError, HandmapError, InvalidInputError, MappingOptions, MissingExtraError, RecordingError
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
@@ -39,6 +40,7 @@ def test_the_command_writes_one_page_that_needs_no_network(
     assert capsys.readouterr().out == f"wrote {page}\n"
     text = page.read_text(encoding="utf-8")
     assert "__VISER_EMBED_DATA__" in text
+    assert "<title>handmap view</title>" in text
     for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):
         assert attribute not in text
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closing.npz", "page.html"]
@@ -55,6 +57,13 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
     "page of a service": ({"recording": None, "live": "127.0.0.1", "html": Path("page.html")}, InvalidInputError),
     "service nowhere": ({"recording": None, "live": "127.0.0.1:no"}, InvalidInputError),
     "no such keys": ({"recording": None, "live": "127.0.0.1", "keys": (Path("a"), Path("b"))}, InvalidInputError),
+    "keys for a recording": ({"keys": (Path("a"), Path("b"))}, InvalidInputError),
+    "session of a recording": ({"session": "lab"}, InvalidInputError),
+    "address of a page": ({"html": Path("page.html"), "host": "127.0.0.2"}, InvalidInputError),
+    "points for a service": ({"recording": None, "live": "127.0.0.1", "human_points": "fingertips"}, InvalidInputError),
+    "options for a service": ({"recording": None, "live": "127.0.0.1", "mapping": MappingOptions(ridge=0.3)}, InvalidInputError),
+    "all addresses": ({"host": ""}, InvalidInputError),
+    "service of no name": ({"recording": None, "live": ""}, InvalidInputError),
     "not our address": ({"host": "192.0.2.1"}, InvalidInputError),
 }
 
@@ -106,15 +115,24 @@ def viewer() -> Iterator[ReplayViewer]:
         shown.play_bar.toggle()
         shown.play_bar.slider.value = 1.6
         shown.tick(0.0)
-        is_over = threading.Event()
+        with kept_going(lambda: shown.tick(0.05)):
+            yield shown
 
-        def keep_going() -> None:
-            while not is_over.wait(0.05):
-                shown.tick(0.05)
 
-        thread = threading.Thread(target=keep_going)
-        thread.start()
-        yield shown
+@contextmanager
+def kept_going(act: Callable[[], object]) -> Iterator[None]:
+    """A thread that does something again and again."""
+    is_over = threading.Event()
+
+    def keep_going() -> None:
+        while not is_over.wait(0.05):
+            act()
+
+    thread = threading.Thread(target=keep_going)
+    thread.start()
+    try:
+        yield
+    finally:
         is_over.set()
         thread.join()
 
@@ -170,6 +188,39 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser
     changed = np.abs(after.astype(int) - before).max(axis=2) > 30
     assert changed[:, half:].sum() > 500, "the robot has moved"
     assert not browser.errors
+
+
+def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) -> None:
+    pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+    import service_tools
+
+    from handmap_qp.viewer.live import LiveViewer
+    from handmap_qp.viewer.remote import ServiceSession
+
+    with (
+        service_tools.serving() as service,
+        service_tools.connected(service, name="lab", is_shared=True) as client,
+        serving() as server,
+    ):
+        browser.resize(1000, 600)
+        with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))):
+            viewer = LiveViewer(server, ServiceSession(service_tools.address_of(service).removeprefix("tcp://")))
+        with kept_going(viewer.tick):
+            browser.open(f"http://127.0.0.1:{server.get_port()}")
+            browser.wait_for("!!document.querySelector('canvas')")
+            # It never settles: time goes on.
+            end = time.monotonic() + 30.0
+            while not has_both_hands(browser.screenshot()[1][160:, 340:660]):
+                assert time.monotonic() < end, "no human hand on the left, or no robot's points on the right"
+            browser.evaluate("[...document.querySelectorAll('button')].find(e => e.innerText.trim() == 'Release').click()")
+            browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch')")
+        viewer.close()
+    assert not browser.errors
+
+
+def has_both_hands(pixels: np.ndarray) -> bool:
+    half = pixels.shape[1] // 2
+    return skin(pixels[:, :half]) > 500 and reference_points(pixels[:, half:]) > 50
 
 
 def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:

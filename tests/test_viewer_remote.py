@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from handmap_qp.client import Client, Command
 from handmap_qp.human import HumanLengths
 from handmap_qp.service.keys import make_keys
 from handmap_qp.service.server import Server
+from handmap_qp.transform import affine, rotation_from_quat_wxyz
 from handmap_qp.viewer.live import LiveViewer
 from handmap_qp.viewer.remote import ServiceSession
 from handmap_qp.viewer.samples import ViewSample
@@ -83,13 +84,14 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         watching(service, session="lab") as (session, samples),
     ):
         shown = [next(samples) for _ in range(5)]
-    assert (session.robot.name, session.mapping) == (robot, MappingOptions(ridge=0.3, pivot="palm"))
+    assert (session.robot.name, session.options.mapping) == (robot, MappingOptions(ridge=0.3, pivot="palm"))
     sent = {command.q: command for command in commands}
     for sample in shown:
         command = sent[tuple(sample.robot_q.tolist())]
         assert command.detail is not None
         # What the service says about its points, and where this side's own model has them.
         np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
+        assert sample.human_q is not None
         np.testing.assert_allclose(sample.human_points, session.human.points(sample.human_q, sample.human_wrist), atol=1e-9)
         np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)
         np.testing.assert_allclose(sample.human_wrist, WRIST, atol=1e-12)
@@ -121,21 +123,113 @@ def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
         try:
             viewer.steering.options.handles["deformation_gain"].value = 0.0
             viewer.tick()
-            about = service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about
-            assert about is not None
-            assert about.mapping["deformation_gain"] == 0.0
+            wait_until(lambda: mapping_of(service)["deformation_gain"] == 0.0)
             viewer.steering.clutch.value = True
-            viewer.tick()
-            wait_until(lambda: commands[-1].status == "released")
-            wait_until(lambda: viewer.recent[-1].status == "released")
+            tick_until(viewer, lambda: commands[-1].status == "released")
+            wait_until(lambda: viewer.sample.status == "released")
             viewer.tick()
             assert viewer.steering.clutch.label == "Clutch"
             viewer.steering.clutch.value = True
-            viewer.tick()
-            wait_until(lambda: commands[-1].status != "released")
+            tick_until(viewer, lambda: commands[-1].status != "released")
         finally:
             viewer.close()
     assert commands[-1].detail is not None
+
+
+def mapping_of(service: Server) -> dict[str, Any]:
+    """What is in force in the session `lab`."""
+    about = service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about
+    assert about is not None
+    return about.mapping
+
+
+def tick_until(viewer: LiveViewer, is_done: Callable[[], bool]) -> None:
+    def tick_and_see() -> bool:
+        viewer.tick()
+        return is_done()
+
+    wait_until(tick_and_see)
+
+
+def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Server) -> None:
+    with connected(service, name="lab", is_shared=True) as client, moving(client), serving() as one, serving() as other:
+        viewers = [LiveViewer(page, ServiceSession(host_of(service))) for page in (one, other)]
+        first, second = (viewer.steering.options.handles for viewer in viewers if viewer.steering is not None)
+        try:
+            first["ridge"].value = 0.5
+            tick_until(viewers[0], lambda: mapping_of(service)["ridge"] == 0.5)
+            second["scale"].value = 2.0
+            tick_until(viewers[1], lambda: mapping_of(service)["scale"] == 2.0)
+            assert mapping_of(service)["ridge"] == 0.5
+            tick_until(viewers[0], lambda: first["scale"].value == 2.0)
+            tick_until(viewers[1], lambda: second["ridge"].value == 0.5)
+            assert (mapping_of(service)["ridge"], mapping_of(service)["scale"]) == (0.5, 2.0)
+        finally:
+            for viewer in viewers:
+                viewer.close()
+
+
+def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(service: Server) -> None:
+    with connected(service, name="lab", is_shared=True) as client, moving(client), serving() as page:
+        viewer = LiveViewer(page, ServiceSession(host_of(service)))
+        assert viewer.steering is not None
+        handles = viewer.steering.options.handles
+        try:
+            handles["ridge"].value = 0.5
+            tick_until(viewer, lambda: mapping_of(service)["ridge"] == 0.5)
+            service.dispatcher.sessions.entries.clear()
+            tick_until(viewer, lambda: handles["ridge"].value == 0.1)
+            assert mapping_of(service)["ridge"] == 0.1
+        finally:
+            viewer.close()
+    assert client.reopened == 1
+
+
+OTHER_HANDS: dict[str, dict[str, Any]] = {
+    "robot": {"robot": "three_finger"},
+    "side of the robot": {"robot": "allegro_left"},
+    "human points": {"human_points": "fingertips"},
+    "robot points": {"robot_points": "fingertips_middle"},
+    "side of the human": {"side": "left"},
+}
+
+
+@pytest.mark.parametrize("changes", OTHER_HANDS.values(), ids=OTHER_HANDS.keys())
+def test_a_session_that_comes_back_with_other_hands_ends_the_view_of_the_old_ones(service: Server, changes: dict[str, Any]) -> None:
+    usual = {"robot": "allegro_right", "name": "lab", "is_shared": True}
+    with watching_after(service, usual) as (session, samples):
+        with connected(service, **(usual | changes)) as client, moving(client):
+            for sample in samples:
+                assert len(sample.human_points) == len(session.human.reference_points)
+                assert len(sample.robot_points) == len(session.robot.reference_points)
+        assert session.is_outdated
+
+
+@contextmanager
+def watching_after(service: Server, choices: dict[str, Any]) -> Iterator[tuple[ServiceSession, Iterator[ViewSample]]]:
+    """A view of a session that has just been closed."""
+    with ExitStack() as stack:
+        with connected(service, **choices) as client, moving(client):
+            session, samples = stack.enter_context(watching(service))
+            next(samples)
+        yield session, samples
+
+
+def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> None:
+    human = load_hand("human")
+    pose = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), WRIST[:3, 3])
+
+    def points(i: int) -> dict[str, Any]:
+        return {"points": human.points(human.rest + 1e-4 * np.sin(i), pose)}
+
+    with (
+        connected(service, name="lab", input="points", is_shared=True, robot_wrist=np.eye(4)) as client,
+        moving(client, points),
+        watching(service) as (_, samples),
+    ):
+        sample = next(samples)
+    assert sample.human_q is None
+    np.testing.assert_allclose(sample.human_wrist, pose, atol=2e-3)
 
 
 def wait_until(is_done: Callable[[], bool]) -> None:
@@ -162,6 +256,7 @@ def test_an_encrypted_service_is_seen_with_keys_alone(tmp_path: Path) -> None:
         with moving(client), watching(service, keys=viewer) as (session, samples):
             assert next(samples).is_seen
             session.toggle_clutch()
+            wait_until(lambda: next(samples).status == "released")
             assert session.is_released
         with pytest.raises(InvalidInputError, match="no answer"):
             ServiceSession(host_of(service))

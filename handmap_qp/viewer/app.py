@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.viewer.controls import PlayBar, SteeringControls, dock_main_panel
-from handmap_qp.viewer.gauges import Gauges
+from handmap_qp.viewer.gauges import Gauges, gauge_row
+from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.samples import Replay, ViewSample
 from handmap_qp.viewer.scene import HandScene
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 _PERIOD = 1.0 / 30.0
 # Plots and bars are text and pictures to the browser, dearer than poses.
 _GAUGES_PERIOD = 0.1
+# The most that time goes on from one picture to the next [s].
+_LONGEST_TICK = 0.2
 
 
 class ReplayViewer:
@@ -41,10 +44,12 @@ class ReplayViewer:
         self.replay = replay
         self.scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
         self.gauges = Gauges(server, replay.robot)
-        self.gauges.set_samples(replay.samples)
+        self._show_samples()
         dock_main_panel(server)
         self.play_bar = PlayBar(server, float(replay.time[-1]))
-        self.steering = SteeringControls(server, replay.robot, replay.mapping, replay.ik)
+        self._start = Options(replay.mapping, replay.ik)
+        self._changes: dict[str, Any] = {}
+        self.steering = SteeringControls(server, replay.robot, self._start)
         self._drawn: tuple[object, ...] = ()
         self._gauges_drawn: tuple[object, ...] = ()
         self._gauges_time = -np.inf
@@ -67,15 +72,10 @@ class ReplayViewer:
         Args:
             elapsed: Since the last call [s].
         """
-        wishes = self.steering.take_wishes()
-        for wish in wishes:
-            if wish == "clutch":
-                self.replay.toggle_clutch(self.index)
-            else:
-                self.replay.switches.clear()
         self.play_bar.advance(elapsed)
-        self._remap_if_asked(in_any_case=bool(wishes))
+        self._do_as_asked()
         self.steering.picture.apply_to(self.scene)
+        self.scene.camera.attend()
         state = (self.sample, self.scene.follow, self.scene.deformation_shape)
         if state != self._drawn:
             self.scene.draw(self.sample)
@@ -91,19 +91,35 @@ class ReplayViewer:
         before = time.monotonic()
         while True:
             now = time.monotonic()
-            self.tick(now - before)
+            # Time stands still while a long recording is mapped anew.
+            self.tick(min(now - before, _LONGEST_TICK))
             before = now
             time.sleep(max(0.0, _PERIOD - (time.monotonic() - now)))
 
-    def _remap_if_asked(self, *, in_any_case: bool) -> None:
+    def _do_as_asked(self) -> None:
+        """Buttons first, then options; a slider that moves while the recording is mapped counts as it stands afterwards."""
+        wishes, changes = self.steering.take_wishes(), self.steering.options.take_changes()
+        self._changes |= changes
+        for wish in wishes:
+            if wish == "clutch":
+                self.replay.toggle_clutch(self.index)
+            else:
+                self.replay.switches.clear()
+                self._changes.clear()
+                self.steering.options.show(self._start)
+        if not (wishes or changes):
+            return
+        self.steering.say("mapping …")
+        self.server.flush()
         try:
-            options = self.steering.take_options(in_any_case=in_any_case)
-            if options is None:
-                return
-            self.replay.remap(*options)
+            self.replay.remap(*self._start.with_changes(self._changes))
         except HandmapError as error:
             self.steering.complain(error)
             return
         self.steering.complain(None)
-        self.scene.align(options[0])
-        self.gauges.set_samples(self.replay.samples)
+        self._show_samples()
+
+    def _show_samples(self) -> None:
+        self.scene.align(self.replay.mapping)
+        self.scene.foresee(self.replay.samples)
+        self.gauges.set_rows([gauge_row(sample) for sample in self.replay.samples])

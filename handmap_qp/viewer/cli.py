@@ -69,15 +69,36 @@ class View:
             raise MissingExtraError("viser", "view")
         if not 0 <= self.port <= 65535:
             raise InvalidInputError(f"--port: expected 0 to 65535, got {self.port}", value=self.port)
-
         if (self.recording is None) == (self.live is None):
             raise InvalidInputError("expected a recording or --live HOST, and not both")
+        self._refuse_idle_options()
         if self.live is not None:
             self._show_live(self.live)
         elif self.recording is not None:
             if self.robot is None:
                 raise InvalidInputError("--robot: missing; a recording can be shown on any hand that `handmap hands` lists")
             self._show_recording(self.recording, self.robot)
+
+    def _refuse_idle_options(self) -> None:
+        """Refuse options that would do nothing."""
+        if self.live is None:
+            idle, reason = ["session", "keys"], "is for --live, and this is a recording"
+        else:
+            idle = ["html", "human_points", "robot_points", "mapping", "ik"]
+            reason = "is for a recording; of a service, the session's client chose"
+        if self.html is not None and self.live is None:
+            self._refuse(["host", "port", "open"], "is for a view that is served, and --html writes a file")
+        self._refuse(idle, reason)
+
+    def _refuse(self, names: list[str], reason: str) -> None:
+        plain = View()
+        for name in names:
+            given, usual = getattr(self, name), getattr(plain, name)
+            if given != usual:
+                # The fields of options are options of their own.
+                parts = [part for part in getattr(given, "__slots__", ()) if getattr(given, part) != getattr(usual, part)]
+                word = (f"ik.{parts[0]}" if name == "ik" else parts[0]) if parts else name
+                raise InvalidInputError(f"--{word.replace('_', '-')}: {reason}")
 
     def _show_recording(self, file: Path, robot: str) -> None:
         from handmap_qp.viewer.app import ReplayViewer
@@ -97,20 +118,22 @@ class View:
             viewer.run()
 
     def _show_live(self, live: str) -> None:
-        from handmap_qp.viewer.live import LiveViewer
+        from handmap_qp.viewer.live import LiveSource, show_live
         from handmap_qp.viewer.remote import ServiceSession
         from handmap_qp.viewer.scene import serving
 
-        if self.html is not None:
-            raise InvalidInputError("--html: a page is made of a recording, not of --live")
-        source = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
-        with serving(self.host, self.port) as server:
-            viewer = LiveViewer(server, source)
-            self._announce(server)
-            try:
-                viewer.run()
-            finally:
-                viewer.close()
+        # First of all, for it tells at once whether there is anything to be seen.
+        first = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
+
+        def next_source(before: LiveSource | None) -> LiveSource:
+            return first if before is None else ServiceSession(live, session=first.name, robot=self.robot, keys=self.keys)
+
+        try:
+            with serving(self.host, self.port) as server:
+                self._announce(server)
+                show_live(server, next_source)
+        finally:
+            first.close()
 
     def _announce(self, server: viser.ViserServer) -> None:
         """Say where to look, and open the browser if asked to."""

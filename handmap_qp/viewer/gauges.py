@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from handmap_qp.hand import Hand
+from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.viewer.samples import ViewSample
+from handmap_qp.viewer.scene import DEFORMATION_COLOUR, TARGET_COLOUR
 
 if TYPE_CHECKING:
     import viser
 
 _WIDTH = 330
 _BLUE, _GREY, _RED, _ORANGE = "#2166d8", "#9aa0a8", "#d62929", "#f08c00"
-_AXIS = {"stroke": "#666", "font": "11px sans-serif", "size": 40, "grid": {"stroke": "#eee"}}
+_AXIS = {"stroke": "#666", "font": "11px sans-serif", "grid": {"stroke": "#eee"}}
+# More points than a plot has pixels.
+_MOST_PLOTTED = 600
+# Longer names of joints lose their middle.
+_LONGEST_NAME = 19
+_SCENE_COLOURS = (
+    ("human's points", HUMAN_COLOUR),
+    ("robot's points", ROBOT_COLOUR),
+    ("their targets", TARGET_COLOUR),
+    ("T_def of a ball", DEFORMATION_COLOUR),
+)
+
+
+def gauge_row(sample: ViewSample) -> tuple[float, float, float, float]:
+    """What the plots show of a sample: time [s], mean and largest point error [mm], time of the step [µs]."""
+    error = sample.point_error if sample.targets is not None else np.array([np.nan])
+    return sample.time, 1e3 * float(error.mean()), 1e3 * float(error.max()), 1e6 * sample.duration
 
 
 class Gauges:
@@ -32,43 +53,51 @@ class Gauges:
         panel = server.gui.add_panel()
         with panel.add_tab("Gauges"):
             self.error = _add_plot(server, "point error [mm]", ("mean", "largest"), (_BLUE, _GREY))
+            server.gui.add_html(_legend((("mean", _BLUE), ("largest", _GREY), ("now", _ORANGE))))
             self.timing = _add_plot(server, "time per step [µs]", ("step",), (_BLUE,))
+            self.timing_note = server.gui.add_html("")
             self.joints = server.gui.add_html("")
+            server.gui.add_html(_legend([(name, _css(colour)) for name, colour in _SCENE_COLOURS]))
         panel.dock_left()
         panel.set_width(_WIDTH)
-        self._columns: tuple[np.ndarray, ...] = ()
+        self._rows, self._plotted, self._starts = np.empty((0, 4)), np.empty((0, 4)), np.empty(0, dtype=int)
 
-    def set_samples(self, samples: Sequence[ViewSample], *, latest: float | None = None) -> None:
+    def set_rows(self, rows: npt.ArrayLike, *, latest: float | None = None) -> None:
         """Plot other samples.
 
         Args:
-            samples: All that is to be seen.
+            rows: What `gauge_row` says of each, shape (n, 4), n > 0.
             latest: For the last so many seconds, with the last sample at zero [s]; from the first sample to the last if omitted.
         """
-        time = np.array([sample.time for sample in samples])
+        self._rows = np.array(rows, dtype=float)
+        time = self._rows[:, 0]
         # A plot keeps its range when its data change, and a new range costs a new plot: so a range that moves is one that stands.
         span = (float(time[0]), float(max(time[-1], time[0] + 0.1)))
         if latest is not None:
-            time, span = time - time[-1], (-latest, 0.0)
-        errors = [1e3 * sample.point_error for sample in samples]
-        mean = np.array([error.mean() if len(error) else np.nan for error in errors])
-        largest = np.array([error.max() if len(error) else np.nan for error in errors])
-        step = np.array([1e6 * sample.duration for sample in samples])
-        self._columns = (time, mean, largest, step)
-        _set_scales(self.error, _scales(span, largest))
+            time -= time[-1]
+            span = (-latest, 0.0)
+        # Of samples that share a place the worst are seen, and the last one's time.
+        self._starts = np.linspace(0, len(time), min(len(time), _MOST_PLOTTED), endpoint=False).astype(int)
+        self._plotted = np.fmax.reduceat(self._rows, self._starts, axis=0)
+        step = self._rows[:, 3]
+        median, p99 = np.percentile(step, (50, 99))
+        _set_scales(self.error, _scales(span, self._rows[:, 2]))
         # A few steps that the machine was interrupted in would flatten all others.
-        _set_scales(self.timing, _scales(span, np.minimum(step, 3.0 * np.median(step))))
+        _set_scales(self.timing, _scales(span, np.minimum(step, 3.0 * median)))
+        cut = " (cut off)" if step.max() > self.timing.scales["y"]["range"][1] else ""
+        self.timing_note.content = _foot(f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}")
 
     def draw(self, sample: ViewSample, index: int) -> None:
         """Mark the present sample in the plots and show its joints.
 
         Args:
             sample: The sample.
-            index: Its place among those given to `set_samples`.
+            index: Its place among those given to `set_rows`.
         """
-        time, mean, largest, step = self._columns
-        self.error.data = (time, mean, largest, _only(mean, index))
-        self.timing.data = (time, step, _only(step, index))
+        time, mean, largest, step = self._plotted.T
+        place, now = int(np.searchsorted(self._starts, index, side="right")) - 1, self._rows[index]
+        self.error.data = (time, mean, largest, _only(len(time), place, now[1]))
+        self.timing.data = (time, step, _only(len(time), place, now[3]))
         self.joints.content = joint_bars(self._robot, sample)
 
 
@@ -84,20 +113,30 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
     """
     shares = (sample.robot_q - robot.lower_limits) / (robot.upper_limits - robot.lower_limits)
     rest = (robot.rest - robot.lower_limits) / (robot.upper_limits - robot.lower_limits)
-    rows = []
-    for name, q, share, rest_share, is_held in zip(robot.joint_names, sample.robot_q, shares, rest, sample.at_limit, strict=True):
+    rows, names = [], zip(robot.joint_names, short_names(robot.joint_names), strict=True)
+    for (name, short), q, share, rest_share, is_held in zip(names, sample.robot_q, shares, rest, sample.at_limit, strict=True):
         colour = _RED if is_held else _BLUE
         track = "flex:1;position:relative;height:7px;background:#e4e6ea;border-radius:4px"
         fill = f"position:absolute;left:0;width:{100 * share:.1f}%;height:7px;background:{colour};border-radius:4px"
         mark = f"position:absolute;left:{100 * rest_share:.1f}%;top:-2px;width:1px;height:11px;background:#333"
         rows.append(
             '<div style="display:flex;align-items:center;height:15px">'
-            f'<span style="width:118px;overflow:hidden;white-space:nowrap;text-overflow:ellipsis">{escape(name)}</span>'
+            f'<span title="{escape(name)}" style="width:118px;overflow:hidden;white-space:nowrap">{escape(short)}</span>'
             f'<span style="{track}"><span style="{fill}"></span><span style="{mark}"></span></span>'
             f'<span style="width:44px;text-align:right;color:{colour}">{np.degrees(q):.0f}°</span></div>'
         )
     head = '<div style="font-weight:600;margin-bottom:3px">joints between their limits</div>'
     return f'<div style="font-size:11px;line-height:15px;padding:4px 14px">{head}{"".join(rows)}</div>'
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Names without the beginning that all share, and long ones without their middle: they differ at either end."""
+    # What a name is called after must not be torn apart.
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    shared = re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
+    rest = [name.removeprefix(shared) for name in names]
+    head, tail = _LONGEST_NAME // 2 - 3, _LONGEST_NAME // 2 + 3
+    return [name if len(name) <= _LONGEST_NAME else f"{name[:head]}…{name[-tail:]}" for name in rest]
 
 
 def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], colours: tuple[str, ...]) -> Any:
@@ -112,9 +151,12 @@ def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], col
         nothing,
         tuple(series),
         title=title,
-        height=170,
+        height=175,
         scales=_scales((0.0, 1.0), np.ones(2)),
-        axes=(uplot.Axis(**_AXIS), uplot.Axis(**_AXIS)),
+        axes=(
+            uplot.Axis(**_AXIS, label="time [s]", labelFont="11px sans-serif", labelSize=16, size=30),
+            uplot.Axis(**_AXIS, size=50),
+        ),
         legend=uplot.Legend(show=False),
     )
 
@@ -135,8 +177,26 @@ def _set_scales(plot: Any, scales: dict[str, Any]) -> None:
         plot.scales = scales
 
 
-def _only(values: np.ndarray, index: int) -> np.ndarray:
-    """One value, and nothing elsewhere."""
-    only = np.full(len(values), np.nan)
-    only[index] = values[index]
+def _only(count: int, place: int, value: float) -> np.ndarray:
+    """A column with one value, and nothing elsewhere."""
+    only = np.full(count, np.nan)
+    only[place] = value
     return only
+
+
+def _legend(entries: Sequence[tuple[str, str]]) -> str:
+    """Dots in colours, and what each stands for, as HTML."""
+    return _foot(
+        " ".join(
+            f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>' for name, colour in entries
+        )
+    )
+
+
+def _foot(html: str) -> str:
+    """A small line below a plot."""
+    return f'<div style="font-size:11px;line-height:15px;padding:0 14px;color:#666">{html}</div>'
+
+
+def _css(colour: tuple[float, float, float]) -> str:
+    return f"rgb({', '.join(str(round(255 * part)) for part in colour)})"

@@ -5,15 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Protocol
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hand import Hand
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.options import MappingOptions
 from handmap_qp.viewer.controls import PictureControls, SteeringControls, dock_main_panel
-from handmap_qp.viewer.gauges import Gauges
+from handmap_qp.viewer.gauges import Gauges, gauge_row
+from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.samples import ViewSample
 from handmap_qp.viewer.scene import HandScene
 
@@ -22,9 +21,8 @@ if TYPE_CHECKING:
 
 _PERIOD = 1.0 / 30.0
 _GAUGES_PERIOD = 0.1
-# Time that the plots show [s], and the most samples in them.
+# Time that the plots show [s].
 _SPAN = 10.0
-_LENGTH = 1200
 # Without a sample for so long, the view says so [s].
 _SILENCE = 1.0
 
@@ -32,32 +30,41 @@ _SILENCE = 1.0
 class LiveSource(Protocol):
     """Somewhere that a mapping runs.
 
+    Wishes are carried out in turn by the thread that iterates, and what became of them is seen in the attributes.
+
     Attributes:
         human: The human hand that its samples speak of.
         robot: The robot hand.
-        mapping: The mapping's choices.
-        ik: Weights and settings of the QP.
+        options: What is in force there, whoever asked for it.
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot was let go.
+        is_outdated: Whether it has ended because other hands are mapped there now.
+        trouble: Why a wish was not fulfilled; None once that is over.
     """
 
     human: Hand
     robot: Hand
-    mapping: MappingOptions
-    ik: IkOptions
+    options: Options
     is_shared: bool
     is_released: bool
+    is_outdated: bool
+    trouble: HandmapError | None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether wishes are still to be carried out."""
+        ...
 
     def __iter__(self) -> Iterator[ViewSample]:
         """Samples as they come, ending where the source ends; may raise `HandmapError`."""
         ...
 
     def toggle_clutch(self) -> None:
-        """Let go, or take hold again; may raise `HandmapError`."""
+        """Wish to let go, or to take hold again."""
         ...
 
-    def configure(self, mapping: MappingOptions, ik: IkOptions) -> None:
-        """Change options; may raise `HandmapError`."""
+    def configure(self, changes: dict[str, Any]) -> None:
+        """Wish for other values of some options."""
         ...
 
     def close(self) -> None:
@@ -76,7 +83,8 @@ class LiveViewer:
     Attributes:
         scene: The hands.
         gauges: Plots and joint bars.
-        recent: The samples in the plots.
+        sample: The newest one.
+        rows: What the plots show of the samples of the last seconds.
         news: What is amiss, or how many samples come.
         steering: Clutch and options; None where the source cannot be steered.
         picture: What the picture shows.
@@ -88,7 +96,8 @@ class LiveViewer:
 
     def __init__(self, server: viser.ViserServer, source: LiveSource, *, patience: float = 10.0) -> None:
         self._source = source
-        self.recent: deque[ViewSample] = deque(maxlen=_LENGTH)
+        self.rows: deque[tuple[float, ...]] = deque()
+        self.sample: ViewSample
         self._has_sample, self._has_ended = threading.Event(), threading.Event()
         self._error: HandmapError | None = None
         self._heard = 0.0
@@ -99,12 +108,13 @@ class LiveViewer:
         except BaseException:
             self.close()
             raise
-        first = self.recent[0]
-        self.scene = HandScene(server, source.human, source.robot, first, source.mapping)
+        self._start = source.options
+        self._alignment = self._start.mapping.alignment
+        self.scene = HandScene(server, source.human, source.robot, self.sample, self._start.mapping)
         self.gauges = Gauges(server, source.robot)
         dock_main_panel(server)
         self.news = server.gui.add_markdown("")
-        self.steering = SteeringControls(server, source.robot, source.mapping, source.ik) if source.is_shared else None
+        self.steering = SteeringControls(server, source.robot, self._start) if source.is_shared else None
         self.picture = PictureControls(server) if self.steering is None else self.steering.picture
         self._gauges_time = 0.0
 
@@ -118,24 +128,25 @@ class LiveViewer:
             raise self._error
         if self.steering is not None:
             self._steer(self.steering)
-        samples = tuple(self.recent)
+        sample, rows = self.sample, tuple(self.rows)
         self.picture.apply_to(self.scene)
-        self.scene.draw(samples[-1])
+        self.scene.draw(sample)
+        self.scene.camera.attend()
         now = time.monotonic()
         if now - self._gauges_time >= _GAUGES_PERIOD:
-            self.gauges.set_samples(samples, latest=_SPAN)
-            self.gauges.draw(samples[-1], len(samples) - 1)
+            self.gauges.set_rows(rows, latest=_SPAN)
+            self.gauges.draw(sample, len(rows) - 1)
             self._gauges_time = now
         if self._has_ended.is_set():
             self.news.content = "**The source has ended.**"
         elif now - self._heard > _SILENCE:
             self.news.content = "**No sample comes.**"
         else:
-            self.news.content = f"{1.0 / max(_period(samples), 1e-6):.0f} samples a second"
+            self.news.content = f"{1.0 / max(_period(rows), 1e-6):.0f} samples a second"
 
     def run(self) -> None:
-        """Go on until interrupted, or until the source fails."""
-        while True:
+        """Go on until interrupted, until the source fails, or until other hands are mapped there."""
+        while not self._source.is_outdated:
             started = time.monotonic()
             self.tick()
             time.sleep(max(0.0, _PERIOD - (time.monotonic() - started)))
@@ -147,24 +158,34 @@ class LiveViewer:
 
     def _steer(self, steering: SteeringControls) -> None:
         source = self._source
-        try:
-            wishes, options = steering.take_wishes(), steering.take_options()
-            for wish in wishes:
-                if wish == "clutch" or source.is_released:
-                    source.toggle_clutch()
-            if options is not None:
-                source.configure(*options)
-                self.scene.align(options[0])
-            if wishes or options is not None:
-                steering.complain(None)
-        except HandmapError as error:
-            steering.complain(error)
+        steering.complain(source.trouble)
         steering.show_released(source.is_released)
+        # Meanwhile, the controls keep what is wished for.
+        if source.is_busy:
+            return
+        in_force = source.options
+        steering.options.show(in_force)
+        if in_force.mapping.alignment != self._alignment:
+            self.scene.align(in_force.mapping)
+            self._alignment = in_force.mapping.alignment
+        # Nothing but what was changed here is sent, for others may have changed other options.
+        changes = steering.options.take_changes()
+        for wish in steering.take_wishes():
+            if wish == "clutch" or source.is_released:
+                source.toggle_clutch()
+            if wish == "reset":
+                changes |= in_force.changes_to(self._start)
+        if changes:
+            source.configure(changes)
 
     def _read(self) -> None:
         try:
             for sample in self._source:
-                self.recent.append(sample)
+                self.sample = sample
+                # The other thread takes all rows at once.
+                self.rows.append(gauge_row(sample))
+                while not 0.0 <= sample.time - self.rows[0][0] <= _SPAN:
+                    self.rows.popleft()
                 self._heard = time.monotonic()
                 self._has_sample.set()
         except HandmapError as error:
@@ -182,7 +203,29 @@ class LiveViewer:
                 raise InvalidInputError(f"no sample came within {patience:g} s: is anything being mapped there?")
 
 
-def _period(samples: tuple[ViewSample, ...]) -> float:
+def show_live(server: viser.ViserServer, make_source: Callable[[LiveSource | None], LiveSource]) -> None:
+    """Show a mapping until interrupted, and begin anew whenever other hands are mapped there.
+
+    Args:
+        server: A running viser server.
+        make_source: Makes the source; given the one before, if there was one.
+
+    Raises:
+        HandmapError: If the source cannot be made or shown, or fails.
+    """
+    source = None
+    while True:
+        source = make_source(source)
+        viewer = LiveViewer(server, source)
+        try:
+            viewer.run()
+        finally:
+            viewer.close()
+        server.gui.reset()
+        server.scene.reset()
+
+
+def _period(rows: tuple[tuple[float, ...], ...]) -> float:
     """Mean time between the newest samples [s]."""
-    newest = samples[-60:]
-    return (newest[-1].time - newest[0].time) / max(len(newest) - 1, 1)
+    newest = rows[-60:]
+    return (newest[-1][0] - newest[0][0]) / max(len(newest) - 1, 1)

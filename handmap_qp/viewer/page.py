@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     import viser
 
 _RATE = 30.0
-# No panels stand beside the hands, and most screens are wide.
-_ASPECT = 1.2
 
 
 def check_page(path: Path) -> Path:
@@ -46,7 +44,7 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
         InvalidInputError: If the file cannot be written.
     """
     samples = replay.samples
-    scene = HandScene(server, replay.human, replay.robot, samples[0], replay.mapping, aspect=_ASPECT)
+    scene = HandScene(server, replay.human, replay.robot, samples[0], replay.mapping)
     scene.draw(samples[0])
     serializer = server.get_scene_serializer()
     shown = samples[0].time
@@ -61,7 +59,7 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
         handle, temporary = tempfile.mkstemp(suffix=".html", dir=path.parent)
         try:
             with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(serializer.as_html())
+                file.write(serializer.as_html().replace("<title>Viser</title>", "<title>handmap view</title>", 1))
             Path(temporary).chmod(0o644)
             Path(temporary).replace(path)
         except BaseException:

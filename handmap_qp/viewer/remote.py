@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
 from handmap_qp.human import HumanLengths
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.library import load_hand
 from handmap_qp.options import MappingOptions
 from handmap_qp.trackers.landmarks import human_name
-from handmap_qp.transform import pose_from_xyz_quat
+from handmap_qp.transform import affine, nearest_rotation, pose_from_xyz_quat
+from handmap_qp.viewer.option_controls import Options, split_changes
 from handmap_qp.viewer.samples import ViewSample
 
 PORT = 5570
 """Where `handmap serve` takes requests, unless told otherwise."""
-_TIMEOUT = 2.0
-_LOOK = 0.1
-_ASK_PERIOD = 0.2
+_TIMEOUT = 1.0
+# Between two looks at what the session is [s], and the longest that a wish waits for the next command.
+_LOOK_PERIOD, _WAIT = 1.0, 0.02
+# What the hands of the view, and whether it can steer, follow from.
+_HANDS = ("robot", "side", "input", "lengths", "human_points", "robot_points", "mount", "is_shared")
 _T = TypeVar("_T")
 
 
@@ -40,12 +43,14 @@ class ServiceSession:
         patience: How long to wait for the session, and for its human hand to be measured [s].
 
     Attributes:
+        name: Public name of the session.
         human: The human hand, of the lengths that the service knows.
         robot: The robot hand.
-        mapping: The mapping's choices.
-        ik: Weights and settings of the QP.
+        options: What was in force at the last look.
         is_shared: Whether it can be steered from here.
         is_released: Whether its client, or somebody here, has let go.
+        is_outdated: Whether the session is of other hands by now.
+        trouble: Why the last wish was not fulfilled; None where it was, or where the service answers again.
 
     Raises:
         InvalidInputError: If the service cannot be reached, or the session cannot be shown.
@@ -68,69 +73,117 @@ class ServiceSession:
             from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
         except ImportError as error:
             raise MissingExtraError("pyzmq", "service") from error
+        if not host.strip():
+            raise InvalidInputError(f"--live: expected HOST or HOST:PORT, got {host!r}", value=host)
         self._host = host
-        self._refusal = ServiceError
+        self._refusal, self._silence = ServiceError, ServiceTimeoutError
         self._troubles = (ServiceError, ServiceTimeoutError, zmq.ZMQError, msgspec.MsgspecError, OSError, ValueError, TypeError)
-        self._is_closed = threading.Event()
+        self._is_closed, self._is_read = threading.Event(), False
         self._start: float | None = None
         self._detail: dict[str, Any] = {}
-        self._asked = -np.inf
-        # One to steer with, and one that a thread of its own reads the stream with.
-        self._client, self._reader = self._try(lambda: [Client(_address(host), timeout=_TIMEOUT, keys=keys) for _ in range(2)])
+        self._wishes: deque[Callable[[], Any]] = deque()
+        self.is_outdated, self.is_released = False, False
+        self.trouble: HandmapError | None = None
+        self._client = self._try(lambda: Client(_address(host), timeout=_TIMEOUT, keys=keys))
         try:
             about = self._look_for(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
             if not (about["has_detail"] or self.is_shared):
                 raise self._error("the session tells too little to be seen: open it with has_detail=True or is_shared=True")
-            self.mapping = msgspec.convert(about["mapping"], MappingOptions)
-            self.ik = msgspec.convert(about["ik"], IkOptions)
+            self._about = {name: about[name] for name in _HANDS}
+            self.options = _options(about)
             lengths = about["lengths"] and HumanLengths(**{name: np.array(rows) for name, rows in about["lengths"].items()})
             self.human = load_hand(human_name(about["side"]), points=about["human_points"], lengths=lengths or None)
             self.robot = load_hand(robot or about["robot"], points=about["robot_points"], mount=about["mount"])
         except BaseException:
             self._client.close()
             raise
-        self._human = self.human.rest, np.eye(4)
+        self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
     def __iter__(self) -> Iterator[ViewSample]:
-        """Samples as commands come, until `close`.
+        """Samples as commands come, until `close`, or until the session is of other hands; carries out wishes meanwhile.
 
         Raises:
-            InvalidInputError: If there is no such session any more, or it is of another robot.
+            InvalidInputError: If the session is of another robot than `robot`.
         """
-        with self._reader as reader:
-            self._try(lambda: reader.watch(self.name))
+        self._is_read, next_look = True, -np.inf
+        with self._client as client:
             while not self._is_closed.is_set():
+                self._fulfil_wishes()
+                if time.monotonic() >= next_look:
+                    self._look()
+                    next_look = time.monotonic() + _LOOK_PERIOD
                 try:
-                    command = reader.latest(_LOOK)
+                    command = client.latest(_WAIT)
                 except self._refusal:
                     # Of a sample that the service could not use; its client has been told.
                     continue
-                if command is not None and command.wrist is not None and (sample := self._sample(command)) is not None:
+                if command is None or command.wrist is None:
+                    continue
+                if not self._is_as_before(command):
+                    self._look()
+                    if not self.is_outdated and command.joint_names != self.robot.joint_names:
+                        raise InvalidInputError(
+                            f"--robot {self.robot.name}: session {self.name} is of another hand, with {command.joint_names}"
+                        )
+                if self.is_outdated:
+                    return
+                sample = self._sample(command)
+                if sample is not None:
                     yield sample
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether wishes are still to be carried out."""
+        return bool(self._wishes)
 
     def close(self) -> None:
         """Stop reading."""
         self._is_closed.set()
-        self._client.close()
+        if not self._is_read:
+            self._client.close()
 
     def toggle_clutch(self) -> None:
-        """Let go, or take hold again.
+        """Wish to let go, or to take hold again."""
+        self._wishes.append(self._toggle_clutch)
 
-        Raises:
-            InvalidInputError: If the service does not do it.
-        """
-        self._try(self._client.clutch if self.is_released else self._client.release)
+    def configure(self, changes: dict[str, Any]) -> None:
+        """Wish for other values of some options."""
+        mapping, ik = split_changes(changes)
+        self._wishes.append(lambda: self._client.configure(mapping=mapping, ik=ik))
+
+    def _toggle_clutch(self) -> None:
+        act = self._client.clutch if self.is_released else self._client.release
+        act()
+        # While the watchdog holds the robot, nothing else tells.
         self.is_released = not self.is_released
 
-    def configure(self, mapping: MappingOptions, ik: IkOptions) -> None:
-        """Change options.
+    def _fulfil_wishes(self) -> None:
+        """Carry out what was wished for, and see what came of it."""
+        while self._wishes:
+            try:
+                self._try(self._wishes[0])
+                self.trouble = None
+            except InvalidInputError as error:
+                self.trouble = error
+            self._look()
+            # Not before its outcome is known.
+            self._wishes.popleft()
 
-        Raises:
-            InvalidInputError: If the service does not do it.
-        """
-        self._try(lambda: self._client.configure(mapping=asdict(mapping), ik=asdict(ik)))
-        self.mapping, self.ik = mapping, ik
+    def _look(self) -> None:
+        """See what the session is now, if the service answers: whoever opened it may have opened another one."""
+        try:
+            state = self._client.status()
+            about = state.about or {}
+            if self.is_shared and about["is_shared"] and not about["has_detail"]:
+                self._client.configure(has_detail=True)
+        except self._troubles:
+            return
+        self.is_outdated = {name: about[name] for name in _HANDS} != self._about
+        self.options = _options(about)
+        self._take_mode(state.mode)
+        if self.trouble is not None and isinstance(self.trouble.__cause__, self._silence):
+            self.trouble = None
 
     def _look_for(self, session: str | None, end: float) -> dict[str, Any]:
         """What the service says of the session, once there is one and its human hand is known."""
@@ -142,34 +195,49 @@ class ServiceSession:
             complaint = "no session is open there"
             if self.name:
                 state = self._try(lambda: self._client.watch(self.name))
-                self.is_released, about = state.mode == "released", state.about or {}
+                self._take_mode(state.mode)
+                about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
                     return about
                 complaint = "the human hand has not been measured yet: do landmarks come?"
             if time.monotonic() > end:
                 raise self._error(complaint)
-            time.sleep(_LOOK)
+            time.sleep(0.1)
+
+    def _is_as_before(self, command: Any) -> bool:
+        """Whether a command can be of the session that was last looked at."""
+        if command.detail is None and command.point_error and self.is_shared:
+            # One that its client had to open anew has forgotten that it was asked for details.
+            return False
+        points = () if command.detail is None else command.detail["human_points"]
+        return (
+            command.joint_names == self.robot.joint_names
+            and len(points) in (0, len(self.human.reference_points))
+            and len(command.point_error) in (0, len(self.robot.reference_points))
+        )
+
+    def _take_mode(self, mode: str) -> None:
+        # The watchdog says that the robot holds, and not for whom.
+        if mode not in ("hold", "returning"):
+            self.is_released = mode == "released"
 
     def _sample(self, command: Any) -> ViewSample | None:
         """What the view shows of a command; None where it shows nothing."""
-        if command.joint_names != self.robot.joint_names:
-            raise InvalidInputError(
-                f"--robot {self.robot.name}: session {self.name} is of another hand, with {command.joint_names}"
-            )
-        self._take_detail(command)
-        # The watchdog's commands say that the robot holds, and not for whom.
-        if command.status not in ("hold", "returning"):
-            self.is_released = command.status == "released"
+        self._take_mode(command.status)
+        # A held robot's commands say nothing of the human.
+        self._detail = command.detail or self._detail
         if not self._detail:
             return None
         if self._start is None:
             self._start = command.server_time
         detail, q, wrist = self._detail, np.array(command.q), _matrix(command.wrist)
+        human_points, human_q, human_wrist = (detail[name] for name in ("human_points", "human_q", "human_wrist"))
+        human_points = np.array(human_points)
         return ViewSample(
             time=command.server_time - self._start,
-            human_q=self._human[0],
-            human_wrist=self._human[1],
-            human_points=np.array(detail["human_points"]),
+            human_q=None if human_q is None else np.array(human_q),
+            human_wrist=self._lay_on(human_points) if human_wrist is None else _pose(human_wrist, type(command.wrist)),
+            human_points=human_points,
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),
@@ -182,18 +250,11 @@ class ServiceSession:
             is_seen=command.detail is not None,
         )
 
-    def _take_detail(self, command: Any) -> None:
-        """Keep what is known of the human; a held robot's commands say nothing of it."""
-        if command.detail is None:
-            # A session that its client had to open anew has forgotten that it was asked for details.
-            if command.point_error and self.is_shared and time.monotonic() - self._asked > _ASK_PERIOD:
-                self._asked = time.monotonic()
-                self._try(lambda: self._reader.configure(has_detail=True))
-            return
-        self._detail = command.detail
-        q, wrist = self._detail.get("human_q"), self._detail.get("human_wrist")
-        if q is not None and wrist is not None:
-            self._human = np.array(q), _matrix(msgspec.convert(wrist, type(command.wrist)))
+    def _lay_on(self, points: np.ndarray) -> np.ndarray:
+        """About where the wrist is of which only points are known (n, 3), shape (4, 4): where it is in the hand at rest."""
+        middle, rest_middle = points.mean(axis=0), self._rest_points.mean(axis=0)
+        rotation = nearest_rotation((points - middle).T @ (self._rest_points - rest_middle))
+        return affine(rotation, middle - rotation @ rest_middle)
 
     def _try(self, call: Callable[[], _T]) -> _T:
         try:
@@ -203,6 +264,14 @@ class ServiceSession:
 
     def _error(self, message: str) -> InvalidInputError:
         return InvalidInputError(f"--live {self._host}: {message}", value=self._host)
+
+
+def _options(about: dict[str, Any]) -> Options:
+    return Options(msgspec.convert(about["mapping"], MappingOptions), msgspec.convert(about["ik"], IkOptions))
+
+
+def _pose(pose: dict[str, Any], kind: type) -> np.ndarray:
+    return _matrix(msgspec.convert(pose, kind))
 
 
 def _matrix(pose: Any) -> np.ndarray:

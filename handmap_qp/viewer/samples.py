@@ -21,7 +21,7 @@ class ViewSample:
 
     Attributes:
         time: Since the start [s].
-        human_q: Human joint angles [rad], shape (n_human,).
+        human_q: Human joint angles [rad], shape (n_human,); None where only the points are known.
         human_wrist: Human wrist pose in W, shape (4, 4).
         human_points: Human reference points in W [m], shape (n_h, 3).
         robot_q: Robot joint angles [rad], shape (n,).
@@ -37,7 +37,7 @@ class ViewSample:
     """
 
     time: float
-    human_q: np.ndarray
+    human_q: np.ndarray | None
     human_wrist: np.ndarray
     human_points: np.ndarray
     robot_q: np.ndarray

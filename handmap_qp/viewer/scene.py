@@ -12,7 +12,7 @@ import io
 import socket
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -24,6 +24,7 @@ from handmap_qp.options import MappingOptions
 from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
 from handmap_qp.urdf_text import parse_urdf
+from handmap_qp.viewer.camera import Camera
 from handmap_qp.viewer.samples import ViewSample
 
 if TYPE_CHECKING:
@@ -32,13 +33,16 @@ if TYPE_CHECKING:
 Follow = Literal["hands", "world"]
 DeformationShape = Literal["ellipsoid", "cube", "off"]
 
-_TARGET_COLOUR = (0.98, 0.66, 0.10)
-_DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
+TARGET_COLOUR = (0.98, 0.66, 0.10)
+DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
 # Part of the hand's size: as large as fingertips, to be seen at all. Targets are a little larger, so that a point which has arrived
 # does not hide its target.
 _HUMAN_POINT_SIZE, _ROBOT_POINT_SIZE, _TARGET_SIZE = 0.08, 0.1, 0.115
 _GAP = 0.05
-_FIELD_OF_VIEW = np.radians(35.0)
+# Height of the names and the caption below the hands, and as much above [m].
+_CAPTION_ROOM = 0.15
+# A box that travels are seen to stay in grows by more than it has to, so that it does not grow all the time [m].
+_MARGIN = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
 
@@ -62,6 +66,8 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
         import viser
     except ImportError as error:
         raise MissingExtraError("viser", "view") from error
+    if not host.strip():
+        raise InvalidInputError("--host: expected an address; nothing stands for all of this machine's", value=host)
     # viser takes every refusal for a port in use, and would try the next thousand without a word.
     try:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
@@ -93,7 +99,8 @@ class _World:
         axes: From the world's axes to the scene's, shape (3, 3).
         focus: The hand's middle in its wrist frame [m], shape (3,).
         radius: Distance of its farthest part from there [m].
-        anchor: Where the view holds the middle, in the scene [m], shape (3,).
+        anchor: Where the view holds the middle, or the middle of its travel, in the scene [m], shape (3,).
+        travel: Lowest and highest place of the middle that there is room for, along the scene's axes [m], shape (2, 3).
     """
 
     hand: Hand
@@ -106,7 +113,20 @@ class _World:
     axes: np.ndarray
     focus: np.ndarray
     radius: float
-    anchor: np.ndarray
+    anchor: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    travel: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def middle(self, wrist: np.ndarray) -> np.ndarray:
+        """Where the hand's middle is with its wrist at a pose (4, 4), along the scene's axes [m], shape (3,)."""
+        return self.axes @ transform_points(wrist, self.focus[None])[0]
+
+    def see(self, middle: np.ndarray) -> None:
+        """Let `travel` include a place (3,)."""
+        if not len(self.travel):
+            self.travel = np.array([middle, middle])
+        elif (middle < self.travel[0]).any() or (middle > self.travel[1]).any():
+            low, high = self.travel
+            self.travel = np.array([np.where(middle < low, middle - _MARGIN, low), np.where(middle > high, middle + _MARGIN, high)])
 
 
 class HandScene:
@@ -118,11 +138,11 @@ class HandScene:
         robot: The robot hand.
         first: The sample at which the view starts; its palm gives the scene's axes.
         options: The mapping's choices, for the alignment of the two worlds.
-        aspect: Width by height of the room that the hands are to fill.
 
     Attributes:
         follow: Whether the picture goes along with each hand, or stays with the worlds.
         deformation_shape: How T_def is shown.
+        camera: Where the browsers look from; wants to be told to `attend` even where nothing new is drawn.
     """
 
     def __init__(
@@ -132,8 +152,6 @@ class HandScene:
         robot: Hand,
         first: ViewSample,
         options: MappingOptions,
-        *,
-        aspect: float = 0.78,
     ) -> None:
         self.server = server
         self.follow: Follow = "hands"
@@ -142,28 +160,24 @@ class HandScene:
         self._set_up_stage()
         self._human = self._add_hand("human", human, first.human_q)
         self._robot = self._add_hand("robot", robot, first.robot_q)
-        half = 0.5 * (self._human.radius + self._robot.radius + _GAP)
-        # Seen from the palm, +x is on the left.
-        self._human.anchor, self._robot.anchor = np.array([half, 0.0, 0.0]), np.array([-half, 0.0, 0.0])
+        self.camera = Camera(server)
         self.align(options)
-        self._set_up_camera(aspect)
         self._human_points = self._add_spheres(self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR)
         self._robot_points = self._add_spheres(self._robot, "points", first.robot_points, _ROBOT_POINT_SIZE, ROBOT_COLOUR)
-        self._targets = self._add_spheres(self._robot, "targets", first.robot_points, _TARGET_SIZE, _TARGET_COLOUR, opacity=0.5)
+        self._targets = self._add_spheres(self._robot, "targets", first.robot_points, _TARGET_SIZE, TARGET_COLOUR, opacity=0.5)
         spread = first.human_points - first.human_points.mean(axis=0)
         self._ball = float(np.sqrt((spread**2).sum(axis=1).mean()))
         self._ellipsoid = server.scene.add_icosphere(
-            "/human/ellipsoid", self._ball, _bytes(_DEFORMATION_COLOUR), subdivisions=4, opacity=0.2, cast_shadow=False
+            "/human/ellipsoid", self._ball, _bytes(DEFORMATION_COLOUR), subdivisions=4, opacity=0.2, cast_shadow=False
         )
         self._reference_ball = server.scene.add_icosphere(
             "/human/ball", self._ball, (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15, cast_shadow=False
         )
         self._cube = server.scene.add_line_segments(
-            "/human/cube", np.zeros((len(_EDGES), 2, 3)), _bytes(_DEFORMATION_COLOUR), thickness=2.5, thickness_units="screen"
+            "/human/cube", np.zeros((len(_EDGES), 2, 3)), _bytes(DEFORMATION_COLOUR), thickness=2.5, thickness_units="screen"
         )
-        self._caption = server.scene.add_label(
-            "/caption", "", position=(0.0, self._low - 0.035, 0.0), anchor="top-center", font_screen_scale=1.1
-        )
+        self._caption = server.scene.add_label("/caption", "", position=(0.0, 0.0, 0.0), anchor="top-center", font_screen_scale=1.1)
+        self._laid_out: tuple[object, ...] = ()
 
     def align(self, options: MappingOptions) -> None:
         """Turn both worlds so that the human's palm stands upright at the first sample and equal motions look equal.
@@ -183,6 +197,20 @@ class HandScene:
             self._robot.axes = human_palm.T @ np.array(options.alignment).T
         for world in (self._human, self._robot):
             world.frame.wxyz = quat_wxyz_from_rotation(world.axes)
+            world.travel = np.empty((0, 3))
+
+    def foresee(self, samples: Sequence[ViewSample]) -> None:
+        """Make room for hands that travel with their worlds; otherwise there is room for what was drawn since `align`.
+
+        Args:
+            samples: All that will be drawn.
+        """
+        for world, wrists in (
+            (self._human, np.array([sample.human_wrist for sample in samples])),
+            (self._robot, np.array([sample.robot_wrist for sample in samples])),
+        ):
+            middles = (wrists[:, :3, :3] @ world.focus + wrists[:, :3, 3]) @ world.axes.T
+            world.travel = np.array([middles.min(axis=0), middles.max(axis=0)])
 
     def draw(self, sample: ViewSample) -> None:
         """Show one sample.
@@ -190,9 +218,13 @@ class HandScene:
         Args:
             sample: What to show.
         """
+        middles = self._human.middle(sample.human_wrist), self._robot.middle(sample.robot_wrist)
+        if sample.human_q is None:
+            middles = self._human.axes @ sample.human_points.mean(axis=0), middles[1]
         with self.server.atomic():
-            self._place(self._human, sample.human_q, sample.human_wrist, self._first.human_wrist)
-            self._place(self._robot, sample.robot_q, sample.robot_wrist, self._first.robot_wrist)
+            self._lay_out(middles)
+            self._place(self._human, sample.human_q, sample.human_wrist, middles[0])
+            self._place(self._robot, sample.robot_q, sample.robot_wrist, middles[1])
             _move(self._human_points, sample.human_points)
             _move(self._robot_points, sample.robot_points)
             _move(self._targets, sample.targets)
@@ -218,26 +250,43 @@ class HandScene:
             corners = (self._ball / np.sqrt(3.0) * _CORNERS) @ sample.deformation.T
             self._cube.position, self._cube.points = sample.pivot, corners[_EDGES].astype(np.float32)
 
-    def _place(self, world: _World, q: np.ndarray, wrist: np.ndarray, first_wrist: np.ndarray) -> None:
-        """Put a hand into its world, and its world into the scene."""
+    def _lay_out(self, middles: tuple[np.ndarray, np.ndarray]) -> None:
+        """Side by side, with room for what either hand, or its travel, takes; and the camera at the distance for both."""
+        human, robot = self._human, self._robot
+        for world, middle in zip((human, robot), middles, strict=True):
+            world.see(middle)
+        is_travelling = self.follow == "world"
+        state = (is_travelling, human.travel.tobytes(), robot.travel.tobytes()) if is_travelling else (is_travelling,)
+        if state != self._laid_out:
+            self._laid_out = state
+            sizes = [2.0 * world.radius + is_travelling * np.ptp(world.travel, axis=0) for world in (human, robot)]
+            width, height = sizes[0][0] + _GAP + sizes[1][0], max(size[1] for size in sizes)
+            # Seen from the palm, +x is on the left.
+            human.anchor = np.array([0.5 * (width - sizes[0][0]), 0.0, 0.0])
+            robot.anchor = np.array([-0.5 * (width - sizes[1][0]), 0.0, 0.0])
+            self._caption.position = (0.0, -0.5 * height - 0.055, 0.0)
+            # A hand is widest in its middle, not in front.
+            depth = max(sizes[0][2] - human.radius, sizes[1][2] - robot.radius)
+            self.camera.fit(width, height + _CAPTION_ROOM, depth)
+
+    def _place(self, world: _World, q: np.ndarray | None, wrist: np.ndarray, middle: np.ndarray) -> None:
+        """Put a hand into its world, and its world into the scene; nothing but its points where no posture is known."""
         hand = world.hand
-        pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
-        world.model.update_cfg(in_order(world.order, q))
-        world.body.wxyz, world.body.position = quat_wxyz_from_rotation(pose[:3, :3]), pose[:3, 3]
-        middle, first_middle = (world.axes @ transform_points(held, world.focus[None])[0] for held in (wrist, first_wrist))
-        world.frame.position = world.anchor - (middle if self.follow == "hands" else first_middle)
-        world.label.position = world.frame.position + middle + (0.0, self._low, 0.0)
+        world.body.visible = q is not None
+        if q is not None:
+            pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
+            world.model.update_cfg(in_order(world.order, q))
+            world.body.wxyz, world.body.position = quat_wxyz_from_rotation(pose[:3, :3]), pose[:3, 3]
+        world.frame.position = world.anchor - (middle if self.follow == "hands" else world.travel.mean(axis=0))
+        low = max(self._human.radius, self._robot.radius) + 0.02
+        world.label.position = world.frame.position + middle - (0.0, low, 0.0)
 
-    @property
-    def _low(self) -> float:
-        """Height of the labels, below both hands."""
-        return -max(self._human.radius, self._robot.radius) - 0.02
-
-    def _add_hand(self, node: str, hand: Hand, q: np.ndarray) -> _World:
+    def _add_hand(self, node: str, hand: Hand, q: np.ndarray | None) -> _World:
         from viser.extras import ViserUrdf
 
         scene = self.server.scene
         urdf = load_urdf(hand)
+        q = hand.rest if q is None else q
         frame = scene.add_frame(f"/{node}", show_axes=False)
         body = scene.add_frame(f"/{node}/body", show_axes=False)
         model = ViserUrdf(self.server, urdf, root_node_name=f"/{node}/body")
@@ -253,7 +302,7 @@ class HandScene:
             low, high = urdf.scene.bounds
             in_wrist = to_wrist @ hand.link_poses([urdf.base_link], q)[0]
             focus, radius = transform_points(in_wrist, 0.5 * (low + high)[None])[0], 0.45 * float(np.linalg.norm(high - low))
-        return _World(hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius, np.zeros(3))
+        return _World(hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius)
 
     def _add_spheres(
         self,
@@ -295,15 +344,6 @@ class HandScene:
             fade_distance=3.0,
             position=(0.0, -0.22, 0.0),
         )
-
-    def _set_up_camera(self, aspect: float) -> None:
-        """Both hands in the middle of the picture, from the palm's side and a little from above."""
-        width = 2.0 * (self._human.radius + self._robot.radius) + _GAP
-        distance = 0.5 * width / (aspect * np.tan(0.5 * _FIELD_OF_VIEW))
-        direction = np.array([0.0, 0.3, -1.0])
-        camera = self.server.initial_camera
-        camera.position = distance * direction / np.linalg.norm(direction)
-        camera.look_at, camera.fov = np.zeros(3), float(_FIELD_OF_VIEW)
 
 
 def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:

@@ -1,0 +1,211 @@
+"""A slider, a list or a box for the options: `OptionControls` tells what the user has moved, and shows what is in force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from handmap_qp.hand import Hand
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.options import MappingOptions
+
+if TYPE_CHECKING:
+    import viser
+
+LEFT_OUT = ("solver", "joint_tolerance", "step_tolerance", "point_tolerance")
+"""Options without a control: nothing is to be seen of them."""
+
+
+class Options(NamedTuple):
+    """All options, whose names are different in both parts.
+
+    Attributes:
+        mapping: The mapping's choices.
+        ik: Weights and settings of the QP.
+    """
+
+    mapping: MappingOptions
+    ik: IkOptions
+
+    def with_changes(self, changes: dict[str, Any]) -> Options:
+        """These, with other values for some.
+
+        Raises:
+            InvalidOptionsError: If the options contradict each other then.
+        """
+        mapping, ik = split_changes(changes)
+        return Options(replace(self.mapping, **mapping), replace(self.ik, **ik))
+
+    def changes_to(self, other: Options) -> dict[str, Any]:
+        """What has to be changed here for the other options, by name."""
+        pairs = ((getattr(a, name), getattr(b, name), name) for a, b in zip(self, other, strict=True) for name in a.__slots__)
+        return {name: theirs for ours, theirs, name in pairs if ours != theirs}
+
+
+def split_changes(changes: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Changes of the mapping's options, and those of the QP's."""
+    ik = {name: value for name, value in changes.items() if name in IkOptions.__slots__}
+    return {name: value for name, value in changes.items() if name not in ik}, ik
+
+
+class _Slider(NamedTuple):
+    """A number among the options: its name, range, step and explanation."""
+
+    name: str
+    low: float
+    high: float
+    step: float
+    hint: str
+
+
+_MAPPING_SLIDERS = (
+    _Slider("ridge", 0.0, 1.0, 0.005, "Pull of the estimated motion towards a rotation; 0 is the paper's least squares"),
+    _Slider("scale", 0.0, 3.0, 0.05, "Factor on translations"),
+    _Slider("deformation_gain", 0.0, 2.0, 0.05, "Exponent of the stretch; 1 is the paper, 0 leaves the fingers undeformed"),
+    _Slider("residual_gain", 0.0, 1.0, 0.05, "Part of a human point's misfit to T that its partner takes over"),
+    _Slider("stretch_min", 0.05, 1.0, 0.05, "Smallest stretch that is passed on"),
+    _Slider("stretch_max", 1.0, 5.0, 0.05, "Largest stretch that is passed on"),
+)
+_IK_SLIDERS = (
+    _Slider("point_weight", 0.0, 5.0, 0.05, "Of the reference points' positions, per 10 mm"),
+    _Slider("wrist_position_weight", 0.0, 10.0, 0.1, "Of the wrist's position, per 10 mm"),
+    _Slider("wrist_orientation_weight", 0.0, 10.0, 0.1, "Of the wrist's orientation, per 0.1 rad"),
+    _Slider("rest_weight", 0.0, 3.0, 0.02, "Pull of every joint to its rest angle"),
+    _Slider("damping", 0.01, 2.0, 0.01, "Cost of any motion"),
+    _Slider("error_damping", 0.0, 3.0, 0.05, "Cost of motion that grows with the error (Levenberg-Marquardt)"),
+    _Slider("max_iterations", 1, 20, 1, "Linearisations per sample"),
+    _Slider("max_acceleration", 0.0, 200.0, 1.0, "Of every coordinate [rad/s², m/s²]; 0 stands for no limit"),
+)
+_CHOICES = {
+    "rigid_from": (("points", "wrist", "none"), "Where the rigid part T_rb comes from"),
+    "pivot": (("centroid", "palm", "world", "point"), "The point about which rotation and deformation act"),
+    "alignment": (("world", "palm"), "Rotation from the human's world axes to the robot's"),
+    "reference": (("initial", "previous"), "Configuration that T starts from"),
+}
+_GIVEN = "as given"
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+@dataclass
+class _Control:
+    """One option in the panel.
+
+    Attributes:
+        handle: What the user moves.
+        to_shown: What the handle shows for a value of the option: a rounded or clipped picture of it, at times.
+        to_option: The option's value for what the handle shows.
+        taken: What the handle showed when the viewer last looked; anything else the user has moved.
+    """
+
+    handle: Any
+    to_shown: Callable[[Any], Any] = _same
+    to_option: Callable[[Any], Any] = _same
+    taken: Any = None
+
+    def __post_init__(self) -> None:
+        """Start from what is shown."""
+        self.taken = self.handle.value
+
+
+class OptionControls:
+    """Sliders, lists and boxes for the options.
+
+    Args:
+        server: A running viser server.
+        robot: The robot hand; one with a fixed wrist has no choice of `rigid_from`, and one that names no pairs of links nothing
+            to keep apart.
+        options: The options to start from.
+    """
+
+    def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
+        self._gui = server.gui
+        self._controls: dict[str, _Control] = {}
+        tabs = server.gui.add_tab_group()
+        with tabs.add_tab("Mapping"):
+            for name, (choices, hint) in _CHOICES.items():
+                self._add_choice(name, choices if robot.is_floating or name != "rigid_from" else ("none",), hint)
+                if name == "pivot":
+                    self._add_point()
+            for slider in _MAPPING_SLIDERS:
+                self._add_slider(slider)
+        with tabs.add_tab("QP"):
+            for slider in _IK_SLIDERS:
+                self._add_slider(slider)
+            self._add_box("has_velocity_limits", "speed limits", "Whether speed limits hold; position limits always do")
+            if robot.spec.collision is not None:
+                self._add_box(
+                    "avoids_self_collision", "self-collision", "Whether the pairs of links that the hand names are kept apart"
+                )
+        self.show(options)
+
+    @property
+    def handles(self) -> dict[str, Any]:
+        """What the user moves, by the option's name."""
+        return {name: control.handle for name, control in self._controls.items()}
+
+    def take_changes(self) -> dict[str, Any]:
+        """The options that the user has moved since the last call, by name."""
+        changes = {}
+        for name, control in self._controls.items():
+            value = control.handle.value
+            if value != control.taken:
+                control.taken, changes[name] = value, control.to_option(value)
+        is_point = self._controls["pivot"].taken == "point"
+        if "pivot" in changes:
+            changes["pivot_point"] = self._controls["pivot_point"].taken if is_point else None
+        self._controls["pivot_point"].handle.visible = is_point
+        return changes
+
+    def show(self, options: Options) -> None:
+        """Put the controls to where the options stand, but for those that the user has moved since `take_changes`."""
+        for name, control in self._controls.items():
+            part = options.ik if name in IkOptions.__slots__ else options.mapping
+            shown = control.to_shown(getattr(part, name))
+            if shown != control.taken:
+                control.handle.value = control.taken = shown
+        self._controls["pivot_point"].handle.visible = self._controls["pivot"].taken == "point"
+
+    def _add_slider(self, slider: _Slider) -> None:
+        handle = self._gui.add_slider(_label(slider.name), slider.low, slider.high, slider.step, slider.low, hint=slider.hint)
+
+        def to_shown(value: float | None) -> float:
+            # An option beyond the usual range widens it; an infinite one stands at its end.
+            value = 0.0 if value is None else value
+            if value < handle.min:
+                handle.min = value
+            if handle.max < value < float("inf"):
+                handle.max = value
+            return min(value, handle.max)
+
+        is_optional = slider.name == "max_acceleration"
+        self._controls[slider.name] = _Control(handle, to_shown, lambda value: (value or None) if is_optional else value)
+
+    def _add_choice(self, name: str, choices: tuple[str, ...], hint: str) -> None:
+        handle = self._gui.add_dropdown(_label(name), choices, hint=hint)
+        given: list[Any] = []
+
+        def to_shown(value: Any) -> str:
+            if not isinstance(value, str):
+                # A rotation that somebody gave in numbers.
+                given[:], value = [value], _GIVEN
+            if value not in handle.options:
+                handle.options = (*handle.options, value)
+            return value
+
+        self._controls[name] = _Control(handle, to_shown, lambda value: given[0] if value == _GIVEN else value)
+
+    def _add_point(self) -> None:
+        hint = "The point of pivot = point, common to both worlds [m]"
+        handle = self._gui.add_vector3("pivot point", (0.0, 0.0, 0.0), step=0.01, hint=hint)
+        self._controls["pivot_point"] = _Control(handle, lambda value: handle.value if value is None else tuple(value))
+
+    def _add_box(self, name: str, label: str, hint: str) -> None:
+        self._controls[name] = _Control(self._gui.add_checkbox(label, initial_value=False, hint=hint))
+
+
+def _label(name: str) -> str:
+    return name.replace("_", " ")
