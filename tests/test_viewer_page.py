@@ -24,7 +24,7 @@ from handmap_qp.viewer.page import write_page
 from handmap_qp.viewer.scene import serving
 
 # The least that a hand covers of the 420 x 540 pixels between the panels.
-FEWEST_PIXELS = 2000
+FEWEST_PIXELS = 1000
 
 
 @pytest.fixture

@@ -52,12 +52,12 @@ class Gauges:
         self._robot = robot
         panel = server.gui.add_panel()
         with panel.add_tab("Gauges"):
+            server.gui.add_html(_legend([(name, _css(colour)) for name, colour in _SCENE_COLOURS]))
             self.error = _add_plot(server, "point error [mm]", ("mean", "largest"), (_BLUE, _GREY))
             server.gui.add_html(_legend((("mean", _BLUE), ("largest", _GREY), ("now", _ORANGE))))
             self.timing = _add_plot(server, "time per step [µs]", ("step",), (_BLUE,))
             self.timing_note = server.gui.add_html("")
             self.joints = server.gui.add_html("")
-            server.gui.add_html(_legend([(name, _css(colour)) for name, colour in _SCENE_COLOURS]))
         panel.dock_left()
         panel.set_width(_WIDTH)
         self._rows, self._plotted, self._starts = np.empty((0, 4)), np.empty((0, 4)), np.empty(0, dtype=int)
@@ -130,7 +130,9 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Names without the beginning that all share, and long ones without their middle: they differ at either end."""
+    """Names; where some are too long, without the beginning that all share, and without their middle: they differ at the ends."""
+    if max(map(len, names)) <= _LONGEST_NAME:
+        return list(names)
     # What a name is called after must not be torn apart.
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     shared = re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
