@@ -26,7 +26,7 @@ from service_process import ServiceProcess, echoing, serving
 from handmap_qp.client import AsyncClient, Client
 
 # One echo to so many steps.
-_ECHO_EVERY = 5
+_ECHO_EVERY = 20
 _CLIENTS_A_PROCESS = 10
 
 
