@@ -298,7 +298,7 @@ class _Connection:
             self._request, self.opened, self._last, self._who = numbered, reply, None, {"session": numbered["session"]}
             self._drop("samples")
             self._listen(reply.name, reply.stream_port)
-        elif self._request and request["type"] in ("clutch", "release"):
+        elif self._request and request["type"] in ("clutch", "release", "reset"):
             self._request["is_released"] = request["type"] == "release"
         self._last = reply if isinstance(reply, Command) else self._last
         return reply
@@ -322,10 +322,10 @@ class _Connection:
         if self._socket("stream").poll(0):
             self._read()
         start, last = {"session": secrets.token_urlsafe(24)}, self._last
-        if self.opened is not None and last is not None:
-            wrist = last.wrist if self.opened.is_floating else None
-            start |= {"name": self.opened.name, "restore": True, "robot_q": last.q, "robot_wrist": wrist}
-            start |= {"is_released": True} if last.status == "released" else {}
+        if self.opened is not None:
+            start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
+            start |= {"robot_wrist": last.wrist} if last is not None and self.opened.is_floating else {}
+            start |= {"is_released": True} if last is not None and last.status == "released" else {}
         yield from self._exchange(self._request | start, Opened, deadline)
         self._last, self.reopened = last, self.reopened + 1
 

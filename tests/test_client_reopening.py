@@ -165,3 +165,26 @@ def test_an_idle_session_comes_back_where_it_was() -> None:
         after = tracker.step(q=human_q(2.0), wrist=WRIST)
         assert (tracker.reopened, after.epoch) == (1, last.epoch)
         assert np.abs(np.subtract(after.q, last.q)).max() < 0.2
+
+
+def test_a_tracker_that_only_sends_and_was_idle_keeps_name_and_posture() -> None:
+    with serving(caps=Caps(idle=0.4)) as server, Client(address_of(server), timeout=2.0) as tracker:
+        name = tracker.open("three_finger").name
+        with driver_of(server, name) as heard:
+            stream(tracker, 0)
+            before = heard()[-1]
+            # The stream's last word is then that the session was closed.
+            time.sleep(0.8)
+            stream(tracker, 20, 3)
+            after = heard()[-1]
+    assert (tracker.reopened, after.name, after.epoch) == (1, name, before.epoch)
+    assert np.abs(np.subtract(after.q, before.q)).max() < 0.4
+
+
+def test_a_reset_takes_hold_again_for_good(server: Server) -> None:
+    with connected(server, name="lab", is_released=True) as tracker:
+        assert tracker.step(q=human_q(), wrist=WRIST).status == "released"
+        tracker.reset()
+        assert tracker.step(q=human_q(), wrist=WRIST).status != "released"
+        lose_sessions(server)
+        assert tracker.step(q=human_q(), wrist=WRIST).status != "released"

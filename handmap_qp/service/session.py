@@ -86,7 +86,8 @@ class Session:
         self._opened_at = self._last_sample = self._last_output = self._held_since = now
         self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
         self._seat()
-        if request.is_released or (former is not None and former.is_released):
+        # What the server knows is newer than what the client believes.
+        if request.is_released if former is None else former.is_released:
             self.release()
 
     @property

@@ -88,10 +88,10 @@ class Sessions:
         Raises:
             RefusedError: If there is none.
         """
-        for entry in self.entries.values():
-            if entry.session.name == name:
-                return entry.session
-        raise RefusedError("invalid", f"no session {name!r}", field="name")
+        session = self._find_named(name)
+        if session is None:
+            raise RefusedError("invalid", f"no session {name!r}", field="name")
+        return session
 
     async def open(self, request: Open, payload: bytes) -> Session:
         """Open a session.
@@ -106,6 +106,8 @@ class Sessions:
             loop = asyncio.get_running_loop()
             hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._shelf)
             robot = hands.mapper.robot
+            # Its client may have come back meanwhile.
+            self._check_unattended(self._find_named(request.name))
             former = self._former(request, name, robot.name, len(robot.joint_names))
             calibration = Calibration(request, self._shelf, self._executor.submit)
             session = Session(request, hands, name, self._clock(), calibration=calibration, former=former)
@@ -151,7 +153,7 @@ class Sessions:
             raise RefusedError("invalid", f"expected at least {_SHORTEST_SECRET} random characters", field="session")
         if request.session in self.entries:
             raise RefusedError("invalid", "there is such a session already; choose another secret", field="session")
-        last = next((entry.session for entry in self.entries.values() if entry.session.name == request.name), None)
+        last = self._find_named(request.name)
         is_replacing = last is not None and request.restore
         if len(self.entries) + len(self._names_opening) - is_replacing >= self._caps.sessions:
             raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
@@ -161,10 +163,18 @@ class Sessions:
             raise RefusedError("denied", "the server takes its own clock (see handmap serve --simulated-time)", field="time_from")
         if request.name in self._names_opening or (last is not None and not request.restore):
             raise RefusedError("invalid", f"there is a session {request.name!r}; restore=true takes it over", field="name")
-        if last is not None and last.is_attended:
-            raise RefusedError("busy", f"session {request.name!r} is in use: its client sends samples", field="name")
+        self._check_unattended(last)
         if request.restore and request.name is None:
             raise RefusedError("invalid", "missing; restore needs to know whose session", field="name")
+
+    def _find_named(self, name: str | None) -> Session | None:
+        """The open session of a name, if there is one."""
+        return next((entry.session for entry in self.entries.values() if entry.session.name == name), None)
+
+    def _check_unattended(self, session: Session | None) -> None:
+        """Refuse to take a session over while its client sends samples."""
+        if session is not None and session.is_attended:
+            raise RefusedError("busy", f"session {session.name!r} is in use: its client sends samples", field="name")
 
     def _former(self, request: Open, name: str, robot: str, joints: int) -> Record | None:
         """Where the session of this name left the robot, if the request asks for it."""

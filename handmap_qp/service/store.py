@@ -7,6 +7,7 @@ write leaves the copy before it whole.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import mmap
 import os
@@ -91,8 +92,7 @@ class PostureStore:
         self._slots: dict[str, int] = {}
         self._written = [0] * _SLOTS
         self._writes = 0
-        for slot in range(_SLOTS):
-            self._load(self._memory, slot)
+        self._load(self._memory)
 
     def __enter__(self) -> Self:
         return self
@@ -153,17 +153,22 @@ class PostureStore:
             self._records.pop(name, None)
         return slot
 
-    def _load(self, memory: mmap.mmap, slot: int) -> None:
+    def _load(self, memory: mmap.mmap) -> None:
+        """Read the file: of each slot the newest copy that is whole, and of each name the newest slot."""
+        found = [read for slot in range(_SLOTS) if (read := self._read(memory, slot)) is not None]
+        for write, slot, record in sorted(found, key=lambda each: each[0]):
+            self._written[slot] = self._writes = write
+            self._slots[record.name], self._records[record.name] = slot, record
+
+    def _read(self, memory: mmap.mmap, slot: int) -> tuple[int, int, Record] | None:
+        """The number of the last write to a slot, the slot, and what was written; None if it holds nothing whole."""
+        newest = None
         for copy in (2 * slot, 2 * slot + 1):
             length, checksum, write = _HEAD.unpack_from(memory, copy * _COPY)
             start = copy * _COPY + _HEAD.size
             payload = memory[start : start + min(length, _COPY)]
-            if length == 0 or write <= self._written[slot] or zlib.crc32(payload) != checksum:
+            if length == 0 or zlib.crc32(payload) != checksum or (newest is not None and write <= newest[0]):
                 continue
-            try:
-                record = self._decode(payload)
-            except msgspec.MsgspecError:
-                continue
-            self._written[slot] = write
-            self._writes = max(self._writes, write)
-            self._slots[record.name], self._records[record.name] = slot, record
+            with contextlib.suppress(msgspec.MsgspecError):
+                newest = write, slot, self._decode(payload)
+        return newest
