@@ -56,6 +56,7 @@ class Driver:
         fastest: Highest speed between two commands, as a part of its limit.
         commands: How many came.
         epochs: How often the robot was said to be elsewhere.
+        missed: Time that commands may account for which were made and never came, since the service was killed [s].
     """
 
     speed: np.ndarray
@@ -63,6 +64,7 @@ class Driver:
     fastest: float = 0.0
     commands: int = 0
     epochs: int = 0
+    missed: float = 0.0
     flags: set[str] = field(default_factory=set)
     _last: Command | None = None
 
@@ -76,7 +78,8 @@ class Driver:
         if last.epoch != command.epoch:
             self.epochs += 1
             return
-        time = command.dt if self.hears_all else command.server_time - last.server_time
+        time = command.dt + self.missed if self.hears_all else command.server_time - last.server_time
+        self.missed = 0.0
         moved = float((np.abs(np.subtract(command.q, last.q)) / self.speed).max())
         # Rounding of a displacement of nothing in no time is no jump.
         if moved > 1e-9:
@@ -177,6 +180,8 @@ class Honest(threading.Thread):
         if self.client.reopened != self._reopened and opened is not None and self.last is not None:
             offset = np.abs(np.subtract(opened.q, self.last.q)) / (self.driver.speed * 3.0 * _MAX_DT)
             self.start_offset = max(self.start_offset, float(offset.max()))
+            # The one that it was killed over.
+            self.driver.missed = _MAX_DT
         self._reopened = self.client.reopened
 
     def _work(self, now: float) -> Command | None:

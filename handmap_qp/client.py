@@ -249,7 +249,7 @@ class _Connection:
         if not (yield self._socket("stream"), zmq.POLLIN, clock.monotonic() + timeout):
             return None
         reply = self._read()
-        if isinstance(reply, Error) and reply.code != "no_session":
+        if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
             raise ServiceError(reply)
         return reply if isinstance(reply, Command) else None
 

@@ -194,6 +194,13 @@ def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
             assert code_of(taken)[0] == "taken"
 
 
+def test_a_session_that_never_had_a_sample_is_taken_over_at_once(server: Server) -> None:
+    # As by a client that gave up waiting for it, and asks again.
+    with connected(server, name="mine", is_released=True, robot_q=np.zeros(8)), Client(address_of(server)) as again:
+        assert again.open("three_finger", name="mine", restore=True).q == (0.0,) * 8
+        assert again.step(q=human_q(), wrist=WRIST).status == "released"
+
+
 def test_restore_needs_something_to_restore(server: Server) -> None:
     with Client(address_of(server)) as client:
         with pytest.raises(ServiceError) as raised:

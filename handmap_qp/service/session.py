@@ -111,8 +111,8 @@ class Session:
 
     @property
     def is_attended(self) -> bool:
-        """Whether its client sends samples."""
-        return self._engaged != "waiting" and self._watch is None
+        """Whether its client sends samples; one that never did may have given up waiting for the session to open."""
+        return self._last_sample > self._opened_at and self._watch is None
 
     @property
     def has_plans(self) -> bool:

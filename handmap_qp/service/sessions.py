@@ -161,7 +161,9 @@ class Sessions:
             raise RefusedError("rate", f"more than {self._caps.opens:g} sessions opened a second; try again later")
         if request.time_from == "client" and not self._caps.allows_client_time:
             raise RefusedError("denied", "the server takes its own clock (see handmap serve --simulated-time)", field="time_from")
-        if request.name in self._names_opening or (last is not None and not request.restore):
+        if request.name in self._names_opening:
+            raise RefusedError("busy", f"session {request.name!r} is being opened", field="name")
+        if last is not None and not request.restore:
             raise RefusedError("invalid", f"there is a session {request.name!r}; restore=true takes it over", field="name")
         self._check_unattended(last)
         if request.restore and request.name is None:
