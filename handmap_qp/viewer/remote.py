@@ -18,7 +18,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.library import load_hand
 from handmap_qp.options import MappingOptions
 from handmap_qp.trackers.landmarks import human_name
-from handmap_qp.transform import affine, nearest_rotation, pose_from_xyz_quat
+from handmap_qp.transform import affine, nearest_rotation
 from handmap_qp.viewer.option_controls import Options, split_changes
 from handmap_qp.viewer.samples import ViewSample
 
@@ -230,13 +230,15 @@ class ServiceSession:
             return None
         if self._start is None:
             self._start = command.server_time
-        detail, q, wrist = self._detail, np.array(command.q), _matrix(command.wrist)
+        detail, q, wrist = self._detail, np.array(command.q), command.wrist.matrix
         human_points, human_q, human_wrist = (detail[name] for name in ("human_points", "human_q", "human_wrist"))
         human_points = np.array(human_points)
         return ViewSample(
             time=command.server_time - self._start,
             human_q=None if human_q is None else np.array(human_q),
-            human_wrist=self._lay_on(human_points) if human_wrist is None else _pose(human_wrist, type(command.wrist)),
+            human_wrist=self._lay_on(human_points)
+            if human_wrist is None
+            else msgspec.convert(human_wrist, type(command.wrist)).matrix,
             human_points=human_points,
             robot_q=q,
             robot_wrist=wrist,
@@ -268,14 +270,6 @@ class ServiceSession:
 
 def _options(about: dict[str, Any]) -> Options:
     return Options(msgspec.convert(about["mapping"], MappingOptions), msgspec.convert(about["ik"], IkOptions))
-
-
-def _pose(pose: dict[str, Any], kind: type) -> np.ndarray:
-    return _matrix(msgspec.convert(pose, kind))
-
-
-def _matrix(pose: Any) -> np.ndarray:
-    return pose_from_xyz_quat((*pose.position, *pose.quat_xyzw), "xyzw")
 
 
 def _address(host: str) -> str:
