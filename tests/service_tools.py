@@ -11,9 +11,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
-from handmap_qp.client import Client
-from handmap_qp.service.messages import PROTOCOL, Command, Open, Pose, Reset, Step
+from handmap_qp.client import Client, ServiceError
+from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Step
 from handmap_qp.service.opening import Calibration, Hands, HandShelf, prepare_hands
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Posture, Session
@@ -37,6 +38,16 @@ def human_q(phase: float = 0.0, robot: str = "three_finger") -> np.ndarray:
 def opening(robot: str = "three_finger", **choices: Any) -> Open:
     """A request to open a session."""
     return Open(protocol=PROTOCOL, seq=1, session=SECRET, robot=robot, **choices)
+
+
+def change(**changes: Any) -> Configure:
+    """A request to change options."""
+    return Configure(protocol=PROTOCOL, seq=99, session=SECRET, **changes)
+
+
+def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
+    """What a refusal says: its code, and the field at fault."""
+    return raised.value.error.code, raised.value.error.field
 
 
 def run_now(work: Callable[[], Hands]) -> Future[Hands]:

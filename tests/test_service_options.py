@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from service_tools import SECRET, Sampler, human_q, make_session
+from service_tools import Sampler, change, human_q, make_session
 
 from handmap_qp import IkOptions, MappingOptions
 from handmap_qp.errors import RefusedError
 from handmap_qp.ik import solvers
-from handmap_qp.service.messages import PROTOCOL, Configure, Pose
+from handmap_qp.service.messages import Pose
 
 PERIOD = 1.0 / 60.0
-
-
-def change(**changes: Any) -> Configure:
-    return Configure(protocol=PROTOCOL, seq=99, session=SECRET, **changes)
 
 
 def numbers_of(kind: type) -> st.SearchStrategy[dict[str, float]]:

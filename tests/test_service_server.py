@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import pytest
 import zmq
-from service_tools import HERE, SECRET, Sampler, address_of, connected, human_q, opening, serving
+from service_tools import HERE, SECRET, Sampler, address_of, code_of, connected, human_q, opening, serving
 
 from handmap_qp import load_hand
 from handmap_qp.client import Client, ServiceError
@@ -53,10 +53,6 @@ def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER, timeout: float
 
 def encoded(request: Request) -> bytes:
     return msgspec.msgpack.encode(request)
-
-
-def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
-    return raised.value.error.code, raised.value.error.field
 
 
 def test_a_step_names_joints_as_the_urdf_does_and_bears_its_number(server: Server) -> None:

@@ -15,6 +15,7 @@ from service_tools import (
     RESET,
     SHELF,
     Sampler,
+    change,
     follow,
     human_q,
     make_session,
@@ -23,13 +24,9 @@ from service_tools import (
 )
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.messages import PROTOCOL, Configure, Pose
+from handmap_qp.service.messages import Pose
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-
-
-def change(**changes: Any) -> Configure:
-    return Configure(protocol=PROTOCOL, seq=99, **changes)
 
 
 # What may come, and how long after the last event: samples with time stamps of any kind, requests, silence.

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from service_tools import address_of, connected, human_q, serving
+from service_tools import address_of, code_of, connected, human_q, serving
 
 from handmap_qp.client import Client, ServiceError
 from handmap_qp.service.caps import Caps
@@ -21,10 +21,6 @@ WRIST = np.eye(4)
 def server() -> Iterator[Server]:
     with serving() as running:
         yield running
-
-
-def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
-    return raised.value.error.code, raised.value.error.field
 
 
 def test_anyone_may_look_and_only_at_a_shared_session_steer(server: Server) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
-from viewer_cases import COUNT, GAP, closing_motion, make_replay
+from viewer_cases import COUNT, GAP, closing_motion, make_replay, press
 
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, MappingOptions, load_hand
 from handmap_qp.library import hand_names
@@ -57,11 +57,6 @@ def in_scene(server: Any, node: str, points: np.ndarray) -> np.ndarray:
 def seek(viewer: ReplayViewer, index: int) -> None:
     viewer.play_bar.slider.value = float(viewer.replay.time[index])
     viewer.tick(0.0)
-
-
-def press(button: Any) -> None:
-    """What the browser does when a button is clicked."""
-    button.value = True
 
 
 # -- what is mapped -----------------------------------------------------------------------------------------------------

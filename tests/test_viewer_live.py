@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
-from viewer_cases import make_replay
+from viewer_cases import make_replay, press
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
 from handmap_qp.transform import rotation_from_quat_wxyz
@@ -122,11 +122,6 @@ def test_a_source_that_says_only_commands_is_drawn_without_targets(server: Any, 
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
     assert server.scene.get_handle_by_name("/robot/points/0").visible
     viewer.close()
-
-
-def press(button: Any) -> None:
-    """What the browser does when a button is clicked."""
-    button.value = True
 
 
 def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -> None:

@@ -33,6 +33,11 @@ def make_replay(robot: str = "three_finger", **changes: Any) -> Replay:
     return Replay(motion, motion.human, load_hand(robot), MappingOptions(**changes), IkOptions())
 
 
+def press(button: Any) -> None:
+    """What the browser does when a button is clicked."""
+    button.value = True
+
+
 def write_recording(path: Path) -> Path:
     """That motion as a recording of landmarks."""
     motion = closing_motion("landmarks")
