@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -13,7 +12,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
-from viewer_cases import make_replay, press
+from viewer_cases import make_replay, press, wait_until
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
 from handmap_qp.transform import rotation_from_quat_wxyz
@@ -67,13 +66,6 @@ def source() -> Iterator[Source]:
 def server() -> Iterator[Any]:
     with serving() as running:
         yield running
-
-
-def wait_until(is_done: Any) -> None:
-    end = time.monotonic() + 5.0
-    while not is_done():
-        assert time.monotonic() < end, "nothing happens"
-        time.sleep(0.005)
 
 
 def test_the_newest_sample_is_drawn_and_all_are_plotted(server: Any, source: Source) -> None:

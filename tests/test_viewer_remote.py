@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-
 
 import service_tools
 from service_tools import address_of, connected, human_q
+from viewer_cases import wait_until
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.client import Client, Command
@@ -171,12 +171,14 @@ def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Serve
 
 def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(service: Server) -> None:
     with connected(service, name="lab", is_shared=True) as client, moving(client), serving() as page:
-        viewer = LiveViewer(page, ServiceSession(host_of(service)))
+        session = ServiceSession(host_of(service))
+        viewer = LiveViewer(page, session)
         assert viewer.steering is not None
         handles = viewer.steering.options.handles
         try:
             handles["ridge"].value = 0.5
-            tick_until(viewer, lambda: mapping_of(service)["ridge"] == 0.5)
+            # The view has seen it too: losing the session any earlier would show 0.1 as the value from before.
+            tick_until(viewer, lambda: session.options.mapping.ridge == 0.5)
             service.dispatcher.sessions.entries.clear()
             tick_until(viewer, lambda: handles["ridge"].value == 0.1)
             assert mapping_of(service)["ridge"] == 0.1
@@ -230,13 +232,6 @@ def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> 
         sample = next(samples)
     assert sample.human_q is None
     np.testing.assert_allclose(sample.human_wrist, pose, atol=2e-3)
-
-
-def wait_until(is_done: Callable[[], bool]) -> None:
-    end = time.monotonic() + 5.0
-    while not is_done():
-        assert time.monotonic() < end, "nothing happens"
-        time.sleep(0.005)
 
 
 def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(service: Server) -> None:
