@@ -10,6 +10,9 @@ CONSTRAINTS := .ci/constraints.txt
 # The interpreters to make .venv from, the first that will do; `make PYTHON=...` names another.
 PYTHONS := $(or $(PYTHON),python3.11 python3 python3.12 python3.13)
 
+# A core each, up to four. The tests of a file stay together, for they share what is slow to make.
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
+
 # One thread: our matrices are small, so that more threads only wait for each other, and timings scatter.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -37,7 +40,7 @@ demo: $(INSTALLED) ## See it work: a human hand's motion on a robot hand, with p
 	@$(BIN)/handmap demo $(ARGS)
 
 test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 lint: $(INSTALLED) ## Check style (ruff), types (pyright) and who imports whom (import-linter)
 	@$(BIN)/ruff check .
