@@ -154,6 +154,24 @@ def test_limits_hold_from_anywhere_to_anywhere(which: tuple[str, str, str | None
         assert (dq >= lower - 1e-9).all()
 
 
+@pytest.mark.parametrize("solver", ["daqp", "osqp", "quadprog", "clarabel", "piqp"])
+def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
+    # Where the iterations have come to an end the slopes know it too: none where a joint is free, outwards where it is held.
+    hand, rng, held = load_hand("allegro_right"), np.random.default_rng(12), 0
+    ik = PointIk(hand, IkOptions(solver=solver, max_iterations=100, step_tolerance=1e-8))
+    for _ in range(30):
+        ik.place(any_posture(hand, rng, outside=0.0))
+        targets, wrist = ik.configuration.points + 0.02 * rng.normal(size=(4, 3)), ik.configuration.wrist.homogeneous
+        result = ik.solve(targets, wrist, 1.0 / 60.0)
+        if result.last_step < 1e-8:
+            H, c, *_ = ik.problem(targets, wrist, 1.0 / 60.0)
+            slope = c / np.diag(H)
+            # Measured: 2e-8 where free, 1.7e-4 and more where held.
+            np.testing.assert_array_equal(result.active, -np.sign(slope) * (np.abs(slope) > 1e-6))
+            held += np.count_nonzero(result.active)
+    assert held > 100
+
+
 def test_a_hand_comes_back_into_its_limits_and_stays() -> None:
     hand = load_hand("allegro_right")
     ik, rng = PointIk(hand, IkOptions()), np.random.default_rng(0)

@@ -28,6 +28,9 @@ from handmap_qp.ik.solvers import make_solver
 End = Literal["solved", "failed", "released"]
 # A hand whose last step is shorter than this stands still, for all that its status says [rad or m].
 _AT_REST = 1e-3
+# What is so near to a bound is at it, as a share of the room between both bounds, or of 1 rad or m where that is more: iterations
+# add up to a bound but for rounding, and solvers but for their tolerance (clarabel and piqp leave up to 1e-7).
+_AT_BOUND = 1e-7
 
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
 
@@ -65,7 +68,8 @@ class IkResult:
     @property
     def active(self) -> np.ndarray:
         """-1 at a lower bound, +1 at an upper one, 0 between, shape (k,)."""
-        return (self.displacement >= self.upper).astype(np.int8) - (self.displacement <= self.lower)
+        near = _AT_BOUND * np.minimum(self.upper - self.lower, 1.0)
+        return (self.upper - self.displacement <= near).astype(np.int8) - (self.displacement - self.lower <= near)
 
     @property
     def status(self) -> Status:
