@@ -7,9 +7,8 @@
         command = client.latest(timeout=0.1)
 
 Another process, say the robot's driver, calls `watch` with the session's name, and `latest`. `AsyncClient` is the same with
-`await`. A call that gets no answer within the client's timeout raises `ServiceTimeoutError`, and may be made again. On a server
-that was restarted, the session is opened anew where the last command left the robot. SI and radians; `handmap serve --schema`
-describes all fields. A client is for one thread, or one event loop.
+`await`. A call without an answer in time raises `ServiceTimeoutError`. On a server that was restarted, the session is opened anew
+where the robot is. SI and radians; `handmap serve --schema` describes all fields. A client is for one thread, or one event loop.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ import math
 import secrets
 import time as clock
 from collections.abc import Callable, Generator
-from contextlib import AbstractAsyncContextManager, AbstractContextManager
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
 from functools import wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -48,21 +47,23 @@ class Pose(msgspec.Struct, frozen=True):
         """The same as (4, 4)."""
         x, y, z, w = np.array(self.quat_xyzw) / np.linalg.norm(self.quat_xyzw)
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        matrix = np.eye(4)
-        matrix[:3] = np.column_stack([np.eye(3) + 2.0 * (w * cross + cross @ cross), self.position])
-        return matrix
+        rotation = np.eye(3) + 2.0 * (w * cross + cross @ cross)
+        return np.vstack([np.column_stack([rotation, self.position]), [0.0, 0.0, 0.0, 1.0]])
 
     @classmethod
-    def of(cls, pose: Pose | npt.ArrayLike) -> Pose:
-        """The pose of a (4, 4) matrix, or of seven numbers x y z qx qy qz qw."""
+    def of(cls, pose: Pose | npt.ArrayLike, name: str = "pose") -> Pose:
+        """The pose of a (4, 4) matrix, or of seven numbers x y z qx qy qz qw; raises `ValueError` if it is none."""
         if isinstance(pose, Pose):
             return pose
         values = np.asarray(pose, dtype=float)
         if values.shape == (7,):
             return cls(tuple(values[:3].tolist()), tuple(values[3:].tolist()))
         if values.shape != (4, 4):
-            raise ValueError(f"expected a pose (4, 4), or 7 numbers, got shape {values.shape}")
+            raise ValueError(f"{name}: expected shape (4, 4), or 7 numbers, got shape {values.shape}")
         R, K = values[:3, :3], np.empty((4, 4))
+        # Of a hand that is lost, many trackers send zeros.
+        if not (np.abs(R.T @ R - np.eye(3)).max() <= 1e-3 and np.linalg.det(R) > 0.0 and (values[3] == (0, 0, 0, 1)).all()):
+            raise ValueError(f"{name}: expected a rotation and a translation, got {values.tolist()}")
         # The quaternion is an eigenvector of this matrix (Bar-Itzhack 2000), which has no singular case; its lower half will do.
         K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
         K[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)
@@ -118,6 +119,7 @@ class State(_Reply, frozen=True):
     mode: str = "serving"
     counts: dict[str, int] = {}
     robots: Names = ()
+    is_released: bool = False
     q: Numbers = ()
     stream_port: int = 0
     about: dict[str, Any] | None = None
@@ -151,20 +153,14 @@ class ServiceTimeoutError(TimeoutError):
 _OPTIONS = (zmq.IPV6, 1), (zmq.LINGER, 0), (zmq.RECONNECT_IVL, 50), (zmq.HEARTBEAT_IVL, 1000), (zmq.HEARTBEAT_TIMEOUT, 3000)
 # Arrays of any kind, wherever they are, travel as lists.
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=lambda value: np.asarray(value).tolist()).encode
-P = ParamSpec("P")
 R = TypeVar("R")
 _Work = Generator[tuple[zmq.Socket, int, float], bool, R]
 """What a call does, but for the waiting: it yields a socket, an event and until when, and is sent whether the event came."""
 
 
-def _call(work: Callable[Concatenate[Any, P], _Work[Any]]) -> Callable[Concatenate[Any, P], Any]:
+def _call(work: Callable[..., _Work[Any]]) -> Callable[..., Any]:
     """A method of both clients, written once: it gives the answer itself in `Client`, and what can be awaited in `AsyncClient`."""
-
-    @wraps(work)
-    def method(client: Any, *args: P.args, **kwargs: P.kwargs) -> Any:
-        return client._run(work(client, *args, **kwargs))
-
-    return method
+    return wraps(work)(lambda client, *args, **kwargs: client._run(work(client, *args, **kwargs)))
 
 
 class _Connection:
@@ -175,15 +171,18 @@ class _Connection:
     """
 
     def __init__(self, address: str = ADDRESS, *, timeout: float = 2.0, attempts: int = 2, keys: KeyFiles | None = None) -> None:
+        if "://" not in address or not address.rpartition(":")[2].isdigit():
+            raise ValueError(f"expected an address such as {ADDRESS}, got {address!r}")
         self.address, self.timeout, self.attempts = address, timeout, attempts
         self._keys = None if keys is None else (*zmq.auth.load_certificate(keys[0]), zmq.auth.load_certificate(keys[1])[0])
+        if self._keys is not None and self._keys[1] is None:
+            raise ValueError(f"{keys}: expected NAME.key_secret and server.key; the first holds no secret key")
         self.opened: Opened | None = None
         self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-        self._sockets: dict[str, zmq.Socket] = {}
-        self._request: dict[str, Any] = {}
-        self._last: Command | None = None
+        self._sockets, self._waits = dict[str, zmq.Socket](), dict[zmq.Socket, asyncio.Event]()
+        self._request, self._last = dict[str, Any](), None
         self.reopened, self._seq, self._who, self._stream = 0, 0, {"session": ""}, ("", 0)
-        self._turns = asyncio.Lock(), asyncio.Lock()
+        self._acted, self._turns = 0, (asyncio.Lock(), asyncio.Lock())
 
     def _socket(self, use: str) -> zmq.Socket:
         """The socket for `requests`, `samples` or the `stream`, made when it is first needed."""
@@ -205,19 +204,19 @@ class _Connection:
 
     def _drop(self, *uses: str) -> None:
         for use in self._sockets.keys() & uses:
-            self._sockets.pop(use).close(linger=0)
+            # A task that waits for it goes on, before its descriptor becomes another socket's.
+            if changed := self._waits.pop(socket := self._sockets.pop(use), None):
+                asyncio.get_running_loop().remove_reader(socket.FD)
+                changed.set()
+            socket.close(linger=0)
 
     def _number(self, request: dict[str, Any]) -> dict[str, Any]:
         """The request as it is sent next: its number, and the session that it is for."""
         self._seq += 1
-        return self._who | request | {"protocol": PROTOCOL, "seq": self._seq}
+        return ({} if request["type"] == "open" else self._who) | request | {"protocol": PROTOCOL, "seq": self._seq}
 
-    @_call
-    def open(self, robot: str, **choices: Any) -> _Work[Opened]:
-        """Open a session; choices are the fields of `open`: `input`, `robot_q`, `mapping` and so on."""
-        self._who = {"session": ""}
-        return self._exchange(_message("open", robot=robot, session=secrets.token_urlsafe(24), **choices), Opened)
-
+    open = _call(lambda self, robot, **choices: self._exchange(_message("open", robot=robot, **choices), Opened))
+    open.__doc__ = "Open a session on `robot`; choices are the fields of `open`: `input`, `robot_q`, `mapping` and so on."
     step = _call(lambda self, **sample: self._exchange(_message("step", **sample), Command))
     step.__doc__ = "Map one sample: `q` [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n, 3) [m]; `time` [s]."
     clutch = _call(lambda self: self._exchange(_message("clutch"), Done))
@@ -226,6 +225,8 @@ class _Connection:
     release.__doc__ = "Let go: the robot holds still until `clutch`."
     reset = _call(lambda self, **start: self._exchange(_message("reset", **start), Done))
     reset.__doc__ = "Start anew where `robot_q` and `robot_wrist` say the robot is; without them it goes to rest within its limits."
+    configure = _call(lambda self, **changes: self._exchange(_message("configure", **changes), Done))
+    configure.__doc__ = "Change `mapping`, `ik`, `has_detail` as of `open`; options not named, and the reference, stay as they are."
     status = _call(lambda self: self._exchange(_message("status"), State))
     status.__doc__ = "How the session is; the server, if none is open."
 
@@ -234,7 +235,7 @@ class _Connection:
         """Send a sample as of `step` and do not wait for its command, which comes in the stream; the newest counts."""
         if self.opened is None:
             raise RuntimeError("open a session first")
-        if (socket := self._socket("samples")).poll(0) and isinstance(reply := self._decode(socket.recv(zmq.NOBLOCK)), Error):
+        if (socket := self._socket("samples")).poll(0) and isinstance(reply := self._take(socket.recv(zmq.NOBLOCK)), Error):
             # Of an earlier sample; what is wrong inside one is told in the stream.
             if reply.code != "no_session":
                 raise ServiceError(reply)
@@ -244,11 +245,14 @@ class _Connection:
     @_call
     def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
         """The newest command of the stream; None if there has been none since the last call, nor is within `timeout` [s]."""
+        until = clock.monotonic() + timeout
         if not self._stream[1]:
             raise RuntimeError("open a session first, or watch one")
-        if not (yield self._socket("stream"), zmq.POLLIN, clock.monotonic() + timeout):
-            return None
-        reply = self._read()
+        while not (yield self._socket("stream"), zmq.POLLIN, until):
+            # Another task's call may have put another socket in its place, or closed the client.
+            if not self._stream[1] or clock.monotonic() >= until:
+                return None
+        reply = self._take(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
         if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
             raise ServiceError(reply)
         return reply if isinstance(reply, Command) else None
@@ -264,22 +268,12 @@ class _Connection:
         return state
 
     @_call
-    def configure(self, **changes: Any) -> _Work[Done]:
-        """Change `mapping`, `ik` and `has_detail` as of `open`; options not named, and the reference, stay as they are."""
-        done = yield from self._exchange(request := _message("configure", **changes), Done)
-        # A session that has to be opened anew is to have them too.
-        for field in request.keys() & {"mapping", "ik", "has_detail"} if self.opened else ():
-            self._request[field] = request[field] if field == "has_detail" else self._request.get(field, {}) | request[field]
-        return done
-
-    @_call
     def close(self) -> _Work[None]:
         """End the session, if there is one and the server can be reached, and let go of the sockets."""
         try:
-            if self.opened is not None:
-                yield from self._exchange(_message("close"), Done)
-        except (ServiceError, ServiceTimeoutError):
-            pass
+            with suppress(ServiceError, ServiceTimeoutError):
+                if self.opened is not None:
+                    yield from self._exchange(_message("close"), Done)
         finally:
             self.opened, self._request, self._last, self._who, self._stream = None, {}, None, {"session": ""}, ("", 0)
             self._drop(*tuple(self._sockets))
@@ -292,15 +286,17 @@ class _Connection:
             yield from self._reopen(deadline)
             reply = yield from self._ask(self._number(request), deadline)
         if not isinstance(reply, kind):
-            other = Error(code="protocol", message=f"expected {kind.__name__}, got {type(reply).__name__}")
-            raise ServiceError(reply if isinstance(reply, Error) else other)
+            raise ServiceError(reply if isinstance(reply, Error) else Error(code="protocol", message=f"unexpected {reply}"))
         if isinstance(reply, Opened):
             self._request, self.opened, self._last, self._who = numbered, reply, None, {"session": numbered["session"]}
+            self._acted = reply.seq
             self._drop("samples")
             self._listen(reply.name, reply.stream_port)
         elif self._request and request["type"] in ("clutch", "release", "reset"):
-            self._request["is_released"] = request["type"] == "release"
-        self._last = reply if isinstance(reply, Command) else self._last
+            self._request["is_released"], self._acted = request["type"] == "release", reply.seq
+        elif self._request and request["type"] == "configure":
+            for field in request.keys() & {"mapping", "ik", "has_detail"}:
+                self._request[field] = request[field] if field == "has_detail" else self._request.get(field, {}) | request[field]
         return reply
 
     def _listen(self, name: str, port: int) -> None:
@@ -310,22 +306,24 @@ class _Connection:
         self._stream = name, port
         self._socket("stream")
 
-    def _read(self) -> _Reply:
-        """What waits in the stream."""
-        reply = self._decode(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
+    def _take(self, payload: bytes) -> _Reply:
+        """A message that has come; of commands it is kept what a session that has to be opened anew goes on from."""
+        reply = self._decode(payload)
         if isinstance(reply, Command) and (self._last is None or reply.seq >= self._last.seq):
             self._last = reply
+            # Others may let go of a shared session too; what was done here since the sample that this answers is newer.
+            if self._request and reply.seq > self._acted:
+                self._request["is_released"] = "released" in reply.flags
         return reply
 
     def _reopen(self, deadline: float) -> _Work[None]:
         """The session anew, where it was; a server that does not remember that takes where its last command left the robot."""
         if self._socket("stream").poll(0):
-            self._read()
+            self._take(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
         start, last = {"session": secrets.token_urlsafe(24)}, self._last
         if self.opened is not None:
             start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
             start |= {"robot_wrist": last.wrist} if last is not None and self.opened.is_floating else {}
-            start |= {"is_released": True} if last is not None and last.status == "released" else {}
         yield from self._exchange(self._request | start, Opened, deadline)
         self._last, self.reopened = last, self.reopened + 1
 
@@ -338,7 +336,7 @@ class _Connection:
             if (yield socket, zmq.POLLOUT, until):
                 socket.send(payload, zmq.NOBLOCK)
                 while (yield socket, zmq.POLLIN, until):
-                    reply = self._decode(socket.recv(zmq.NOBLOCK))
+                    reply = self._take(socket.recv(zmq.NOBLOCK))
                     # An answer to a request that was given up is of no use any more; 0 is a refusal to look at this one.
                     if reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error)):
                         return reply
@@ -349,7 +347,8 @@ class _Connection:
 def _message(kind: str, **fields: Any) -> dict[str, Any]:
     """A request: poses in any form as `Pose`, and nothing where there is None."""
     given = {name: value for name, value in fields.items() if value is not None}
-    poses = {name: Pose.of(given[name]) for name in ("wrist", "robot_wrist") if name in given}
+    poses = {name: Pose.of(given[name], name) for name in ("wrist", "robot_wrist") if name in given}
+    given |= {"session": secrets.token_urlsafe(24)} if kind == "open" else {}
     return {"type": kind} | ({"time": clock.monotonic()} if kind in ("step", "sample") else {}) | given | poses
 
 
@@ -385,16 +384,17 @@ class AsyncClient(_Connection, AbstractAsyncContextManager["AsyncClient"]):
         """Whether the event comes in time. ZeroMQ's descriptor tells that something has changed, and `EVENTS` what."""
         changed, loop, descriptor = asyncio.Event(), asyncio.get_running_loop(), socket.FD
         loop.add_reader(descriptor, changed.set)
+        self._waits[socket] = changed
         try:
-            async with asyncio.timeout_at(loop.time() + until - clock.monotonic()):
-                while not int(socket.EVENTS) & event:
-                    await changed.wait()
-                    changed.clear()
-            return True
-        except TimeoutError:
-            return False
+            with suppress(TimeoutError):
+                async with asyncio.timeout_at(loop.time() + until - clock.monotonic()):
+                    while not (socket.closed or int(socket.EVENTS) & event):
+                        await changed.wait()
+                        changed.clear()
+            return not socket.closed and int(socket.EVENTS) & event != 0
         finally:
-            loop.remove_reader(descriptor)
+            if self._waits.pop(socket, None):
+                loop.remove_reader(descriptor)
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()

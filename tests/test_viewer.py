@@ -21,7 +21,8 @@ from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.gauges import short_names
 from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls, Options
 from handmap_qp.viewer.samples import Replay
-from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf, serving
+from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
+from handmap_qp.viewer.serving import serving
 
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -284,9 +285,9 @@ def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -
 
 def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayViewer) -> None:
     seek(viewer, 30)
-    press(viewer.steering.clutch)
+    press(viewer.steering.release)
     viewer.tick(0.0)
-    assert viewer.steering.clutch.label == "Clutch"
+    assert viewer.steering.release.disabled
     seek(viewer, 45)
     press(viewer.steering.clutch)
     viewer.tick(0.0)
@@ -297,7 +298,7 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
     assert samples[45].targets is not None
     np.testing.assert_allclose(samples[45].targets, samples[44].robot_points, atol=1e-9)
-    assert viewer.steering.clutch.label == "Release"
+    assert viewer.steering.clutch.disabled
     press(viewer.steering.reset)
     viewer.tick(0.0)
     assert not viewer.replay.switches

@@ -19,7 +19,7 @@ from handmap_qp.transform import rotation_from_quat_wxyz
 from handmap_qp.viewer.live import LiveViewer, show_live
 from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.samples import ViewSample
-from handmap_qp.viewer.scene import serving
+from handmap_qp.viewer.serving import serving
 
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -42,8 +42,11 @@ class Source:
                 raise item
             yield item
 
-    def toggle_clutch(self) -> None:
-        self.is_released = not self.is_released
+    def release(self) -> None:
+        self.is_released = True
+
+    def clutch(self) -> None:
+        self.is_released = False
 
     def configure(self, changes: dict[str, Any]) -> None:
         self.asked.append(changes)
@@ -121,11 +124,15 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     viewer = LiveViewer(server, source)
     assert viewer.steering is not None
     handles = viewer.steering.options.handles
-    press(viewer.steering.clutch)
+    press(viewer.steering.release)
     handles["ridge"].value = 0.5
     viewer.tick()
     viewer.tick()
-    assert (source.is_released, source.options.mapping, viewer.steering.clutch.label) == (True, MappingOptions(ridge=0.5), "Clutch")
+    assert (source.is_released, source.options.mapping) == (True, MappingOptions(ridge=0.5))
+    assert (viewer.steering.release.disabled, viewer.steering.clutch.disabled) == (True, False)
+    press(viewer.steering.release)
+    viewer.tick()
+    assert source.is_released, "whoever presses Release means it, also where somebody else has let go a moment ago"
     handles["scale"].value = 2.5
     viewer.tick()
     viewer.tick()

@@ -21,7 +21,7 @@ from handmap_qp import HandError, HandmapError, InvalidInputError, MappingOption
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
-from handmap_qp.viewer.scene import serving
+from handmap_qp.viewer.serving import serving
 
 # The least that a hand covers of the 420 x 540 pixels between the panels.
 FEWEST_PIXELS = 1000
@@ -213,7 +213,7 @@ def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) ->
             while not has_both_hands(browser.screenshot()[1][160:, 340:660]):
                 assert time.monotonic() < end, "no human hand on the left, or no robot's points on the right"
             browser.evaluate("[...document.querySelectorAll('button')].find(e => e.innerText.trim() == 'Release').click()")
-            browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch')")
+            browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch' && !e.disabled)")
         viewer.close()
     assert not browser.errors
 

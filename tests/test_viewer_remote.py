@@ -27,7 +27,7 @@ from handmap_qp.transform import affine, rotation_from_quat_wxyz
 from handmap_qp.viewer.live import LiveViewer
 from handmap_qp.viewer.remote import ServiceSession
 from handmap_qp.viewer.samples import ViewSample
-from handmap_qp.viewer.scene import serving
+from handmap_qp.viewer.serving import serving
 
 WRIST = np.eye(4)
 WRIST[:3, 3] = 0.1, 0.2, 0.3
@@ -124,11 +124,11 @@ def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
             viewer.steering.options.handles["deformation_gain"].value = 0.0
             viewer.tick()
             wait_until(lambda: mapping_of(service)["deformation_gain"] == 0.0)
-            viewer.steering.clutch.value = True
+            viewer.steering.release.value = True
             tick_until(viewer, lambda: commands[-1].status == "released")
             wait_until(lambda: viewer.sample.status == "released")
             viewer.tick()
-            assert viewer.steering.clutch.label == "Clutch"
+            assert not viewer.steering.clutch.disabled
             viewer.steering.clutch.value = True
             tick_until(viewer, lambda: commands[-1].status != "released")
         finally:
@@ -250,7 +250,7 @@ def test_an_encrypted_service_is_seen_with_keys_alone(tmp_path: Path) -> None:
         client.open("three_finger", name="lab", is_shared=True)
         with moving(client), watching(service, keys=viewer) as (session, samples):
             assert next(samples).is_seen
-            session.toggle_clutch()
+            session.release()
             wait_until(lambda: next(samples).status == "released")
             assert session.is_released
         with pytest.raises(InvalidInputError, match="no answer"):

@@ -6,6 +6,10 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass
 
+from handmap_qp.errors import InvalidOptionsError
+
+MOST_SESSIONS = 128
+"""As many postures are remembered; each open session has to be."""
 _MOST_PEERS = 1024
 
 
@@ -14,7 +18,7 @@ class Caps:
     """What a server allows its clients.
 
     Attributes:
-        sessions: Sessions open at a time.
+        sessions: Sessions open at a time, 1 to 128.
         rate: Messages a second from one connection.
         opens: Sessions opened a second, once as many as there may be have been opened.
         configures: Changes of options a second, in all sessions together: each takes about a millisecond.
@@ -30,6 +34,18 @@ class Caps:
     message_size: int = 16384
     idle: float = 60.0
     allows_client_time: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be.
+
+        Raises:
+            InvalidOptionsError: Naming the cap.
+        """
+        if not 1 <= self.sessions <= MOST_SESSIONS:
+            raise InvalidOptionsError(f"sessions: expected 1 to {MOST_SESSIONS}, got {self.sessions}")
+        for name in ("rate", "opens", "configures", "message_size", "idle"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidOptionsError(f"{name}: expected a number > 0, got {getattr(self, name)}")
 
 
 class Bucket:

@@ -33,7 +33,7 @@ class Serve:
         web_origin: Further origins of pages that may connect.
         state: File that keeps the postures last commanded, for sessions that ask to be restored after a restart.
         hand: Further robot hands that clients may open: paths of hand.yaml files.
-        sessions: Sessions open at a time.
+        sessions: Sessions open at a time, 128 at most.
         rate: Messages a second from one connection.
         idle: Close a session that is not heard of for so long [s].
         simulated_time: Let sessions count speed limits in their clients' time; not for real robots.
@@ -80,8 +80,6 @@ class Serve:
         from handmap_qp.service.caps import Caps
 
         self._check_web()
-        if self.sessions < 1 or not (self.rate > 0.0 and self.idle > 0.0):
-            raise InvalidInputError("--sessions, --rate and --idle: expected numbers > 0")
         web = None
         if self.web:
             token = None if self.web_token_file is None else _read_token(self.web_token_file)

@@ -162,11 +162,15 @@ class Dispatcher:
             if now - session.last_request > self._caps.idle and not session.has_plans:
                 self.sessions.end(secret, "no_session", "closed, for nothing was heard of its client")
                 continue
-            trips = session.counts["watchdog"]
-            command = session.tick(now)
-            self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
-            if command is not None:
-                self._send(session, command)
+            try:
+                trips = session.counts["watchdog"]
+                command = session.tick(now)
+                self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+                if command is not None:
+                    self._send(session, command)
+            except Exception as error:
+                # The watchdogs of the others go on.
+                self._bug(0, error)
 
     async def close(self) -> None:
         """Close all sessions."""
@@ -306,7 +310,7 @@ class Dispatcher:
 
     def _bug(self, seq: int, error: Exception) -> Error:
         """An exception that nobody foresaw: the log gets it whole, the client that it happened."""
-        self._bugs.report(ERROR, "failed", error=repr(error), exception=error)
+        self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
         reply = Error(seq=seq, code="internal", message="the server failed at this request; see its log")
         self._count(reply)
         return reply

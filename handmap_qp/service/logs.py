@@ -12,9 +12,9 @@ log = logging.getLogger("handmap_qp.service")
 """Where the service logs; `report` writes to it."""
 
 
-def report(level: int, event: str, **data: Any) -> None:
-    """Log an event with its data."""
-    log.log(level, event, extra={"data": data})
+def report(level: int, event: str, *, failure: BaseException | None = None, **data: Any) -> None:
+    """Log an event with its data, and with the traceback of a failure."""
+    log.log(level, event, exc_info=failure, extra={"data": data})
 
 
 class JsonLines(logging.Formatter):
@@ -50,11 +50,11 @@ class Throttle:
         self._next = 0.0
         self._swallowed = 0
 
-    def report(self, level: int, event: str, **data: Any) -> None:
-        """Log an event, or count it."""
+    def report(self, level: int, event: str, *, failure: BaseException | None = None, **data: Any) -> None:
+        """Log an event, with the traceback of a failure, or count it."""
         now = time.monotonic()
         if now < self._next:
             self._swallowed += 1
             return
-        report(level, event, **data, swallowed=self._swallowed)
+        report(level, event, failure=failure, **data, swallowed=self._swallowed)
         self._next, self._swallowed = now + self._period, 0

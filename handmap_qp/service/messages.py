@@ -224,6 +224,7 @@ class State(Reply, frozen=True):
     mode: Annotated[str, _doc("waiting, following, released, hold, returning, calibrating; serving for the server.")] = "serving"
     counts: Annotated[dict[str, int], _doc("Samples answered, replaced by newer ones, refused, and so on.")] = {}
     robots: Annotated[tuple[str, ...], _doc("Robot hands that can be opened; of the server only.")] = ()
+    is_released: Annotated[bool, _doc("Whether the session was let go, also while its watchdog holds the robot.")] = False
     q: Annotated[Numbers, _doc("The session's last command [rad].")] = ()
     stream_port: Annotated[int, _doc("Port of the streams (ZeroMQ PUB).")] = 0
     about: Annotated[About | None, _doc("What the session maps.")] = None

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.service.addresses import is_loopback
+from handmap_qp.addresses import is_loopback
 
 BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""

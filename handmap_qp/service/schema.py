@@ -14,6 +14,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
 from handmap_qp.service import messages
 from handmap_qp.service.messages import PROTOCOL, About, AnyReply, AnyRequest, Detail, Lengths, Pose, Reply, Request
+from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 
 FLAGS = {
     "dt_clamped": "more time has passed since the last command than `max_dt`",
@@ -24,6 +25,7 @@ FLAGS = {
     "watchdog": "no sample has come in time: `status` is `hold` or `returning`",
     "at_rest": "the robot has arrived at rest",
     "resumed": "the first command after a hold",
+    "released": "the session was let go: the robot stays until `clutch`, whatever `status` says besides",
 }
 """What a command may be flagged with."""
 
@@ -39,6 +41,11 @@ CODES = {
     "internal": "the server failed at it, and has logged why",
 }
 """What an error's `code` may be."""
+
+_NARROWED = {
+    "solver": f"`{'` or `'.join(SOLVERS)}`: the time of others is not bounded.",
+    "max_iterations": f"Linearisations per sample, at most; the service takes no more than {MOST_ITERATIONS}.",
+}
 
 
 def schema_text() -> str:
@@ -95,7 +102,9 @@ def _table(kind: type[msgspec.Struct]) -> str:
 def _options_table(kind: type[MappingOptions | IkOptions]) -> str:
     """Options as their class describes them."""
     described = docstring_parser.parse(kind.__doc__ or "")
-    hints, texts = get_type_hints(kind), {param.arg_name: param.description or "" for param in described.params}
+    hints = get_type_hints(kind)
+    # Of what the service takes less than the package does, it says so.
+    texts = {param.arg_name: param.description or "" for param in described.params} | _NARROWED
     rows = [
         f"| `{item.name}` | {_type(hints[item.name])} | `{json.dumps(item.default)}` | {' '.join(texts[item.name].split())} |"
         for item in dataclasses.fields(kind)

@@ -22,8 +22,8 @@ import zmq
 import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 
+from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.addresses import check_port, is_loopback
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
@@ -104,8 +104,10 @@ class Server:
         self.metrics = Metrics()
         self.ports: dict[str, int] = {}
         self._closing = contextlib.AsyncExitStack()
+        shelf = HandShelf(settings.hands)
+        # Last of what may fail: from here on the file is taken.
         store = None if settings.state is None else self._closing.enter_context(PostureStore(settings.state))
-        self.dispatcher = Dispatcher(settings.caps, HandShelf(settings.hands), self.metrics, store=store)
+        self.dispatcher = Dispatcher(settings.caps, shelf, self.metrics, store=store)
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._bugs = Throttle()
@@ -217,7 +219,7 @@ class Server:
         try:
             self.dispatcher.receive(payload, envelope[0], partial(self._reply, envelope))
         except Exception as error:
-            self._bugs.report(ERROR, "failed", error=repr(error), exception=error)
+            self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
 
     def _reply(self, envelope: list[bytes], payload: bytes) -> None:
         try:
@@ -248,7 +250,7 @@ class Server:
                 self._drain()
                 self.dispatcher.tick()
             except Exception as error:
-                self._bugs.report(ERROR, "failed", error=repr(error), exception=error)
+                self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
 
 
 def _bind(socket: zmq.Socket, host: str, port: int) -> int:

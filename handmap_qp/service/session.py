@@ -107,7 +107,7 @@ class Session:
         """Where the robot is, for a session that is to go on from here."""
         q, wrist = self.posture
         pose = None if wrist is None else tuple(wrist.ravel().tolist())
-        return Record(self.name, self.robot.name, to_row(q), pose, self._epoch, self._engaged == "released")
+        return Record(self.name, self.robot.name, to_row(q), pose, self._epoch, self._is_released)
 
     @property
     def is_attended(self) -> bool:
@@ -158,6 +158,7 @@ class Session:
             uptime=now - self._opened_at,
             names=(self.name,),
             mode=self.mode,
+            is_released=self._is_released,
             counts=dict(self.counts),
             q=to_row(self._guard.q),
             stream_port=stream_port,
@@ -281,6 +282,10 @@ class Session:
         self._engaged = "waiting" if self._engaged == "waiting" else "following"
 
     @property
+    def _is_released(self) -> bool:
+        return self._engaged == "released"
+
+    @property
     def _wants_return(self) -> bool:
         return self.request.return_after is not None and self._engaged == "following"
 
@@ -313,11 +318,10 @@ class Session:
         self._dt, _ = self._clock.grant(sample.time, now)
         command = self._command("calibrating", flags)
         if hands is not None:
-            is_released = self._engaged == "released"
             hands.mapper.configure(self._hands.mapper.options, ik=self._hands.mapper.ik)
             self._hands, self._calibration = hands, None
             self._seat()
-            if is_released:
+            if self._is_released:
                 hands.mapper.release()
         return command
 
@@ -325,7 +329,7 @@ class Session:
         """Seat the mapper where it has to start anew: after a failure or a return to rest, or a hold if so asked."""
         # A mapper that limits accelerations thinks that it still moves as before the hold, until it is seated anew.
         wants_clutch = self.request.resume == "clutch" or self._hands.mapper.ik.max_acceleration is not None
-        if self._engaged != "released" and (self._needs_reference or (wants_clutch and self._watch is not None)):
+        if not self._is_released and (self._needs_reference or (wants_clutch and self._watch is not None)):
             self._seat()
 
     def _map(self, sample: Step, now: float) -> tuple[MapStep, Posture, list[str]]:
@@ -370,6 +374,8 @@ class Session:
         }
 
     def _command(self, status: str, flags: list[str], **told: Any) -> Command:
+        if self._is_released:
+            flags.append("released")
         return Command(
             seq=self._seq,
             name=self.name,

@@ -20,11 +20,12 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RefusedError
+from handmap_qp.service.caps import MOST_SESSIONS
 
 _HEAD = struct.Struct("<IIQ")
 """Length and CRC-32 of a record, and the number of the write."""
 _COPY = 4096
-_SLOTS = 128
+_SLOTS = MOST_SESSIONS
 _SIZE = 2 * _SLOTS * _COPY
 
 

@@ -25,8 +25,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
+from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.addresses import check_port, is_loopback
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log

@@ -101,8 +101,8 @@ class ReplayViewer:
         wishes, changes = self.steering.take_wishes(), self.steering.options.take_changes()
         self._changes |= changes
         for wish in wishes:
-            if wish == "clutch":
-                self.replay.toggle_clutch(self.index)
+            if wish != "reset":
+                self.replay.switches[self.index] = wish == "release"
             else:
                 self.replay.switches.clear()
                 self._changes.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import webbrowser
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from handmap_qp.addresses import check_port
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
@@ -67,8 +69,7 @@ class View:
         # Said first, for the rest takes a while.
         if importlib.util.find_spec("viser") is None:
             raise MissingExtraError("viser", "view")
-        if not 0 <= self.port <= 65535:
-            raise InvalidInputError(f"--port: expected 0 to 65535, got {self.port}", value=self.port)
+        check_port("--port", self.port)
         if (self.recording is None) == (self.live is None):
             raise InvalidInputError("expected a recording or --live HOST, and not both")
         self._refuse_idle_options()
@@ -103,7 +104,7 @@ class View:
     def _show_recording(self, file: Path, robot: str) -> None:
         from handmap_qp.viewer.app import ReplayViewer
         from handmap_qp.viewer.page import check_page, write_page
-        from handmap_qp.viewer.scene import serving
+        from handmap_qp.viewer.serving import serving
 
         page = None if self.html is None else check_page(self.html)
         replay = self._replay(file, robot)
@@ -115,12 +116,13 @@ class View:
         with serving(self.host, self.port) as server:
             viewer = ReplayViewer(server, replay)
             self._announce(server)
-            viewer.run()
+            with contextlib.suppress(KeyboardInterrupt):
+                viewer.run()
 
     def _show_live(self, live: str) -> None:
         from handmap_qp.viewer.live import LiveSource, show_live
         from handmap_qp.viewer.remote import ServiceSession
-        from handmap_qp.viewer.scene import serving
+        from handmap_qp.viewer.serving import serving
 
         # First of all, for it tells at once whether there is anything to be seen.
         first = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
@@ -131,7 +133,8 @@ class View:
         try:
             with serving(self.host, self.port) as server:
                 self._announce(server)
-                show_live(server, next_source)
+                with contextlib.suppress(KeyboardInterrupt):
+                    show_live(server, next_source)
         finally:
             first.close()
 

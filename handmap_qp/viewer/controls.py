@@ -46,7 +46,8 @@ class SteeringControls:
         options: The options to start from.
 
     Attributes:
-        clutch: The clutch button.
+        release: The button that lets go. There are two, so that no click ever means what the button said a moment ago.
+        clutch: The button that takes hold again.
         message: What is being done, or why the last wish was not fulfilled; not visible where there is nothing to say.
         picture: What the picture shows.
         options: Sliders, lists and boxes for the options.
@@ -55,22 +56,24 @@ class SteeringControls:
 
     def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
         gui = server.gui
-        self.clutch = gui.add_button("Release", hint="The robot holds still until you clutch; then it goes on from where it is")
+        self.release = gui.add_button("Release", hint="The robot holds still until you clutch")
+        self.clutch = gui.add_button("Clutch", hint="Take hold of the robot again; it goes on from where it is", disabled=True)
         self.message = gui.add_markdown("", visible=False)
         self.picture = PictureControls(server)
         self.options = OptionControls(server, robot, options)
         self.reset = gui.add_button("Reset options and clutch")
         self._wishes: list[str] = []
+        self.release.on_click(lambda _: self._wishes.append("release"))
         self.clutch.on_click(lambda _: self._wishes.append("clutch"))
         self.reset.on_click(lambda _: self._wishes.append("reset"))
 
     def take_wishes(self) -> list[str]:
-        """The buttons pressed since the last call, `clutch` and `reset`."""
+        """The buttons pressed since the last call: `release`, `clutch` and `reset`."""
         return [self._wishes.pop(0) for _ in range(len(self._wishes))]
 
     def show_released(self, is_released: bool) -> None:
-        """Let the clutch button say what it would do."""
-        self.clutch.label = "Clutch" if is_released else "Release"
+        """Let that button be pressed which would change something."""
+        self.release.disabled, self.clutch.disabled = is_released, not is_released
 
     def say(self, text: str) -> None:
         """Show a line below the clutch button; nothing for an empty one."""

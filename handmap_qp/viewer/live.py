@@ -39,7 +39,7 @@ class LiveSource(Protocol):
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot was let go.
         is_outdated: Whether it has ended because other hands are mapped there now.
-        trouble: Why a wish was not fulfilled; None once that is over.
+        trouble: Why the last wish was not fulfilled; None where it was.
     """
 
     human: Hand
@@ -59,8 +59,12 @@ class LiveSource(Protocol):
         """Samples as they come, ending where the source ends; may raise `HandmapError`."""
         ...
 
-    def toggle_clutch(self) -> None:
-        """Wish to let go, or to take hold again."""
+    def release(self) -> None:
+        """Wish to let go of the robot."""
+        ...
+
+    def clutch(self) -> None:
+        """Wish to take hold of it again."""
         ...
 
     def configure(self, changes: dict[str, Any]) -> None:
@@ -171,8 +175,10 @@ class LiveViewer:
         # Nothing but what was changed here is sent, for others may have changed other options.
         changes = steering.options.take_changes()
         for wish in steering.take_wishes():
-            if wish == "clutch" or source.is_released:
-                source.toggle_clutch()
+            if wish == "release":
+                source.release()
+            elif wish == "clutch" or source.is_released:
+                source.clutch()
             if wish == "reset":
                 changes |= in_force.changes_to(self._start)
         if changes:

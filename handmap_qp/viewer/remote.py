@@ -25,6 +25,8 @@ from handmap_qp.viewer.samples import ViewSample
 PORT = 5570
 """Where `handmap serve` takes requests, unless told otherwise."""
 _TIMEOUT = 1.0
+# A service that is still starting, or busy, gets longer for the first answers [s].
+_FIRST_TIMEOUT = 3.0
 # Between two looks at what the session is [s], and the longest that a wish waits for the next command.
 _LOOK_PERIOD, _WAIT = 1.0, 0.02
 # What the hands of the view, and whether it can steer, follow from.
@@ -50,7 +52,7 @@ class ServiceSession:
         is_shared: Whether it can be steered from here.
         is_released: Whether its client, or somebody here, has let go.
         is_outdated: Whether the session is of other hands by now.
-        trouble: Why the last wish was not fulfilled; None where it was, or where the service answers again.
+        trouble: Why the last wish was not fulfilled; None where it was.
 
     Raises:
         InvalidInputError: If the service cannot be reached, or the session cannot be shown.
@@ -76,7 +78,7 @@ class ServiceSession:
         if not host.strip():
             raise InvalidInputError(f"--live: expected HOST or HOST:PORT, got {host!r}", value=host)
         self._host = host
-        self._refusal, self._silence = ServiceError, ServiceTimeoutError
+        self._refusal = ServiceError
         self._troubles = (ServiceError, ServiceTimeoutError, zmq.ZMQError, msgspec.MsgspecError, OSError, ValueError, TypeError)
         self._is_closed, self._is_read = threading.Event(), False
         self._start: float | None = None
@@ -84,7 +86,7 @@ class ServiceSession:
         self._wishes: deque[Callable[[], Any]] = deque()
         self.is_outdated, self.is_released = False, False
         self.trouble: HandmapError | None = None
-        self._client = self._try(lambda: Client(_address(host), timeout=_TIMEOUT, keys=keys))
+        self._client = self._try(lambda: Client(_address(host), timeout=_FIRST_TIMEOUT, keys=keys))
         try:
             about = self._look_for(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
@@ -98,6 +100,7 @@ class ServiceSession:
         except BaseException:
             self._client.close()
             raise
+        self._client.timeout = _TIMEOUT
         self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
     def __iter__(self) -> Iterator[ViewSample]:
@@ -143,20 +146,18 @@ class ServiceSession:
         if not self._is_read:
             self._client.close()
 
-    def toggle_clutch(self) -> None:
-        """Wish to let go, or to take hold again."""
-        self._wishes.append(self._toggle_clutch)
+    def release(self) -> None:
+        """Wish to let go of the robot."""
+        self._wishes.append(lambda: self._client.release())
+
+    def clutch(self) -> None:
+        """Wish to take hold of it again."""
+        self._wishes.append(lambda: self._client.clutch())
 
     def configure(self, changes: dict[str, Any]) -> None:
         """Wish for other values of some options."""
         mapping, ik = split_changes(changes)
         self._wishes.append(lambda: self._client.configure(mapping=mapping, ik=ik))
-
-    def _toggle_clutch(self) -> None:
-        act = self._client.clutch if self.is_released else self._client.release
-        act()
-        # While the watchdog holds the robot, nothing else tells.
-        self.is_released = not self.is_released
 
     def _fulfil_wishes(self) -> None:
         """Carry out what was wished for, and see what came of it."""
@@ -177,13 +178,11 @@ class ServiceSession:
             about = state.about or {}
             if self.is_shared and about["is_shared"] and not about["has_detail"]:
                 self._client.configure(has_detail=True)
-        except self._troubles:
+            self.is_outdated = {name: about[name] for name in _HANDS} != self._about
+            self.options = _options(about)
+        except (*self._troubles, LookupError):
             return
-        self.is_outdated = {name: about[name] for name in _HANDS} != self._about
-        self.options = _options(about)
-        self._take_mode(state.mode)
-        if self.trouble is not None and isinstance(self.trouble.__cause__, self._silence):
-            self.trouble = None
+        self.is_released = state.is_released
 
     def _look_for(self, session: str | None, end: float) -> dict[str, Any]:
         """What the service says of the session, once there is one and its human hand is known."""
@@ -195,7 +194,7 @@ class ServiceSession:
             complaint = "no session is open there"
             if self.name:
                 state = self._try(lambda: self._client.watch(self.name))
-                self._take_mode(state.mode)
+                self.is_released = state.is_released
                 about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
                     return about
@@ -216,14 +215,9 @@ class ServiceSession:
             and len(command.point_error) in (0, len(self.robot.reference_points))
         )
 
-    def _take_mode(self, mode: str) -> None:
-        # The watchdog says that the robot holds, and not for whom.
-        if mode not in ("hold", "returning"):
-            self.is_released = mode == "released"
-
     def _sample(self, command: Any) -> ViewSample | None:
         """What the view shows of a command; None where it shows nothing."""
-        self._take_mode(command.status)
+        self.is_released = "released" in command.flags
         # A held robot's commands say nothing of the human.
         self._detail = command.detail or self._detail
         if not self._detail:

@@ -110,10 +110,6 @@ class Replay:
         earlier = [i for i in self.switches if i <= index]
         return bool(earlier) and self.switches[max(earlier)]
 
-    def toggle_clutch(self, index: int) -> None:
-        """Release at a sample, or clutch where the robot was released; takes effect with the next `remap`."""
-        self.switches[index] = not self.is_released(index)
-
     def _map(self, mapper: HandMapper) -> tuple[ViewSample, ...]:
         motion = self._motion
         # Before the hand is first seen, the view shows the reference.

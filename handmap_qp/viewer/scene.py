@@ -7,18 +7,15 @@ mapping's alignment, so that equal motions look equal.
 
 from __future__ import annotations
 
-import contextlib
 import io
-import socket
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from handmap_qp.decomposition import polar
-from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hand import Hand
 from handmap_qp.options import MappingOptions
 from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
@@ -45,43 +42,6 @@ _CAPTION_ROOM = 0.15
 _MARGIN = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
-
-
-@contextlib.contextmanager
-def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServer]:
-    """A viser server for as long as the block runs, without its banner.
-
-    Args:
-        host: Address to listen on.
-        port: Port; the next free one where it is taken, any free one for 0.
-
-    Yields:
-        The server, running in a thread of its own.
-
-    Raises:
-        InvalidInputError: If there is no such address on this machine.
-        MissingExtraError: If viser is not installed.
-    """
-    try:
-        import viser
-    except ImportError as error:
-        raise MissingExtraError("viser", "view") from error
-    if not host.strip():
-        raise InvalidInputError("--host: expected an address; nothing stands for all of this machine's", value=host)
-    # viser takes every refusal for a port in use, and would try the next thousand without a word.
-    try:
-        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
-            probe.bind((host, 0))
-    except OSError as error:
-        raise InvalidInputError(f"--host {host}: cannot be served on: {error.strerror or error}", value=host) from error
-    with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="handmap view", verbose=False)
-    server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
-    try:
-        yield server
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
 
 
 @dataclass

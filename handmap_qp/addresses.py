@@ -1,4 +1,4 @@
-"""Checks of where the service listens, shared by its doors."""
+"""Checks of where service and view listen, shared by their doors."""
 
 from __future__ import annotations
 
