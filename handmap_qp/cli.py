@@ -1,6 +1,7 @@
 """The command `handmap`: demo, map, view, hands, figures, serve, keys.
 
-Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130. Results go to stdout, progress to stderr.
+Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130, and 0 where it is the
+way to end (`view`, `serve`). Results go to stdout, progress to stderr.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -148,16 +151,16 @@ class Hands:
 _PAIR = ("what", "value")
 """Columns of a table that needs no header."""
 
-_Any = (
-    Annotated[Demo, tyro.conf.subcommand("demo", prefix_name=False)]
-    | Annotated[Map, tyro.conf.subcommand("map", prefix_name=False)]
-    | Annotated[View, tyro.conf.subcommand("view", prefix_name=False)]
-    | Annotated[Hands, tyro.conf.subcommand("hands", prefix_name=False)]
-    | Annotated[Figures, tyro.conf.subcommand("figures", prefix_name=False)]
-    | Annotated[Serve, tyro.conf.subcommand("serve", prefix_name=False)]
-    | Annotated[Keys, tyro.conf.subcommand("keys", prefix_name=False)]
-)
-
+_COMMANDS: dict[str, Any] = {
+    "demo": Demo,
+    "map": Map,
+    "view": View,
+    "hands": Hands,
+    "figures": Figures,
+    "serve": Serve,
+    "keys": Keys,
+}
+_Any: Any = reduce(or_, (Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in _COMMANDS.items()))
 _NESTED: dict[tuple[str, str], Any] = {("hands", "init"): HandsInit, ("hands", "check"): HandsCheck}
 """Commands of a command that can also be used alone."""
 
@@ -206,19 +209,21 @@ def parse(arguments: Sequence[str]) -> Command:
     try:
         with contextlib.redirect_stderr(complaint):
             description = (__doc__ or "").partition("\n")[0] if command is _Any else None
-            return tyro.cli(command, prog=name, description=description, args=words)  # type: ignore[arg-type]
+            return tyro.cli(command, prog=name, description=description, args=words)
     except SystemExit as end:
         if not end.code:
             raise
-        raise InvalidInputError(_first_sentences(complaint.getvalue())) from end
+        if command is _Any and words and words[0] in _COMMANDS:
+            name = f"handmap {words[0]}"
+        raise InvalidInputError(f"{_first_sentences(complaint.getvalue())} (see {name} --help)") from end
 
 
 def _first_sentences(box: str) -> str:
     """The message inside the box that tyro draws round it, on one line."""
     lines = [line.strip(" │╭╮╰╯─") for line in box.splitlines() if line.startswith("│")]
     ruled = [i for i, line in enumerate(lines) if not line]
-    message = " ".join(lines[: ruled[0]] if ruled else lines)
-    return f"{message} (see handmap --help)"
+    # Options that have no name of their own stand in a class of tyro's.
+    return " ".join(lines[: ruled[0]] if ruled else lines).replace("__tyro-dummy-inner__.", "--")
 
 
 def _check_out(path: Path) -> Path:

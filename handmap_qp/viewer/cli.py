@@ -85,7 +85,8 @@ class View:
         if self.live is None:
             idle, reason = ["session", "keys"], "is for --live, and this is a recording"
         else:
-            idle = ["html", "human_points", "robot_points", "mapping", "ik"]
+            self._refuse(["html"], "is for a recording; a session that runs has no end")
+            idle = ["human_points", "robot_points", "mapping", "ik"]
             reason = "is for a recording; of a service, the session's client chose"
         if self.html is not None and self.live is None:
             self._refuse(["host", "port", "open"], "is for a view that is served, and --html writes a file")

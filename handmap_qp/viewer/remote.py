@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections import deque
@@ -12,10 +13,12 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
+from handmap_qp.addresses import check_port
 from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from handmap_qp.hand import Hand
 from handmap_qp.human import HumanLengths
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.library import load_hand
+from handmap_qp.library import hand_names, load_hand
 from handmap_qp.options import MappingOptions
 from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.transform import affine, nearest_rotation
@@ -75,8 +78,6 @@ class ServiceSession:
             from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
         except ImportError as error:
             raise MissingExtraError("pyzmq", "service") from error
-        if not host.strip():
-            raise InvalidInputError(f"--live: expected HOST or HOST:PORT, got {host!r}", value=host)
         self._host = host
         self._refusal = ServiceError
         self._troubles = (ServiceError, ServiceTimeoutError, zmq.ZMQError, msgspec.MsgspecError, OSError, ValueError, TypeError)
@@ -86,7 +87,8 @@ class ServiceSession:
         self._wishes: deque[Callable[[], Any]] = deque()
         self.is_outdated, self.is_released = False, False
         self.trouble: HandmapError | None = None
-        self._client = self._try(lambda: Client(_address(host), timeout=_FIRST_TIMEOUT, keys=keys))
+        address = _address(host)
+        self._client = self._try(lambda: Client(address, timeout=_FIRST_TIMEOUT, keys=keys))
         try:
             about = self._look_for(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
@@ -96,7 +98,7 @@ class ServiceSession:
             self.options = _options(about)
             lengths = about["lengths"] and HumanLengths(**{name: np.array(rows) for name, rows in about["lengths"].items()})
             self.human = load_hand(human_name(about["side"]), points=about["human_points"], lengths=lengths or None)
-            self.robot = load_hand(robot or about["robot"], points=about["robot_points"], mount=about["mount"])
+            self.robot = self._load_robot(robot or about["robot"], about)
         except BaseException:
             self._client.close()
             raise
@@ -203,6 +205,12 @@ class ServiceSession:
                 raise self._error(complaint)
             time.sleep(0.1)
 
+    def _load_robot(self, robot: str | Path, about: dict[str, Any]) -> Hand:
+        """The robot hand, from a name or file of this side."""
+        if robot == about["robot"] and robot not in hand_names():
+            raise self._error(f"the session's hand {robot!r} is one of the service's own; give its hand.yaml here: --robot FILE")
+        return load_hand(robot, points=about["robot_points"], mount=about["mount"])
+
     def _is_as_before(self, command: Any) -> bool:
         """Whether a command can be of the session that was last looked at."""
         if command.detail is None and command.point_error and self.is_shared:
@@ -267,6 +275,18 @@ def _options(about: dict[str, Any]) -> Options:
 
 
 def _address(host: str) -> str:
-    """The ZeroMQ address of `HOST`, `HOST:PORT` or `[IPv6]:PORT`."""
-    has_port = ":" in host.rpartition("]")[2]
-    return f"tcp://{host}" if has_port else f"tcp://{host}:{PORT}"
+    """The ZeroMQ address of `HOST`, `HOST:PORT` or `[IPv6]:PORT`.
+
+    Raises:
+        InvalidInputError: If there is no such host or port.
+    """
+    name, _, port = host.rpartition(":") if ":" in host.rpartition("]")[2] else (host, "", str(PORT))
+    try:
+        number = int(port if name.strip() else "")
+        socket.getaddrinfo(name.strip("[]"), None)
+    except ValueError as error:
+        raise InvalidInputError(f"--live: expected HOST or HOST:PORT, got {host!r}", value=host) from error
+    except OSError as error:
+        raise InvalidInputError(f"--live {host}: there is no host {name!r}: {error.strerror}", value=host) from error
+    check_port(f"--live {host}", number)
+    return f"tcp://{name}:{number}"
