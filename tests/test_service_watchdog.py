@@ -147,3 +147,18 @@ def test_a_released_robot_does_not_return() -> None:
     assert np.array_equal(session.posture[0], posture)
     assert session.step(sample(0.0, human_q(2.0)), now).status == "released"
     assert np.array_equal(session.posture[0], posture)
+
+
+def test_a_robot_that_was_let_go_is_said_to_be_while_the_watchdog_holds_it() -> None:
+    session, sample = make_session(watchdog=0.2), Sampler()
+    end = follow(session, sample, 0.0)
+    session.release()
+    command = session.tick(end + 0.3)
+    assert command is not None
+    assert (command.status, command.flags) == ("hold", ("watchdog", "released"))
+    state = session.state(1, "", 0, end + 0.3)
+    assert (state.mode, state.is_released) == ("hold", True)
+    session.clutch()
+    command = session.tick(end + 0.6)
+    assert command is not None
+    assert command.flags == ("watchdog",)
