@@ -78,11 +78,12 @@ class Serve:
         except ModuleNotFoundError as error:
             raise MissingExtraError(str(error.name), "service") from error
         from handmap_qp.service.caps import Caps
+        from handmap_qp.service.keys import read_token
 
         self._check_web()
         web = None
         if self.web:
-            token = None if self.web_token_file is None else _read_token(self.web_token_file)
+            token = None if self.web_token_file is None else read_token(self.web_token_file)
             web = WebSettings(self.web_host, self.web_port, token, self.web_certificate, self.web_key, self.web_origin)
         settings = Settings(
             host=self.host,
@@ -115,7 +116,8 @@ class Keys:
     """Make the keys that `handmap serve --keys` needs; keys that are there stay.
 
     Give each client its NAME.key_secret and server.key. A running server takes new keys at once; delete clients/NAME.key, and that
-    client cannot connect any more. A connection that is open stays until it ends, at the latest with the server.
+    client cannot connect any more, until the same command with its name admits it again. A connection that is open stays until it
+    ends, at the latest with the server.
 
     Attributes:
         folder: Where to put them.
@@ -132,12 +134,9 @@ class Keys:
         except ModuleNotFoundError as error:
             raise MissingExtraError(str(error.name), "service") from error
 
-        for file in make_keys(self.folder, self.client):
-            print(f"wrote {file}")
-
-
-def _read_token(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(f"--web-token-file {file}: cannot be read: {error}") from error
+        written = make_keys(self.folder, self.client)
+        for file in written:
+            is_back = file.parent.name == "clients" and self.folder / file.name not in written
+            print(f"wrote {file}" + (f", which admits {file.stem} again" if is_back else ""))
+        if not written:
+            print("wrote nothing: all keys are there")
