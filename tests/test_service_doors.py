@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from queue import Queue
+from typing import Any
 
 import pytest
+from msgspec.msgpack import encode
+from service_tools import Sampler, address_of, serving
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
+from handmap_qp.client import Client, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.service.caps import Caps
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.service.messages import PROTOCOL, Error, decode_request
+from handmap_qp.service.schema import schema_text
+
+README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+PATIENCE = 20.0
+"""For what comes in its own time, and should: a test that fails waits so long [s]."""
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
@@ -85,3 +97,79 @@ def test_a_key_that_is_refused_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     for key in (a, b, b):
         keys.callback("*", key)
     assert told == [("refused_key", b.decode())]
+
+
+# -- what is told of those who do not come in -----------------------------------------------------------------------------
+
+
+class Events:
+    """Events of the log as they come, from whichever thread."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._told: Queue[tuple[str, dict[str, Any]]] = Queue()
+        monkeypatch.setattr("handmap_qp.service.logs.report", lambda level, event, **data: self._told.put((event, data)))
+
+    def wait(self, event: str) -> dict[str, Any]:
+        """What the next event of this name says."""
+        while True:
+            name, data = self._told.get(timeout=PATIENCE)
+            if name == event:
+                return data
+
+
+@pytest.mark.parametrize(
+    ("key", "server_key", "reason"),
+    [
+        (None, None, "the other way round"),
+        ("others", "keys", "not among the keys"),
+        ("keys", "others", "another server's"),
+    ],
+)
+def test_a_handshake_that_fails_is_told_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str | None, server_key: str, reason: str
+) -> None:
+    for folder in ("keys", "others"):
+        make_keys(tmp_path / folder, ["client"])
+    keys = None if key is None else (tmp_path / key / "client.key_secret", tmp_path / server_key / "server.key")
+    events = Events(monkeypatch)
+    with serving(keys=tmp_path / "keys") as server:
+        with Client(address_of(server), timeout=0.1, attempts=1, keys=keys) as client:
+            with pytest.raises(ServiceTimeoutError):
+                client.status()
+            assert reason in events.wait("handshake")["reason"]
+        assert 'handmap_refusals_total{code="handshake"}' in server.metrics.render()
+        assert server.health()["status"] == "ok"
+
+
+# -- what messages may hold -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time", [1e308, -2e15, float("inf"), float("nan")])
+def test_the_limit_of_time_stamps_is_named(time: float) -> None:
+    answer = decode_request(encode(Sampler()(time)))
+    assert isinstance(answer, Error)
+    assert (answer.field, answer.message) == ("time", f"expected a number within 1e+15 of 0, got {time:g}")
+
+
+def test_what_a_name_may_be_is_said_in_words() -> None:
+    answer = decode_request(encode({"type": "status", "protocol": PROTOCOL, "seq": 1, "name": "a/b"}))
+    assert isinstance(answer, Error)
+    assert (answer.field, answer.message) == ("name", "expected 1 to 64 of A-Z a-z 0-9 _ . -")
+
+
+@pytest.mark.parametrize("kind", ["step", "sample", "reset", "close"])
+def test_who_only_watches_is_told_so(kind: str) -> None:
+    answer = decode_request(encode({"type": kind, "name": "lab", "protocol": PROTOCOL, "seq": 1}))
+    assert isinstance(answer, Error)
+    assert answer.field == "name"
+    assert "you may only watch" in answer.message
+
+
+def test_users_are_told_how_to_show_the_token_and_how_long_a_message_may_be(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["serve", "--help"])
+    assert f"at most {Caps().message_size} bytes" in schema_text()
+    for text in (schema_text(), README, capsys.readouterr().out):
+        words = " ".join(text.replace("│", " ").split())
+        assert "Authorization: Bearer TOKEN" in words
+        assert '["handmap.v1", "bearer.TOKEN"]' in words

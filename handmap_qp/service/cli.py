@@ -27,7 +27,9 @@ class Serve:
         web: Open the WebSocket door.
         web_host: Its address; any but loopback needs --web-token-file, --web-certificate and --web-key.
         web_port: Its port.
-        web_token_file: File with the token that WebSocket clients must present.
+        web_token_file: File with the token that WebSocket clients must present: 16 to 256 letters, digits, - and _, readable for
+            you alone. They send it as the header `Authorization: Bearer TOKEN`; pages in browsers, which cannot set headers, offer
+            the subprotocols `["handmap.v1", "bearer.TOKEN"]`.
         web_certificate: PEM file of the TLS certificate.
         web_key: PEM file of its key.
         web_origin: Further origins of pages that may connect.

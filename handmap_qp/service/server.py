@@ -26,6 +26,7 @@ from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.handshakes import report_handshakes
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
 from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
@@ -146,7 +147,8 @@ class Server:
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._router.FD, self._drain)
         self._closing.callback(self._loop.remove_reader, self._router.FD)
-        self._tasks = [asyncio.create_task(self._tick())]
+        watches = [report_handshakes(context, socket, self.metrics) for socket in (self._router, self._stream)]
+        self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
         report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
 
     async def stop(self) -> None:
