@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import gc
+import json
+import signal
+from dataclasses import replace
 from pathlib import Path
 from queue import Queue
 from typing import Any
 
 import pytest
 from msgspec.msgpack import encode
-from service_tools import Sampler, address_of, serving
+from service_tools import LOCAL, Sampler, address_of, serving
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
+from handmap_qp.addresses import bare_host
 from handmap_qp.client import Client, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
 from handmap_qp.service.messages import PROTOCOL, Error, decode_request
+from handmap_qp.service.run import run_server
 from handmap_qp.service.schema import schema_text
+from handmap_qp.service.websocket import WebSettings
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
 PATIENCE = 20.0
@@ -97,6 +104,55 @@ def test_a_key_that_is_refused_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     for key in (a, b, b):
         keys.callback("*", key)
     assert told == [("refused_key", b.decode())]
+
+
+# -- where it listens -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:5570", "tcp://127.0.0.1", "[::1]:5570", "localhost:5570", ""])
+def test_a_host_with_more_than_a_host_is_refused_as_such(capsys: pytest.CaptureFixture[str], host: str) -> None:
+    expected = f"expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}"
+    assert complaint(capsys, "serve", "--host", host) == f"handmap: --host: {expected}"
+    assert complaint(capsys, "serve", "--web", "--web-host", host) == f"handmap: --web-host: {expected}"
+
+
+def test_brackets_round_a_host_are_taken_off() -> None:
+    hosts = ("[::1]", "::1", "127.0.0.1", "localhost", "fe80::1%eth0", "eth0", "*")
+    assert [bare_host("host", host) for host in hosts] == ["::1", *hosts[1:]]
+
+
+def test_a_host_that_cannot_be_listened_on_is_told(tmp_path: Path) -> None:
+    make_keys(tmp_path, ["a"])
+    message = "^tcp://nosuch.invalid:0: expected an IP address of this machine"
+    with pytest.raises(InvalidInputError, match=message), serving(host="nosuch.invalid", keys=tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("web", [None, WebSettings(host="localhost", port=0)], ids=["zeromq", "web"])
+def test_the_ready_line_tells_where_websocket_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, web: WebSettings | None
+) -> None:
+    # Told to end as soon as it is ready.
+    monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
+    run_server(replace(LOCAL, web=web), "error")
+    ready = json.loads(capsys.readouterr().out)
+    assert ready["host"] == "127.0.0.1"
+    assert ready.get("web_host") == (None if web is None else "localhost")
+
+
+@pytest.mark.parametrize("wrong", ["certificate", "key"])
+def test_files_of_tls_that_cannot_be_used_are_named(tmp_path: Path, wrong: str) -> None:
+    files = {name: tmp_path / f"{name}.pem" for name in ("certificate", "key")}
+    for file in files.values():
+        file.touch()
+    settings = WebSettings(port=0, certificate=files["certificate"], key=files["key"])
+    message = f"^{files['certificate']}, {files['key']}: expected a PEM certificate and its key"
+    with pytest.raises(InvalidInputError, match=message), serving(web=settings):
+        pass
+    files[wrong].unlink()
+    message = f"^{files[wrong]}: cannot be read: No such file or directory$"
+    with pytest.raises(InvalidInputError, match=message), serving(web=settings):
+        pass
 
 
 # -- what is told of those who do not come in -----------------------------------------------------------------------------

@@ -184,7 +184,7 @@ def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidOptionsError, match="16"):
         WebSettings(token="short")
     missing = WebSettings(port=0, certificate=tmp_path / "certificate.pem", key=tmp_path / "key.pem")
-    with pytest.raises(InvalidInputError, match="web"), serving(web=missing):
+    with pytest.raises(InvalidInputError, match="cannot be read"), serving(web=missing):
         pass
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 import tyro
 
+from handmap_qp.addresses import bare_host
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 
@@ -86,9 +87,11 @@ class Serve:
         web = None
         if self.web:
             token = None if self.web_token_file is None else read_token(self.web_token_file)
-            web = WebSettings(self.web_host, self.web_port, token, self.web_certificate, self.web_key, self.web_origin)
+            web = WebSettings(
+                bare_host("--web-host", self.web_host), self.web_port, token, self.web_certificate, self.web_key, self.web_origin
+            )
         settings = Settings(
-            host=self.host,
+            host=bare_host("--host", self.host),
             port=self.port,
             stream_port=self.stream_port,
             health_port=None if self.health_port == -1 else self.health_port,

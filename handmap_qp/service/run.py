@@ -41,7 +41,8 @@ async def _serve(settings: Settings) -> None:
         # What exists now stays: collections need not look at it again.
         gc.collect()
         gc.freeze()
-        print(json.dumps({"ready": True, "host": settings.host, "ports": server.ports}), flush=True)
+        hosts = {"host": settings.host} | ({} if settings.web is None else {"web_host": settings.web.host})
+        print(json.dumps({"ready": True, **hosts, "ports": server.ports}), flush=True)
         await ended.wait()
     finally:
         await server.stop()

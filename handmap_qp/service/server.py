@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -262,5 +263,8 @@ def _bind(socket: zmq.Socket, host: str, port: int) -> int:
     try:
         socket.bind(f"{address}:{port or '*'}")
     except zmq.ZMQError as error:
-        raise InvalidInputError(f"{address}:{port}: {error.strerror}") from error
+        # ZeroMQ looks up no names where it listens.
+        is_unknown = error.errno == errno.ENODEV
+        reason = "expected an IP address of this machine, or a network interface" if is_unknown else error.strerror
+        raise InvalidInputError(f"{address}:{port}: {reason}") from error
     return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])

@@ -97,9 +97,8 @@ class WebDoor:
     async def __aenter__(self) -> int:
         settings, tls = self._settings, None
         try:
-            if settings.certificate is not None:
-                tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-                tls.load_cert_chain(settings.certificate, settings.key)
+            if settings.certificate is not None and settings.key is not None:
+                tls = _read_tls(settings.certificate, settings.key)
             self._server = await serve(
                 self._handle,
                 settings.host,
@@ -114,7 +113,7 @@ class WebDoor:
                 open_timeout=5.0,
                 close_timeout=1.0,
             )
-        except (OSError, ssl.SSLError) as error:
+        except OSError as error:
             raise InvalidInputError(f"web {settings.host}:{settings.port}: {error.strerror or error}") from error
         self._dispatcher.sessions.publish.append(self._publish)
         return next(iter(self._server.sockets)).getsockname()[1]
@@ -215,6 +214,24 @@ class _Outbox:
     async def _send(self, message: bytes | str) -> None:
         async with asyncio.timeout(_SEND_TIMEOUT):
             await self._connection.send(message)
+
+
+def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    """What TLS needs of a server."""
+    for file in (certificate, key):
+        try:
+            file.read_bytes()
+        except OSError as error:
+            raise InvalidInputError(f"{file}: cannot be read: {error.strerror}") from error
+    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        # Without a passphrase: nobody sits there to be asked for it.
+        tls.load_cert_chain(certificate, key, password="")
+    except ssl.SSLError as error:
+        reason = f": {error.reason.replace('_', ' ').lower()}" if error.reason else ""
+        message = f"expected a PEM certificate and its key, without passphrase{reason}"
+        raise InvalidInputError(f"{certificate}, {key}: {message}") from error
+    return tls
 
 
 def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
