@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import resource
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -153,6 +154,20 @@ def test_files_of_tls_that_cannot_be_used_are_named(tmp_path: Path, wrong: str) 
     message = f"^{files[wrong]}: cannot be read: No such file or directory$"
     with pytest.raises(InvalidInputError, match=message), serving(web=settings):
         pass
+
+
+def test_the_server_may_open_as_many_files_as_the_system_allows(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(256, before[1]), before[1]))
+        run_server(LOCAL, "error")
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(before[1], 65536), before[1])
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert "ready" in capsys.readouterr().out
 
 
 # -- what is told of those who do not come in -----------------------------------------------------------------------------

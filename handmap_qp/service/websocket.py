@@ -27,9 +27,10 @@ from websockets.typing import Subprotocol
 
 from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import Caps
+from handmap_qp.service.caps import MOST_SESSIONS, Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log
+from handmap_qp.service.sessions import Sessions
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """What a browser names besides `bearer.TOKEN`, since it cannot set headers."""
@@ -139,7 +140,7 @@ class WebDoor:
         return connection.respond(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n")
 
     async def _handle(self, connection: ServerConnection) -> None:
-        outbox = _Outbox(connection)
+        outbox = _Outbox(connection, self._dispatcher.sessions)
         self._connections.add(outbox)
         writer = asyncio.create_task(outbox.write())
         try:
@@ -171,8 +172,8 @@ class WebDoor:
 class _Outbox:
     """What is on its way to one connection: answers in their order, and of each stream the newest message."""
 
-    def __init__(self, connection: ServerConnection) -> None:
-        self._connection = connection
+    def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
+        self._connection, self._sessions = connection, sessions
         self._answers: deque[bytes | str] = deque()
         self._streams: dict[str, bool] = {}
         self._newest: dict[str, bytes] = {}
@@ -185,6 +186,9 @@ class _Outbox:
         self._has_work.set()
 
     def subscribe(self, name: str, *, is_json: bool) -> None:
+        if len(self._streams) >= MOST_SESSIONS:
+            # A session may come back under its name; but not all those that ever were are remembered.
+            self._streams = {known: self._streams[known] for known in self._sessions.names if known in self._streams}
         self._streams[name] = is_json
 
     def offer(self, name: str, payload: bytes) -> None:
