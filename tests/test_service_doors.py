@@ -11,15 +11,17 @@ from pathlib import Path
 from queue import Queue
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.msgpack import encode
-from service_tools import LOCAL, Sampler, address_of, serving
+from service_tools import LOCAL, Sampler, address_of, human_q, serving
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
 from handmap_qp.addresses import bare_host
 from handmap_qp.client import Client, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.service import logs
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
 from handmap_qp.service.messages import PROTOCOL, Error, decode_request
@@ -96,7 +98,7 @@ def test_a_token_is_for_its_owner_alone(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_a_key_that_is_refused_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[str, object]] = []
-    monkeypatch.setattr("handmap_qp.service.logs.report", lambda level, event, **data: told.append((event, data["key"])))
+    monkeypatch.setattr(logs, "report", lambda level, event, **data: told.append((event, data["key"])))
     make_keys(tmp_path, ["a", "b"])
     (tmp_path / "clients" / "b.key").unlink()
     a, b = (load_certificate(tmp_path / f"{name}.key")[0] for name in "ab")
@@ -178,7 +180,7 @@ class Events:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._told: Queue[tuple[str, dict[str, Any]]] = Queue()
-        monkeypatch.setattr("handmap_qp.service.logs.report", lambda level, event, **data: self._told.put((event, data)))
+        monkeypatch.setattr(logs, "report", lambda level, event, **data: self._told.put((event, data)))
 
     def wait(self, event: str) -> dict[str, Any]:
         """What the next event of this name says."""
@@ -244,3 +246,18 @@ def test_users_are_told_how_to_show_the_token_and_how_long_a_message_may_be(caps
         words = " ".join(text.replace("│", " ").split())
         assert "Authorization: Bearer TOKEN" in words
         assert '["handmap.v1", "bearer.TOKEN"]' in words
+
+
+# -- a tracker that starts again ------------------------------------------------------------------------------------------
+
+
+def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> None:
+    choices: dict[str, Any] = {"name": "lab", "restore": True, "robot_q": np.zeros(8), "watchdog": 0.02}
+    assert 'name="lab", restore=True, robot_q=' in README
+    with serving() as server, Client(address_of(server), timeout=PATIENCE) as crashed, Client(address_of(server)) as again:
+        assert crashed.open("three_finger", **choices).q == (0.0,) * 8
+        last = [crashed.step(q=human_q(0.2 * i), wrist=np.eye(4)) for i in range(5)][-1]
+        # Silent from here on; the server has noticed when it says so in the stream.
+        while (held := crashed.latest(PATIENCE)) is not None and (held.status, held.seq) != ("hold", last.seq):
+            pass
+        assert again.open("three_finger", **choices).q == last.q != (0.0,) * 8
