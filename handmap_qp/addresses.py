@@ -15,6 +15,30 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def bare_host(name: str, host: str) -> str:
+    """A host without the brackets that URLs have round IPv6.
+
+    Args:
+        name: What the host is called.
+        host: The host as it was given.
+
+    Raises:
+        InvalidInputError: If more was given than a host.
+    """
+    bare = host[1:-1] if host.startswith("[") and host.endswith("]") else host
+    if not bare or "/" in bare or (":" in bare and not _is_address(bare)):
+        raise InvalidInputError(f"{name}: expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}")
+    return bare
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
 def check_port(name: str, port: int) -> None:
     """Refuse a number that is no port: ZeroMQ takes -1 for any port, and others fail late and in their own words.
 

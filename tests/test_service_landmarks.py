@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +17,6 @@ from handmap_qp.service.opening import CALIBRATION_SAMPLES, Calibration, Hands, 
 from handmap_qp.service.session import Session
 
 PERIOD = 1.0 / 60.0
-ORIGIN = ((0.0, 0.0, 0.0),) * 21
 
 
 def landmarks_of(scale: float = 1.0, phase: float = 0.0) -> tuple[tuple[float, ...], ...]:
@@ -57,12 +55,22 @@ def test_landmarks_are_measured_first_and_then_mapped(recordings: Any) -> None:
     assert commands[-1].detail is not None
 
 
-def test_landmarks_that_are_no_hand_are_refused_and_gathered_anew() -> None:
+def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it_was() -> None:
     session, sample = make_session(input="landmarks"), Sampler()
-    with pytest.raises(RefusedError) as raised:
-        deque((session.step(sample(landmarks=ORIGIN), i * PERIOD) for i in range(40)), maxlen=0)
-    assert raised.value.field == "landmarks"
-    assert session.step(sample(landmarks=ORIGIN), 1.0).status == "calibrating"
+    good = CALIBRATION_SAMPLES // 2
+    for i in range(good):
+        session.step(sample(landmarks=landmarks_of()), i * PERIOD)
+    before = session.record, session.mode
+    for scale in (0.0, 1000.0):
+        with pytest.raises(RefusedError, match="expected metres") as raised:
+            session.step(sample(landmarks=landmarks_of(scale)), 1.0)
+        assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
+    assert (session.record, session.mode) == before
+    # For the watchdog they have not come, and what was gathered before counts.
+    assert session.tick(good * PERIOD + session.request.watchdog) is not None
+    for i in range(good, CALIBRATION_SAMPLES + 1):
+        session.step(sample(landmarks=landmarks_of()), 1.0 + i * PERIOD)
+    assert session.mode == "following"
 
 
 def test_a_known_hand_needs_no_measuring() -> None:
@@ -80,16 +88,11 @@ def test_a_known_hand_needs_no_measuring() -> None:
 @pytest.mark.parametrize("scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"])
 def test_a_hand_in_other_units_is_not_measured_and_one_in_metres_is_thereafter(scale: float) -> None:
     session, sample = make_session(input="landmarks"), Sampler()
-    told = []
     for i in range(CALIBRATION_SAMPLES):
-        try:
+        with pytest.raises(RefusedError, match="expected metres") as raised:
             session.step(sample(landmarks=landmarks_of(scale)), i * PERIOD)
-        except RefusedError as error:
-            told.append(error)
-    (error,) = told
-    assert (error.code, error.field) == ("invalid", "landmarks")
-    assert "expected metres" in str(error)
-    assert session.mode == "calibrating"
+        assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
+    assert session.mode == "waiting"
     for i in range(CALIBRATION_SAMPLES, 2 * CALIBRATION_SAMPLES + 1):
         session.step(sample(landmarks=landmarks_of()), i * PERIOD)
     assert session.mode == "following"

@@ -151,8 +151,10 @@ def test_a_command_becomes_a_pose_with_its_scalar_last(bridge: dict[str, Any]) -
 def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) -> None:
     with serving() as server, Client(address_of(server), timeout=3.0) as client:
         node = bridge["Bridge"](client, "three_finger")
+        node.callbacks["timer"]()
         client.latest(0.2)
-        names = list(node.names)
+        assert client.opened is not None
+        names = list(client.opened.human_joint_names)
         node.callbacks["human/joint_states"](joint_state(names, human_q()))
         assert not node.published["robot/joint_commands"], "nothing goes out before the wrist is known"
         node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
@@ -174,6 +176,20 @@ def test_a_sample_that_cannot_be_used_is_told_and_the_node_goes_on(bridge: dict[
         node.callbacks["human/joint_states"](joint_state(["elbow"], np.zeros(1)))
         assert "KeyError" in node.published["log"][0]
         node.callbacks["timer"]()
+
+
+def test_a_node_that_was_started_first_waits_for_the_server(bridge: dict[str, Any], free_port: int) -> None:
+    with Client(f"tcp://127.0.0.1:{free_port}", timeout=0.05) as client:
+        node = bridge["Bridge"](client, "three_finger")
+        node.callbacks["timer"]()
+        node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
+        node.callbacks["human/joint_states"](joint_state([], np.zeros(0)))
+        assert ["ServiceTimeoutError" in line for line in node.published["log"]] == [True, True]
+        client.timeout = 20.0
+        with serving(port=free_port):
+            node.callbacks["timer"]()
+            assert len(server_joints(client)) == 8
+            client.close()
 
 
 def server_joints(client: Client) -> tuple[str, ...]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +103,65 @@ def test_one_server_at_a_time(tmp_path: Path) -> None:
 
 def test_another_file_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("something else", encoding="utf-8")
-    with pytest.raises(InvalidInputError, match="no state file"):
+    with pytest.raises(InvalidInputError, match="expected a state file"):
         PostureStore(tmp_path / "state")
     assert (tmp_path / "state").read_text(encoding="utf-8") == "something else"
+
+
+def test_a_file_of_the_right_size_that_is_none_is_left_alone(tmp_path: Path) -> None:
+    with PostureStore(tmp_path / "state"):
+        pass
+    noise = np.random.default_rng(1).bytes((tmp_path / "state").stat().st_size)
+    (tmp_path / "noise").write_bytes(noise)
+    with pytest.raises(InvalidInputError, match=r"noise: expected a state file of handmap"):
+        PostureStore(tmp_path / "noise")
+    assert (tmp_path / "noise").read_bytes() == noise
+
+
+def test_room_is_reserved_at_the_start(tmp_path: Path) -> None:
+    with PostureStore(tmp_path / "state"):
+        status = (tmp_path / "state").stat()
+        assert status.st_blocks * 512 >= status.st_size
+
+
+def test_without_room_nothing_is_left_that_a_later_start_would_refuse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill_up(file: int, offset: int, length: int) -> None:
+        # As file systems do that give what they have.
+        os.ftruncate(file, length // 2)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "posix_fallocate", fill_up)
+        with pytest.raises(InvalidInputError, match=r"state: expected room for \d+ bytes: No space left on device$"):
+            PostureStore(tmp_path / "state")
+    assert (tmp_path / "state").stat().st_size == 0
+    with PostureStore(tmp_path / "state") as store:
+        store.note(record("left", Q, None))
+
+
+def test_a_start_that_was_killed_is_made_up_for_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as killed:
+        killed.setattr(os, "posix_fallocate", lambda *_: sys.exit("killed"))
+        with pytest.raises(SystemExit):
+            PostureStore(tmp_path / "state")
+    # A process would have let go of the file at its end.
+    (tmp_path / "copy").write_bytes((tmp_path / "state").read_bytes())
+    with PostureStore(tmp_path / "copy") as store:
+        store.note(record("left", Q, None))
+
+
+def test_postures_that_are_lost_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[dict[str, object]] = []
+    monkeypatch.setattr("handmap_qp.service.store.report", lambda level, event, **data: told.append({"event": event, **data}))
+    state = tmp_path / "state"
+    with PostureStore(state) as store:
+        for name in ("left", "right", "right"):
+            store.note(record(name, Q, None))
+    whole = state.read_bytes()
+    with PostureStore(state):
+        assert told == []
+    state.write_bytes(whole.replace(b"left", b"lift"))
+    with PostureStore(state) as store:
+        assert store.find("right", "hand", 3) is not None
+        assert store.find("left", "hand", 3) is None
+    assert told == [{"event": "state_damaged", "file": str(state), "postures_lost": 1}]

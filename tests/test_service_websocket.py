@@ -7,6 +7,7 @@ import json
 import shutil
 import ssl
 import subprocess
+import types
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import Caps
+from handmap_qp.service.caps import MOST_SESSIONS, Caps
 from handmap_qp.service.messages import PROTOCOL, Close, Sample, Status, Subscribe
 from handmap_qp.service.server import Server
-from handmap_qp.service.websocket import WebSettings
+from handmap_qp.service.websocket import WebSettings, _Outbox
 
 WEB = WebSettings(port=0)
 TOKEN = "a-token-of-the-tests"
@@ -184,7 +185,7 @@ def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidOptionsError, match="16"):
         WebSettings(token="short")
     missing = WebSettings(port=0, certificate=tmp_path / "certificate.pem", key=tmp_path / "key.pem")
-    with pytest.raises(InvalidInputError, match="web"), serving(web=missing):
+    with pytest.raises(InvalidInputError, match="cannot be read"), serving(web=missing):
         pass
 
 
@@ -199,3 +200,13 @@ def test_connections_are_capped() -> None:
 
     with serving(web=WEB, caps=Caps(sessions=1)) as server:
         asyncio.run(work(server))
+
+
+def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
+    names = ["lab", *(f"session-{i}" for i in range(3 * MOST_SESSIONS))]
+    sessions = types.SimpleNamespace(names=("lab", "other"))
+    outbox = _Outbox(None, sessions)  # type: ignore[arg-type]
+    for name in names:
+        outbox.subscribe(name, is_json=True)
+        assert len(outbox._streams) <= MOST_SESSIONS
+    assert {"lab", names[-1]} <= outbox._streams.keys()

@@ -8,6 +8,7 @@ from typing import Literal
 
 import tyro
 
+from handmap_qp.addresses import bare_host
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 
@@ -27,7 +28,9 @@ class Serve:
         web: Open the WebSocket door.
         web_host: Its address; any but loopback needs --web-token-file, --web-certificate and --web-key.
         web_port: Its port.
-        web_token_file: File with the token that WebSocket clients must present.
+        web_token_file: File with the token that WebSocket clients must present: 16 to 256 letters, digits, - and _, readable for
+            you alone. They send it as the header `Authorization: Bearer TOKEN`; pages in browsers, which cannot set headers, offer
+            the subprotocols `["handmap.v1", "bearer.TOKEN"]`.
         web_certificate: PEM file of the TLS certificate.
         web_key: PEM file of its key.
         web_origin: Further origins of pages that may connect.
@@ -78,14 +81,17 @@ class Serve:
         except ModuleNotFoundError as error:
             raise MissingExtraError(str(error.name), "service") from error
         from handmap_qp.service.caps import Caps
+        from handmap_qp.service.keys import read_token
 
         self._check_web()
         web = None
         if self.web:
-            token = None if self.web_token_file is None else _read_token(self.web_token_file)
-            web = WebSettings(self.web_host, self.web_port, token, self.web_certificate, self.web_key, self.web_origin)
+            token = None if self.web_token_file is None else read_token(self.web_token_file)
+            web = WebSettings(
+                bare_host("--web-host", self.web_host), self.web_port, token, self.web_certificate, self.web_key, self.web_origin
+            )
         settings = Settings(
-            host=self.host,
+            host=bare_host("--host", self.host),
             port=self.port,
             stream_port=self.stream_port,
             health_port=None if self.health_port == -1 else self.health_port,
@@ -115,7 +121,8 @@ class Keys:
     """Make the keys that `handmap serve --keys` needs; keys that are there stay.
 
     Give each client its NAME.key_secret and server.key. A running server takes new keys at once; delete clients/NAME.key, and that
-    client cannot connect any more. A connection that is open stays until it ends, at the latest with the server.
+    client cannot connect any more, until the same command with its name admits it again. A connection that is open stays until it
+    ends, at the latest with the server.
 
     Attributes:
         folder: Where to put them.
@@ -132,12 +139,9 @@ class Keys:
         except ModuleNotFoundError as error:
             raise MissingExtraError(str(error.name), "service") from error
 
-        for file in make_keys(self.folder, self.client):
-            print(f"wrote {file}")
-
-
-def _read_token(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(f"--web-token-file {file}: cannot be read: {error}") from error
+        written = make_keys(self.folder, self.client)
+        for file in written:
+            is_back = file.parent.name == "clients" and self.folder / file.name not in written
+            print(f"wrote {file}" + (f", which admits {file.stem} again" if is_back else ""))
+        if not written:
+            print("wrote nothing: all keys are there")

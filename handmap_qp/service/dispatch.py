@@ -295,7 +295,7 @@ class Dispatcher:
             seq=seq,
             version=self._version,
             uptime=now - self._started,
-            names=tuple(entry.session.name for entry in self.sessions.entries.values()),
+            names=self.sessions.names,
             counts=dict(self._metrics.counts),
             robots=self._shelf.robots,
             stream_port=self.stream_port,

@@ -28,7 +28,8 @@ Points = Annotated[tuple[Vector, ...], msgspec.Meta(max_length=256)]
 Length = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
-Name = Annotated[str, msgspec.Meta(title="1 to 64 of A-Z a-z 0-9 _ . -", pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
+_NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
+Name = Annotated[str, msgspec.Meta(title=_NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 
 
 class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -247,6 +248,8 @@ AnyRequest = Open | Step | Sample | Clutch | Release | Configure | Reset | Statu
 
 LARGEST = 1e3
 """Farthest that a coordinate may be from the origin [m], and the largest angle [rad]: beyond it, numbers are mistakes."""
+LATEST = 1e15
+"""Farthest that a time stamp may be from 0 [s]."""
 _QUAT_TOLERANCE = 1e-2
 
 
@@ -281,7 +284,8 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
         if type(protocol) is int and protocol != PROTOCOL:
             return _wrong_protocol(seq, protocol)
         message, _, place = str(error).partition(" - at `$")
-        return Error(seq=seq, code="invalid", message=message, field=place.rstrip("`").lstrip(".") or _field_in(message))
+        field = place.rstrip("`").lstrip(".") or _field_in(message)
+        return Error(seq=seq, code="invalid", message=_in_words(message, place), field=field)
     except _UNREADABLE as error:
         kind = "JSON" if is_json else "msgpack"
         return Error(code="invalid", message=f"is no {kind} message: {error}"[:200])
@@ -318,11 +322,20 @@ def _field_in(message: str) -> str:
     return named[1] if named else ""
 
 
+def _in_words(message: str, place: str) -> str:
+    """What msgspec says of a mistake, where its own words would not help."""
+    if "matching regex" in message:
+        return f"expected {_NAME}"
+    if message == "Object contains unknown field `name`" and not place:
+        return "by a session's name you may only watch it, and steer it if it is shared; this asks for its secret"
+    return message
+
+
 def _bad_number(request: Request) -> tuple[str, str] | None:
     """The first number that is not finite, much too large, or part of a quaternion that is none."""
     if isinstance(request, Step):
-        if not abs(request.time) <= 1e15:
-            return "time", f"expected a finite number, got {request.time}"
+        if not abs(request.time) <= LATEST:
+            return "time", f"expected a number within {LATEST:g} of 0, got {request.time:g}"
         return (
             _bad_row("q", request.q)
             or _bad_points("landmarks", request.landmarks)

@@ -21,7 +21,7 @@ _HELP = {
     "requests": ("counter", "Messages that came in."),
     "steps": ("counter", "Samples mapped."),
     "replaced": ("counter", "Streamed samples that a newer one replaced before they were mapped."),
-    "refusals": ("counter", "Messages that were refused, by code."),
+    "refusals": ("counter", "Messages that were refused, by code; also handshakes."),
     "watchdog": ("counter", "Times that the watchdog found a session without samples."),
     "opened": ("counter", "Sessions opened."),
     "dropped": ("counter", "Replies that a slow reader lost."),

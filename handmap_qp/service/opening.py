@@ -25,7 +25,7 @@ from handmap_qp.mapping import HandMapper
 from handmap_qp.options import MappingOptions
 from handmap_qp.recording import Recording
 from handmap_qp.service.messages import Open
-from handmap_qp.trackers.landmarks import LandmarkFitter, human_name, measure_hand
+from handmap_qp.trackers.landmarks import LandmarkFitter, check_length, human_name, measure_hand
 
 SOLVERS = ("daqp",)
 """Solvers that a client may choose: the time of others is not bounded, and all sessions would wait. With a large weight ProxQP was
@@ -172,8 +172,10 @@ class Calibration:
             The hands, once they are ready.
 
         Raises:
-            RefusedError: If the samples so far are not those of a hand; the next ones are gathered anew.
+            RefusedError: If the sample is of no hand, and then as if it had not come; or if the samples so far do not make a hand,
+                and the next ones are gathered anew.
         """
+        name_field("landmarks", lambda: check_length(landmarks[None]))
         if self._work is None:
             self._landmarks.append(landmarks)
             if len(self._landmarks) >= CALIBRATION_SAMPLES:

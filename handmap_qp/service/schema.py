@@ -13,6 +13,7 @@ import msgspec
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.options import MappingOptions
 from handmap_qp.service import messages
+from handmap_qp.service.caps import Caps
 from handmap_qp.service.messages import PROTOCOL, About, AnyReply, AnyRequest, Detail, Lengths, Pose, Reply, Request
 from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 
@@ -56,7 +57,11 @@ def schema_text() -> str:
         "- ZeroMQ: msgpack. A DEALER (or REQ) socket to the port of requests; a SUB socket to the port of the stream, where a "
         "message is the session's name, a zero byte, and the message. One SUB socket per session: for each the server keeps the "
         "newest message alone, whatever session it is of.\n"
-        "- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` turns on a stream.\n\n"
+        "- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` turns on a stream. Where a token is asked for (16 "
+        "to 256 of A-Z a-z 0-9 _ -), a client shows it as the header `Authorization: Bearer TOKEN`, and a page in a browser, which "
+        'cannot set headers, as a subprotocol: `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.\n\n'
+        f"A message is at most {Caps().message_size} bytes long; a longer one ends its connection. Coordinates [m] and angles "
+        f"[rad] are within {messages.LARGEST:g} of 0, time stamps [s] within {messages.LATEST:g}.\n\n"
         "A request that is repeated byte by byte is answered again and carried out once. One that bears a session's public "
         "`name` in place of its secret is carried out each time.",
         "## Requests",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.handshakes import report_handshakes
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
 from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
@@ -146,7 +148,8 @@ class Server:
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._router.FD, self._drain)
         self._closing.callback(self._loop.remove_reader, self._router.FD)
-        self._tasks = [asyncio.create_task(self._tick())]
+        watches = [report_handshakes(context, socket, self.metrics) for socket in (self._router, self._stream)]
+        self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
         report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
 
     async def stop(self) -> None:
@@ -260,5 +263,8 @@ def _bind(socket: zmq.Socket, host: str, port: int) -> int:
     try:
         socket.bind(f"{address}:{port or '*'}")
     except zmq.ZMQError as error:
-        raise InvalidInputError(f"{address}:{port}: {error.strerror}") from error
+        # ZeroMQ looks up no names where it listens.
+        is_unknown = error.errno == errno.ENODEV
+        reason = "expected an IP address of this machine, or a network interface" if is_unknown else error.strerror
+        raise InvalidInputError(f"{address}:{port}: {reason}") from error
     return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])

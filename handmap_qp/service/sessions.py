@@ -69,6 +69,11 @@ class Sessions:
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._last_name = 0
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Public names of the open sessions."""
+        return tuple(entry.session.name for entry in self.entries.values())
+
     def find(self, secret: str) -> Entry:
         """An open session.
 

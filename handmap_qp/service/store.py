@@ -2,7 +2,8 @@
 
 The file is mapped into memory, so that noting a command costs microseconds and survives a kill of the process (a power cut may
 lose the last ones). Each session has a slot with two copies, written in turn, each with a checksum: a kill in the middle of a
-write leaves the copy before it whole.
+write leaves the copy before it whole. All of the file is reserved at the start: a disk that fills up later would otherwise kill the
+server at its next write to memory.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import mmap
 import os
 import struct
 import zlib
+from logging import WARNING
 from pathlib import Path
 from typing import Self
 
@@ -21,12 +23,16 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RefusedError
 from handmap_qp.service.caps import MOST_SESSIONS
+from handmap_qp.service.logs import report
 
+_MAGIC = b"handmap_qp postures 1\n"
+"""What the file begins with; the number is the layout's."""
 _HEAD = struct.Struct("<IIQ")
 """Length and CRC-32 of a record, and the number of the write."""
 _COPY = 4096
 _SLOTS = MOST_SESSIONS
-_SIZE = 2 * _SLOTS * _COPY
+# The first block is the magic's.
+_SIZE = (1 + 2 * _SLOTS) * _COPY
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -76,11 +82,8 @@ class PostureStore:
         except OSError as error:
             raise InvalidInputError(f"{path}: cannot be used: {error.strerror}") from error
         try:
-            size = os.fstat(self._file).st_size
-            if size not in (0, _SIZE):
-                raise InvalidInputError(f"{path}: is no state file of handmap: expected {_SIZE} bytes, got {size}")
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.ftruncate(self._file, _SIZE)
+            self._reserve(path)
             self._memory = mmap.mmap(self._file, _SIZE)
         except OSError as error:
             os.close(self._file)
@@ -93,13 +96,27 @@ class PostureStore:
         self._slots: dict[str, int] = {}
         self._written = [0] * _SLOTS
         self._writes = 0
-        self._load(self._memory)
+        if damaged := self._load(self._memory):
+            report(WARNING, "state_damaged", file=str(path), postures_lost=damaged)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _reserve(self, path: Path) -> None:
+        """Make a new file one of postures, and give it all the room that it will need; other files are left as they are."""
+        size = os.fstat(self._file).st_size
+        if size and os.pread(self._file, len(_MAGIC), 0) != _MAGIC:
+            raise InvalidInputError(f"{path}: expected a state file of handmap ({_MAGIC.decode().strip()!r}), got another file")
+        try:
+            # In this order a kill in between leaves a file that is taken the next time.
+            os.pwrite(self._file, _MAGIC, 0)
+            os.posix_fallocate(self._file, 0, _SIZE)
+        except OSError as error:
+            os.ftruncate(self._file, size)
+            raise InvalidInputError(f"{path}: expected room for {_SIZE} bytes: {error.strerror}") from error
 
     def note(self, record: Record) -> None:
         """Note where a session's robot is."""
@@ -121,8 +138,8 @@ class PostureStore:
             self._slots[record.name] = slot
         self._writes += 1
         self._written[slot] = self._writes
-        first, second = (_HEAD.unpack_from(memory, (2 * slot + copy) * _COPY)[2] for copy in (0, 1))
-        start = (2 * slot + (second < first)) * _COPY
+        first, second = (_HEAD.unpack_from(memory, start)[2] for start in _copies(slot))
+        start = _copies(slot)[second < first]
         memory[start + _HEAD.size : start + _HEAD.size + len(payload)] = payload
         _HEAD.pack_into(memory, start, len(payload), zlib.crc32(payload), self._writes)
 
@@ -154,22 +171,38 @@ class PostureStore:
             self._records.pop(name, None)
         return slot
 
-    def _load(self, memory: mmap.mmap) -> None:
-        """Read the file: of each slot the newest copy that is whole, and of each name the newest slot."""
-        found = [read for slot in range(_SLOTS) if (read := self._read(memory, slot)) is not None]
-        for write, slot, record in sorted(found, key=lambda each: each[0]):
+    def _load(self, memory: mmap.mmap) -> int:
+        """Read the file: of each slot the newest copy that is whole, and of each name the newest slot.
+
+        Returns:
+            The number of slots that were written to and hold nothing whole.
+        """
+        found = {slot: self._read(memory, slot) for slot in range(_SLOTS) if _is_used(memory, slot)}
+        whole = [(*read, slot) for slot, read in found.items() if read is not None]
+        for write, record, slot in sorted(whole, key=lambda each: each[0]):
             self._written[slot] = self._writes = write
             self._slots[record.name], self._records[record.name] = slot, record
+        return sum(read is None for read in found.values())
 
-    def _read(self, memory: mmap.mmap, slot: int) -> tuple[int, int, Record] | None:
-        """The number of the last write to a slot, the slot, and what was written; None if it holds nothing whole."""
+    def _read(self, memory: mmap.mmap, slot: int) -> tuple[int, Record] | None:
+        """The number of the last write to a slot, and what was written; None if it holds nothing whole."""
         newest = None
-        for copy in (2 * slot, 2 * slot + 1):
-            length, checksum, write = _HEAD.unpack_from(memory, copy * _COPY)
-            start = copy * _COPY + _HEAD.size
-            payload = memory[start : start + min(length, _COPY)]
+        for copy in _copies(slot):
+            length, checksum, write = _HEAD.unpack_from(memory, copy)
+            payload = memory[copy + _HEAD.size : copy + _HEAD.size + min(length, _COPY - _HEAD.size)]
             if length == 0 or zlib.crc32(payload) != checksum or (newest is not None and write <= newest[0]):
                 continue
             with contextlib.suppress(msgspec.MsgspecError):
-                newest = write, slot, self._decode(payload)
+                newest = write, self._decode(payload)
         return newest
+
+
+def _copies(slot: int) -> tuple[int, int]:
+    """Where the two copies of a slot begin."""
+    start = (1 + 2 * slot) * _COPY
+    return start, start + _COPY
+
+
+def _is_used(memory: mmap.mmap, slot: int) -> bool:
+    """Whether a slot was ever written to; of what is written, the head comes last."""
+    return any(any(memory[copy : copy + _HEAD.size]) for copy in _copies(slot))

@@ -27,9 +27,10 @@ from websockets.typing import Subprotocol
 
 from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import Caps
+from handmap_qp.service.caps import MOST_SESSIONS, Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log
+from handmap_qp.service.sessions import Sessions
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """What a browser names besides `bearer.TOKEN`, since it cannot set headers."""
@@ -97,9 +98,8 @@ class WebDoor:
     async def __aenter__(self) -> int:
         settings, tls = self._settings, None
         try:
-            if settings.certificate is not None:
-                tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-                tls.load_cert_chain(settings.certificate, settings.key)
+            if settings.certificate is not None and settings.key is not None:
+                tls = _read_tls(settings.certificate, settings.key)
             self._server = await serve(
                 self._handle,
                 settings.host,
@@ -114,7 +114,7 @@ class WebDoor:
                 open_timeout=5.0,
                 close_timeout=1.0,
             )
-        except (OSError, ssl.SSLError) as error:
+        except OSError as error:
             raise InvalidInputError(f"web {settings.host}:{settings.port}: {error.strerror or error}") from error
         self._dispatcher.sessions.publish.append(self._publish)
         return next(iter(self._server.sockets)).getsockname()[1]
@@ -140,7 +140,7 @@ class WebDoor:
         return connection.respond(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n")
 
     async def _handle(self, connection: ServerConnection) -> None:
-        outbox = _Outbox(connection)
+        outbox = _Outbox(connection, self._dispatcher.sessions)
         self._connections.add(outbox)
         writer = asyncio.create_task(outbox.write())
         try:
@@ -172,8 +172,8 @@ class WebDoor:
 class _Outbox:
     """What is on its way to one connection: answers in their order, and of each stream the newest message."""
 
-    def __init__(self, connection: ServerConnection) -> None:
-        self._connection = connection
+    def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
+        self._connection, self._sessions = connection, sessions
         self._answers: deque[bytes | str] = deque()
         self._streams: dict[str, bool] = {}
         self._newest: dict[str, bytes] = {}
@@ -186,6 +186,9 @@ class _Outbox:
         self._has_work.set()
 
     def subscribe(self, name: str, *, is_json: bool) -> None:
+        if len(self._streams) >= MOST_SESSIONS:
+            # A session may come back under its name; but not all those that ever were are remembered.
+            self._streams = {known: self._streams[known] for known in self._sessions.names if known in self._streams}
         self._streams[name] = is_json
 
     def offer(self, name: str, payload: bytes) -> None:
@@ -215,6 +218,24 @@ class _Outbox:
     async def _send(self, message: bytes | str) -> None:
         async with asyncio.timeout(_SEND_TIMEOUT):
             await self._connection.send(message)
+
+
+def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    """What TLS needs of a server."""
+    for file in (certificate, key):
+        try:
+            file.read_bytes()
+        except OSError as error:
+            raise InvalidInputError(f"{file}: cannot be read: {error.strerror}") from error
+    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        # Without a passphrase: nobody sits there to be asked for it.
+        tls.load_cert_chain(certificate, key, password="")
+    except ssl.SSLError as error:
+        reason = f": {error.reason.replace('_', ' ').lower()}" if error.reason else ""
+        message = f"expected a PEM certificate and its key, without passphrase{reason}"
+        raise InvalidInputError(f"{certificate}, {key}: {message}") from error
+    return tls
 
 
 def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:

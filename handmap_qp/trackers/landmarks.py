@@ -127,6 +127,28 @@ def human_name(side: Side) -> str:
     return "human" if side == "right" else "human_left"
 
 
+def check_length(landmarks: np.ndarray) -> np.ndarray:
+    """Refuse landmarks of something that is no hand, or of a hand in other units than metres.
+
+    Args:
+        landmarks: Of one sample or more [m], shape (T, 21, 3).
+
+    Returns:
+        Bone lengths, the median over the samples [m], shape (5, 3).
+
+    Raises:
+        InvalidInputError: If no hand is as long as that.
+    """
+    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
+    segments = np.median(bones, axis=0)
+    low, high = HAND_LENGTHS
+    length = float(np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum())
+    if not low <= length <= high:
+        message = f"landmarks: expected metres and a hand of {low} to {high} m from wrist to middle fingertip, got {length:.3g}"
+        raise InvalidInputError(message, value=length)
+    return segments
+
+
 def measure_hand(recording: Recording) -> HumanLengths:
     """Measure a person's hand: medians of bone lengths and of the palm's shape over the valid samples.
 
@@ -140,9 +162,7 @@ def measure_hand(recording: Recording) -> HumanLengths:
         InvalidInputError: If no hand is as long as that.
     """
     landmarks = recording.landmarks[recording.valid]
-    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
-    segments = np.median(bones, axis=0)
-    _check_length(landmarks, segments)
+    segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
     right = load_hand("human", points="landmarks")
@@ -200,15 +220,6 @@ def _palm_sizes(palms: np.ndarray) -> np.ndarray:
     """Root mean square distances of palms' points (..., 5, 3) from their middles [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
-
-
-def _check_length(landmarks: np.ndarray, segments: np.ndarray) -> None:
-    """Refuse landmarks (T, 21, 3) and bones (5, 3) of something that is no hand, or of a hand in other units than metres."""
-    low, high = HAND_LENGTHS
-    length = float(np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum())
-    if not low <= length <= high:
-        message = f"landmarks: expected metres and a hand of {low} to {high} m from wrist to middle fingertip, got {length:.3g}"
-        raise InvalidInputError(message, value=length)
 
 
 def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
