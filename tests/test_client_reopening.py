@@ -152,7 +152,8 @@ def test_one_task_waits_for_commands_while_another_sends(server: Server) -> None
         async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
             await client.open("three_finger")
             driving = asyncio.ensure_future(client.latest(PATIENCE))
-            # Without samples there are no commands: a task that had to wait for the other would wait in vain.
+            # Now it waits. Without samples there are no commands: if one task had to wait for the other, both would wait in vain.
+            await asyncio.sleep(0.0)
             while not driving.done():
                 await client.send(q=human_q(), wrist=WRIST)
                 await asyncio.sleep(0.01)

@@ -133,14 +133,12 @@ def test_the_newest_sample_wins(server: Server) -> None:
 
 def test_the_stream_tells_what_is_wrong_with_a_sample(server: Server) -> None:
     with connected(server) as client:
-        client.send(q=human_q(), wrist=WRIST, time=1.0)
-        heard(client, 1.0)
 
         def send_a_bad_one() -> None:
-            # Again and again, since a command may take its place before it is read.
             client.send(q=human_q()[:3], wrist=WRIST)
             client.latest(0.1)
 
+        # Again and again, for it is told once, and the subscription may not have arrived yet.
         with pytest.raises(ServiceError) as raised:
             wait_until(send_a_bad_one)
         assert code_of(raised) == ("invalid", "q")
@@ -214,7 +212,7 @@ def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_resto
 
 
 def test_a_takeover_needs_no_room_of_its_own() -> None:
-    # That of openings a second is not to count here: at once, it is of one too.
+    # Openings a second are capped as well; that is not what is met here.
     caps = Caps(sessions=1, opens=1e6)
     with serving(caps=caps) as server, connected(server, name="mine"), client_of(server) as second:
         second.open("three_finger", name="mine", restore=True, robot_q=np.zeros(8))

@@ -248,7 +248,9 @@ def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> 
     np.testing.assert_allclose(sample.human_wrist, pose, atol=2e-3)
 
 
-def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(service: Server) -> None:
+def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(service: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Not by the look that is due every second.
+    monkeypatch.setattr("handmap_qp.viewer.remote._LOOK_PERIOD", np.inf)
     with connected(service, name="lab", is_shared=True) as client, moving(client), watching(service) as (_, samples):
         assert next(samples).is_seen
         lose_sessions(service)
