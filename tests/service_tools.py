@@ -8,13 +8,19 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 import pytest
+import zmq
+from patience import PATIENCE, wait_until
+from zmq.auth import load_certificate
+from zmq.utils.monitor import recv_monitor_message
 
-from handmap_qp.client import Client, ServiceError
-from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Step
+from handmap_qp.client import Client, KeyFiles, ServiceError
+from handmap_qp.client import Command as HeardCommand
+from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Sample, Step
 from handmap_qp.service.opening import Calibration, Hands, HandShelf, prepare_hands
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Posture, Session
@@ -26,9 +32,10 @@ SECRET = "a-secret-of-the-tests"
 PERIOD = 1.0 / 60.0
 RESET = Reset(protocol=PROTOCOL, seq=99)
 LOCAL = Settings(port=0, stream_port=0, health_port=None)
+T = TypeVar("T")
 
 
-def human_q(phase: float = 0.0, robot: str = "three_finger") -> np.ndarray:
+def human_q(phase: float = 0.0) -> np.ndarray:
     """Joint angles of a human hand that closes and opens, shape (20,)."""
     human = SHELF.human("right", None)
     middle, half = 0.5 * (human.lower_limits + human.upper_limits), 0.5 * (human.upper_limits - human.lower_limits)
@@ -79,6 +86,11 @@ class Sampler:
         return Step(protocol=PROTOCOL, seq=self.seq, session=SECRET, time=time, q=angles, wrist=pose, **human)
 
 
+def streamed(step: Step) -> Sample:
+    """The same sample, as one that is not answered."""
+    return Sample(**msgspec.structs.asdict(step))
+
+
 def speeds(session: Session, before: np.ndarray, command: Command, time: float) -> np.ndarray:
     """Joint speeds as parts of their limits, shape (n,)."""
     return np.abs(np.array(command.q) - before) / (session.robot.velocity_limits * time)
@@ -127,21 +139,84 @@ def serving(settings: Settings = LOCAL, **changes: Any) -> Iterator[Server]:
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        yield started.result(timeout=10.0)
+        yield started.result(timeout=PATIENCE)
     finally:
         # The loop is closed already where the server could not start.
         with suppress(RuntimeError):
-            ended.result(timeout=10.0)()
-        thread.join(timeout=10.0)
+            ended.result(timeout=PATIENCE)()
+        thread.join(timeout=PATIENCE)
+
+
+def in_loop(server: Server, work: Callable[[], T]) -> T:
+    """Look at a running server, or change it, where all that it does happens: in its event loop."""
+
+    async def act() -> T:
+        return work()
+
+    return asyncio.run_coroutine_threadsafe(act(), server._loop).result(PATIENCE)
+
+
+def lose_sessions(server: Server) -> None:
+    """Let a running server forget its sessions, as by a restart: nobody is told."""
+    in_loop(server, server.dispatcher.sessions.entries.clear)
+
+
+def skip(server: Server, seconds: float) -> None:
+    """Let a running server believe that so much time has passed, and act on it."""
+    dispatcher = server.dispatcher
+
+    def act() -> None:
+        before = dispatcher._clock
+        dispatcher._clock = dispatcher.sessions._clock = lambda: before() + seconds
+        dispatcher.tick()
+
+    in_loop(server, act)
 
 
 def address_of(server: Server) -> str:
     return f"tcp://127.0.0.1:{server.ports['requests']}"
 
 
+def client_of(server: Server, **choices: Any) -> Client:
+    """A client that waits for its answers as long as it takes."""
+    return Client(address_of(server), **{"timeout": PATIENCE, **choices})
+
+
 @contextmanager
-def connected(server: Server, **choices: Any) -> Iterator[Client]:
+def connected(server: Server, robot: str = "three_finger", **choices: Any) -> Iterator[Client]:
     """A client with an open session."""
-    with Client(address_of(server), timeout=3.0) as client:
-        client.open(choices.pop("robot", "three_finger"), **choices)
+    with client_of(server) as client:
+        client.open(robot, **choices)
         yield client
+
+
+def heard(listener: Client, stamp: float) -> HeardCommand:
+    """The command that answers a sample, by its time stamp: at the latest when the watchdog repeats it."""
+
+    def listen() -> HeardCommand | None:
+        command = listener.latest(0.1)
+        return command if command is not None and command.time == stamp else None
+
+    return wait_until(listen)
+
+
+def send_until_reopened(client: Client, **sample: Any) -> None:
+    """Send a sample until the client has heard that its session is lost, and the sample went into a new one."""
+
+    def send() -> int:
+        client.send(**sample)
+        return client.reopened
+
+    wait_until(send)
+
+
+@contextmanager
+def knocking(server: Server, keys: KeyFiles | None = None) -> Iterator[tuple[zmq.Socket, Callable[[], int]]]:
+    """A bare socket that connects, and what becomes of its connection: event by event, as ZeroMQ tells them."""
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket, socket.get_monitor_socket() as monitor:
+        socket.linger, monitor.rcvtimeo = 0, int(1e3 * PATIENCE)
+        if keys is not None:
+            socket.curve_publickey, socket.curve_secretkey = load_certificate(keys[0])
+            socket.curve_serverkey = load_certificate(keys[1])[0]
+        socket.connect(address_of(server))
+        yield socket, lambda: recv_monitor_message(monitor)["event"]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tyro
+from patience import PATIENCE
 from service_tools import human_q
 from zmq.auth import load_certificate
 
@@ -33,17 +34,20 @@ def test_it_says_when_it_is_ready_and_ends_when_it_is_told(number: signal.Signal
         assert process.stdout is not None
         ready = json.loads(process.stdout.readline())
         assert set(ready["ports"]) == {"requests", "stream", "health", "web"}
-        with Client(f"tcp://127.0.0.1:{ready['ports']['requests']}", timeout=1.0) as client:
+        with Client(f"tcp://127.0.0.1:{ready['ports']['requests']}", timeout=PATIENCE) as client:
             client.open("three_finger")
             assert client.step(q=human_q(), wrist=np.eye(4)).status == "converged"
             process.send_signal(number)
-            log = process.communicate(timeout=10.0)[1]
+            log = process.communicate(timeout=PATIENCE)[1]
+            # Nobody is there any more to close the session.
+            client.timeout = 0.0
     finally:
         process.kill()
         process.wait()
     assert process.returncode == 0
     events = [json.loads(line)["event"] for line in log.splitlines()]
-    assert events == ["ready", "opened", "closed", "stopped"]
+    # A busy machine adds that it is late.
+    assert [event for event in events if event != "late"] == ["ready", "opened", "closed", "stopped"]
 
 
 def test_the_schema_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from service_tools import address_of, human_q, serving
+import zmq
+from patience import wait_until
+from service_tools import client_of, human_q, knocking, serving
 from zmq.auth import load_certificate
 
-from handmap_qp.client import Client, ServiceTimeoutError
+from handmap_qp.client import KeyFiles
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.service.keys import ClientKeys, make_keys
 from handmap_qp.service.server import Server
@@ -17,33 +19,35 @@ from handmap_qp.service.server import Server
 WRIST = np.eye(4)
 
 
-def comes_in(server: Server, folder: Path, name: str, patience: float = 5.0) -> bool:
-    """Whether a client that connects now is answered."""
-    keys = folder / f"{name}.key_secret", folder / "server.key"
-    with Client(address_of(server), timeout=patience, keys=keys) as client:
-        try:
-            client.status()
-        except ServiceTimeoutError:
-            return False
-        return True
+SHUT = {zmq.EVENT_HANDSHAKE_FAILED_AUTH, zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL, zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL}
+
+
+def comes_in(server: Server, keys: KeyFiles | None) -> bool:
+    """Whether a client that connects now is let in."""
+    with knocking(server, keys) as (_, next_event):
+        end = wait_until(lambda: {next_event()} & {zmq.EVENT_HANDSHAKE_SUCCEEDED, *SHUT})
+    return not end & SHUT
+
+
+def keys_of(folder: Path, name: str) -> KeyFiles:
+    """What a client is given."""
+    return folder / f"{name}.key_secret", folder / "server.key"
 
 
 def test_only_admitted_keys_come_in(tmp_path: Path) -> None:
     make_keys(tmp_path / "keys", ["mine"])
     make_keys(tmp_path / "others", ["theirs"])
-    server_key = tmp_path / "keys" / "server.key"
-    mine = tmp_path / "keys" / "mine.key_secret", server_key
-    theirs = tmp_path / "others" / "theirs.key_secret", server_key
-    wrong_server = tmp_path / "keys" / "mine.key_secret", tmp_path / "others" / "server.key"
+    mine, server_key = keys_of(tmp_path / "keys", "mine")
+    theirs, other_server_key = keys_of(tmp_path / "others", "theirs")
     with serving(keys=tmp_path / "keys") as server:
-        for keys in (None, theirs, wrong_server):
-            with Client(address_of(server), timeout=0.4, keys=keys) as client, pytest.raises(ServiceTimeoutError):
-                client.status()
-        with Client(address_of(server), keys=mine) as client:
+        assert not comes_in(server, None)
+        assert not comes_in(server, (theirs, server_key))
+        assert not comes_in(server, (mine, other_server_key))
+        with client_of(server, keys=(mine, server_key)) as client:
             client.open("three_finger")
-            client.latest(0.2)
             client.send(q=human_q(), wrist=WRIST)
-            assert client.latest(1.0) is not None
+            # The stream takes keys, too.
+            assert wait_until(lambda: client.latest(0.1))
 
 
 def test_secret_keys_are_for_their_owner_alone_and_stay(tmp_path: Path) -> None:
@@ -70,19 +74,19 @@ def test_keys_come_and_go_while_the_server_runs(tmp_path: Path) -> None:
     clients = tmp_path / "clients"
     with (
         serving(keys=tmp_path) as server,
-        Client(address_of(server), timeout=3.0, keys=(tmp_path / "first.key_secret", tmp_path / "server.key")) as open_before,
+        client_of(server, keys=keys_of(tmp_path, "first")) as open_before,
     ):
         open_before.open("three_finger")
         make_keys(tmp_path, ["late"])
-        assert comes_in(server, tmp_path, "late")
+        assert comes_in(server, keys_of(tmp_path, "late"))
         (clients / "first.key").unlink()
-        assert not comes_in(server, tmp_path, "first", patience=0.4)
+        assert not comes_in(server, keys_of(tmp_path, "first"))
         # What is open stays until it ends.
         assert open_before.step(q=human_q(), wrist=WRIST).status == "converged"
         (clients / "second.key").write_bytes((clients / "late.key").read_bytes())
-        assert not comes_in(server, tmp_path, "second", patience=0.4)
+        assert not comes_in(server, keys_of(tmp_path, "second"))
         (clients / "second.key").write_bytes((tmp_path / "second.key").read_bytes())
-        assert comes_in(server, tmp_path, "second")
+        assert comes_in(server, keys_of(tmp_path, "second"))
 
 
 def test_the_keys_are_those_that_lie_in_the_folder_now(tmp_path: Path) -> None:

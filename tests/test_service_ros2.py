@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 import sys
-import time
 import types
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from service_tools import address_of, human_q, serving
+from patience import wait_until
+from service_tools import client_of, human_q, serving
 
 import handmap_qp.client
 import handmap_qp.service
@@ -149,28 +149,23 @@ def test_a_command_becomes_a_pose_with_its_scalar_last(bridge: dict[str, Any]) -
 
 
 def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) -> None:
-    with serving() as server, Client(address_of(server), timeout=3.0) as client:
+    with serving() as server, client_of(server) as client:
         node = bridge["Bridge"](client, "three_finger")
         node.callbacks["timer"]()
-        client.latest(0.2)
         assert client.opened is not None
         names = list(client.opened.human_joint_names)
         node.callbacks["human/joint_states"](joint_state(names, human_q()))
         assert not node.published["robot/joint_commands"], "nothing goes out before the wrist is known"
         node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
         node.callbacks["human/joint_states"](joint_state(names, human_q()))
-        for _ in range(50):
-            node.callbacks["timer"]()
-            if node.published["robot/joint_commands"]:
-                break
-            time.sleep(0.02)
-        (state,) = node.published["robot/joint_commands"][:1]
+        wait_until(lambda: node.callbacks["timer"]() or node.published["robot/joint_commands"])
+        state = node.published["robot/joint_commands"][0]
         assert tuple(state.name) == server_joints(client)
         assert node.published["robot/wrist_command"]
 
 
 def test_a_sample_that_cannot_be_used_is_told_and_the_node_goes_on(bridge: dict[str, Any]) -> None:
-    with serving() as server, Client(address_of(server), timeout=3.0) as client:
+    with serving() as server, client_of(server) as client:
         node = bridge["Bridge"](client, "three_finger")
         node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
         node.callbacks["human/joint_states"](joint_state(["elbow"], np.zeros(1)))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 import urllib.error
 import urllib.request
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,10 +14,24 @@ import msgspec
 import numpy as np
 import pytest
 import zmq
-from service_tools import HERE, SECRET, Sampler, address_of, code_of, connected, human_q, opening, serving
+from patience import PATIENCE, wait_until
+from service_tools import (
+    HERE,
+    SECRET,
+    Sampler,
+    address_of,
+    client_of,
+    code_of,
+    connected,
+    heard,
+    human_q,
+    knocking,
+    opening,
+    serving,
+    skip,
+)
 
-from handmap_qp import load_hand
-from handmap_qp.client import Client, ServiceError
+from handmap_qp.client import ServiceError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.logs import JsonLines
@@ -36,18 +48,15 @@ def server() -> Iterator[Server]:
         yield running
 
 
-def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER, timeout: float = 2.0) -> list[dict[str, object]]:
-    """Send messages as they are; the answers that come."""
+def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER) -> list[dict[str, object]]:
+    """Send messages as they are; their answers."""
     with zmq.Context() as context, context.socket(kind) as socket:
-        socket.linger, socket.rcvtimeo = 0, int(1e3 * timeout)
+        socket.linger, socket.rcvtimeo = 0, int(1e3 * PATIENCE)
         socket.connect(address_of(server))
         answers = []
         for payload in payloads:
             socket.send(payload)
-            try:
-                answers.append(msgspec.msgpack.decode(socket.recv()))
-            except zmq.Again:
-                break
+            answers.append(msgspec.msgpack.decode(socket.recv()))
         return answers
 
 
@@ -88,7 +97,7 @@ def test_the_same_request_twice_is_carried_out_once(server: Server) -> None:
     step = encoded(Sampler()())
     answers = ask(server, encoded(opening()), step, step, encoded(Status(protocol=PROTOCOL, seq=3, session=SECRET)))
     assert answers[1] == answers[2]
-    assert answers[3]["counts"] == {"steps": 1}
+    assert answers[3]["counts"]["steps"] == 1  # type: ignore[index]
     # Another request with an old number is no repetition.
     assert ask(server, encoded(Sampler()(q=human_q(1.0))))[0]["code"] == "stale"
 
@@ -117,39 +126,28 @@ def test_secrets_have_to_be_long(server: Server) -> None:
 
 def test_the_newest_sample_wins(server: Server) -> None:
     with connected(server) as client:
-        client.step(q=human_q(), wrist=WRIST)
-        # The subscription is made by the first look, and needs a moment to arrive.
-        client.latest(0.2)
         for i in range(200):
             client.send(q=human_q(), wrist=WRIST, time=float(i))
-        newest = None
-        while (command := client.latest(0.2)) is not None:
-            newest = command
-            if command.time == 199.0:
-                break
-        assert newest is not None
-        assert newest.time == 199.0
-        assert client.status().counts["steps"] <= 201
+        assert heard(client, 199.0).seq == 201
 
 
 def test_the_stream_tells_what_is_wrong_with_a_sample(server: Server) -> None:
     with connected(server) as client:
-        client.latest(0.2)
-        client.send(q=human_q()[:3], wrist=WRIST)
+
+        def send_a_bad_one() -> None:
+            client.send(q=human_q()[:3], wrist=WRIST)
+            client.latest(0.1)
+
+        # Again and again, for it is told once, and the subscription may not have arrived yet.
         with pytest.raises(ServiceError) as raised:
-            client.latest(1.0)
+            wait_until(send_a_bad_one)
         assert code_of(raised) == ("invalid", "q")
 
 
 def test_the_watchdog_speaks_in_the_stream(server: Server) -> None:
     with connected(server, watchdog=0.05) as client:
-        client.latest(0.1)
         client.step(q=human_q(), wrist=WRIST)
-        flags, end = set(), time.monotonic() + 1.0
-        while "watchdog" not in flags and time.monotonic() < end:
-            command = client.latest(0.2)
-            flags |= set(command.flags) if command else set()
-        assert "watchdog" in flags
+        wait_until(lambda: (command := client.latest(0.1)) and "watchdog" in command.flags)
 
 
 def test_release_clutch_reset_close(server: Server) -> None:
@@ -172,33 +170,32 @@ def test_release_clutch_reset_close(server: Server) -> None:
 
 
 def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
-    with connected(server, name="mine", watchdog=0.1) as first:
+    with connected(server, name="mine", watchdog=10.0) as first, client_of(server) as second:
         last = [first.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
-        with Client(address_of(server)) as second:
-            with pytest.raises(ServiceError) as raised:
-                second.open("three_finger", name="mine")
-            assert code_of(raised) == ("invalid", "name")
-            with pytest.raises(ServiceError) as raised:
-                second.open("three_finger", name="mine", restore=True)
-            assert code_of(raised) == ("busy", "name")
-            # Now its client is silent.
-            time.sleep(0.2)
-            opened = second.open("three_finger", name="mine", restore=True)
-            assert opened.q == last.q
-            with pytest.raises(ServiceError) as taken:
-                first.step(q=human_q(), wrist=WRIST)
-            assert code_of(taken)[0] == "taken"
+        with pytest.raises(ServiceError) as raised:
+            second.open("three_finger", name="mine")
+        assert code_of(raised) == ("invalid", "name")
+        with pytest.raises(ServiceError) as raised:
+            second.open("three_finger", name="mine", restore=True)
+        assert code_of(raised) == ("busy", "name")
+        # Now its client is silent.
+        skip(server, 11.0)
+        opened = second.open("three_finger", name="mine", restore=True)
+        assert opened.q == last.q
+        with pytest.raises(ServiceError) as taken:
+            first.step(q=human_q(), wrist=WRIST)
+        assert code_of(taken)[0] == "taken"
 
 
 def test_a_session_that_never_had_a_sample_is_taken_over_at_once(server: Server) -> None:
     # As by a client that gave up waiting for it, and asks again.
-    with connected(server, name="mine", is_released=True, robot_q=np.zeros(8)), Client(address_of(server)) as again:
+    with connected(server, name="mine", is_released=True, robot_q=np.zeros(8)), client_of(server) as again:
         assert again.open("three_finger", name="mine", restore=True).q == (0.0,) * 8
         assert again.step(q=human_q(), wrist=WRIST).status == "released"
 
 
 def test_restore_needs_something_to_restore(server: Server) -> None:
-    with Client(address_of(server)) as client:
+    with client_of(server) as client:
         with pytest.raises(ServiceError) as raised:
             client.open("three_finger", name="new", restore=True)
         assert code_of(raised) == ("invalid", "restore")
@@ -209,61 +206,52 @@ def test_restore_needs_something_to_restore(server: Server) -> None:
 def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_restore: bool) -> None:
     with serving(state=tmp_path / "state") as before, connected(before, name="mine") as client:
         last = [client.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
-    with serving(state=tmp_path / "state") as after, Client(address_of(after)) as client:
+    with serving(state=tmp_path / "state") as after, client_of(after) as client:
         opened = client.open("three_finger", name="mine", restore=wants_restore)
         assert (opened.q == last.q) == wants_restore
 
 
 def test_a_takeover_needs_no_room_of_its_own() -> None:
-    with serving(caps=Caps(sessions=1)) as server, connected(server, name="mine"), Client(address_of(server)) as second:
-        # The cap of openings a second is of one, too.
-        time.sleep(0.1)
+    # Openings a second are capped as well; that is not what is met here.
+    caps = Caps(sessions=1, opens=1e6)
+    with serving(caps=caps) as server, connected(server, name="mine"), client_of(server) as second:
         second.open("three_finger", name="mine", restore=True, robot_q=np.zeros(8))
 
 
-def test_a_robot_on_its_way_to_rest_gets_there_before_its_session_is_closed() -> None:
-    with serving(caps=Caps(idle=0.2)) as server, connected(server, watchdog=0.05, return_after=0.3, name="mine") as client:
-        for i in range(10):
-            client.step(q=human_q(0.2 * i), wrist=WRIST)
-        end = time.monotonic() + 5.0
-        while server.dispatcher.sessions.entries and time.monotonic() < end:
-            time.sleep(0.02)
-        record = server.dispatcher._store.find("mine", "three_finger", 8)
-    assert record is not None
-    np.testing.assert_array_equal(record.q, load_hand("three_finger").rest)
-
-
 def test_sessions_are_capped() -> None:
-    with serving(caps=Caps(sessions=2)) as server, connected(server), connected(server), Client(address_of(server)) as third:
+    with serving(caps=Caps(sessions=2)) as server, connected(server), connected(server), client_of(server) as third:
         with pytest.raises(ServiceError) as raised:
             third.open("three_finger")
         assert code_of(raised)[0] == "busy"
 
 
-def test_rates_are_capped_and_recover() -> None:
-    with serving(caps=Caps(rate=40.0)) as server, connected(server) as client:
+def test_a_client_that_sends_too_much_is_told() -> None:
+    # One message now, and the next in a quarter of an hour.
+    with serving(caps=Caps(rate=1e-3)) as server, client_of(server) as client:
+        client.status()
         with pytest.raises(ServiceError) as raised:
-            deque((client.step(q=human_q(), wrist=WRIST) for _ in range(100)), maxlen=0)
+            client.status()
         assert code_of(raised)[0] == "rate"
-        time.sleep(0.2)
-        assert client.step(q=human_q(), wrist=WRIST).status == "converged"
 
 
 def test_a_message_that_is_too_long_costs_the_connection_and_nothing_else(server: Server) -> None:
-    assert ask(server, b"x" * 20_000, timeout=0.3) == []
+    with knocking(server) as (socket, next_event):
+        socket.send(b"x" * 20_000)
+        wait_until(lambda: next_event() == zmq.EVENT_DISCONNECTED)
+        assert not socket.poll(0)
     assert ask(server, encoded(Status(protocol=PROTOCOL, seq=1)))[0]["type"] == "state"
 
 
-def test_idle_sessions_are_closed() -> None:
-    with serving(caps=Caps(idle=0.2)) as server, connected(server) as client:
-        time.sleep(0.4)
+def test_idle_sessions_are_closed(server: Server) -> None:
+    with connected(server) as client:
+        skip(server, 100.0)
         assert ask(server, encoded(Status(protocol=PROTOCOL, seq=1)))[0]["names"] == []
         assert client.step(q=human_q(), wrist=WRIST).status == "converged"
         assert client.reopened == 1
 
 
 def test_simulated_time_needs_leave(server: Server) -> None:
-    with Client(address_of(server)) as client, pytest.raises(ServiceError) as raised:
+    with client_of(server) as client, pytest.raises(ServiceError) as raised:
         client.open("three_finger", time_from="client")
     assert code_of(raised) == ("denied", "time_from")
     with serving(caps=Caps(allows_client_time=True)) as other, connected(other, time_from="client") as client:
@@ -300,14 +288,14 @@ def test_metrics_and_health_are_told_on_loopback() -> None:
         for _ in range(3):
             client.step(q=human_q(), wrist=WRIST)
         base = f"http://127.0.0.1:{server.ports['health']}"
-        health = json.loads(urllib.request.urlopen(f"{base}/health", timeout=2.0).read())
+        health = json.loads(urllib.request.urlopen(f"{base}/health", timeout=PATIENCE).read())
         assert (health["status"], health["sessions"]) == ("ok", 1)
-        text = urllib.request.urlopen(f"{base}/metrics", timeout=2.0).read().decode()
+        text = urllib.request.urlopen(f"{base}/metrics", timeout=PATIENCE).read().decode()
         assert "handmap_steps_total 3" in text
         assert "handmap_step_seconds_count 3" in text
         for request in (f"{base}/other", urllib.request.Request(f"{base}/metrics", headers={"Host": "evil.example"})):
             with pytest.raises(urllib.error.HTTPError) as raised:
-                urllib.request.urlopen(request, timeout=2.0)
+                urllib.request.urlopen(request, timeout=PATIENCE)
             assert raised.value.code in (404, 421)
             raised.value.close()
 
@@ -324,10 +312,11 @@ def test_only_what_was_ready_has_stopped(server: Server, monkeypatch: pytest.Mon
         choice: dict[str, Any] = {taken: server.ports["requests"]}
         with pytest.raises(InvalidInputError, match="in use"), serving(**choice):
             pass
-    assert events == []
+    assert not {"ready", "stopped"} & set(events)
     with serving():
         pass
-    assert events == ["ready", "stopped"]
+    # A server on a busy machine may also say that it is late.
+    assert [event for event in events if event != "late"] == ["ready", "stopped"]
 
 
 def test_logs_are_json_lines() -> None:

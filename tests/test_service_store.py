@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import os
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from service_tools import LOCAL
 
 from handmap_qp.errors import InvalidInputError, RefusedError
+from handmap_qp.service.server import Server
 from handmap_qp.service.store import PostureStore, Record
 
 Q = np.array([0.1, -0.2, 0.3])
@@ -165,3 +169,10 @@ def test_postures_that_are_lost_are_told(tmp_path: Path, monkeypatch: pytest.Mon
         assert store.find("right", "hand", 3) is not None
         assert store.find("left", "hand", 3) is None
     assert told == [{"event": "state_damaged", "file": str(state), "postures_lost": 1}]
+
+
+def test_a_server_that_cannot_be_made_leaves_the_file_to_others(tmp_path: Path) -> None:
+    settings = replace(LOCAL, state=tmp_path / "state")
+    with pytest.raises(ValueError, match=r"missing\.yaml"):
+        Server(replace(settings, hands=(Path("missing.yaml"),)))
+    asyncio.run(Server(settings).stop())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import shutil
 import ssl
@@ -14,14 +15,15 @@ from typing import Any
 
 import msgspec
 import pytest
-from service_tools import SECRET, Sampler, human_q, opening, serving
+from patience import PATIENCE
+from service_tools import SECRET, Sampler, human_q, opening, serving, streamed
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import MOST_SESSIONS, Caps
-from handmap_qp.service.messages import PROTOCOL, Close, Sample, Status, Subscribe
+from handmap_qp.service.messages import PROTOCOL, Close, Status, Subscribe
 from handmap_qp.service.server import Server
 from handmap_qp.service.websocket import WebSettings, _Outbox
 
@@ -34,11 +36,11 @@ ENCODE: dict[bool, Callable[[Any], bytes | str]] = {
 
 
 def run(work: Callable[[ClientConnection], Awaitable[None]], server: Server, **choices: Any) -> None:
-    """Connect, and work for a few seconds at most."""
+    """Connect, and work."""
 
     async def main() -> None:
         scheme = "wss" if "ssl" in choices else "ws"
-        async with asyncio.timeout(8.0), connect(f"{scheme}://127.0.0.1:{server.ports['web']}", **choices) as connection:
+        async with asyncio.timeout(PATIENCE), connect(f"{scheme}://127.0.0.1:{server.ports['web']}", **choices) as connection:
             await work(connection)
 
     asyncio.run(main())
@@ -81,8 +83,7 @@ def test_a_stream_over_websocket(is_json: bool) -> None:
         assert (await ask(connection, Subscribe(protocol=PROTOCOL, seq=2, name=name), is_json))["type"] == "done"
         sample = Sampler()
         for i in range(50):
-            step = sample(float(i), human_q(0.01 * i))
-            await connection.send(ENCODE[is_json](Sample(**{field: getattr(step, field) for field in step.__struct_fields__})))
+            await connection.send(ENCODE[is_json](streamed(sample(float(i), human_q(0.01 * i)))))
         while True:
             message = await connection.recv()
             command = json.loads(message) if isinstance(message, str) else msgspec.msgpack.decode(message)
@@ -122,9 +123,11 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
         connection.transport.abort()
 
     async def look(connection: ClientConnection) -> None:
-        await asyncio.sleep(0.2)
-        state = await ask(connection, Status(protocol=PROTOCOL, seq=50, session=SECRET))
-        assert state["mode"] == "hold"
+        for seq in itertools.count(50):
+            state = await ask(connection, Status(protocol=PROTOCOL, seq=seq, session=SECRET))
+            if state["mode"] == "hold":
+                break
+            await asyncio.sleep(0.01)
 
     with serving(web=WEB) as server:
         run(vanish, server)
@@ -192,7 +195,7 @@ def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
 def test_connections_are_capped() -> None:
     async def work(server: Server) -> None:
         address = f"ws://127.0.0.1:{server.ports['web']}"
-        async with asyncio.timeout(8.0), connect(address), connect(address):
+        async with asyncio.timeout(PATIENCE), connect(address), connect(address):
             with pytest.raises(InvalidStatus) as raised:
                 async with connect(address):
                     pass

@@ -12,7 +12,8 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
-from viewer_cases import make_replay, press, wait_until
+from patience import PATIENCE, wait_until
+from viewer_cases import make_replay, press
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
 from handmap_qp.transform import rotation_from_quat_wxyz
@@ -71,7 +72,8 @@ def server() -> Iterator[Any]:
         yield running
 
 
-def test_the_newest_sample_is_drawn_and_all_are_plotted(server: Any, source: Source) -> None:
+def test_the_newest_sample_is_drawn_and_all_are_plotted(server: Any, source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", PATIENCE)
     for sample in source.samples[:39]:
         source.given.put(sample)
     viewer = LiveViewer(server, source)
@@ -83,6 +85,15 @@ def test_the_newest_sample_is_drawn_and_all_are_plotted(server: Any, source: Sou
     ago = [sample.time - source.samples[39].time for sample in source.samples[:40]]
     np.testing.assert_allclose(viewer.gauges.error.data[0], ago)
     assert "30 samples a second" in viewer.news.content
+    viewer.close()
+
+
+def test_silence_is_said(server: Any, source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", 0.0)
+    viewer.tick()
+    assert "No sample comes" in viewer.news.content
     viewer.close()
 
 

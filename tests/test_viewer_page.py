@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
 from browser import Browser, find_chromium
+from patience import wait_until
 from viewer_cases import make_replay, write_recording
 
 from handmap_qp import HandError, HandmapError, InvalidInputError, MappingOptions, MissingExtraError, RecordingError
@@ -149,17 +150,26 @@ def reference_points(pixels: np.ndarray) -> int:
     return int(((red > 110) & (green < 0.45 * red) & (blue < 0.45 * red)).sum())
 
 
+MIDDLE = np.s_[160:, 340:760]
+"""Where the hands are, between the panels."""
+
+
+def picture_of(browser: Browser) -> np.ndarray:
+    return browser.screenshot()[1][MIDDLE].astype(int)
+
+
 def settled_picture(browser: Browser) -> np.ndarray:
-    """The middle of the page, once two pictures of it are the same."""
-    before = browser.screenshot()[1]
-    for _ in range(20):
+    """The hands, once two pictures of them are the same."""
+    pictures = [picture_of(browser)]
+
+    def has_settled() -> bool:
+        # So that a page that draws slowly has drawn again.
         time.sleep(0.5)
-        now = browser.screenshot()[1]
-        middle = np.s_[160:, 340:760]
-        if skin(now[middle]) > FEWEST_PIXELS and np.array_equal(before[middle], now[middle]):
-            return now[middle]
-        before = now
-    raise AssertionError("the picture does not settle, or shows no hand")
+        pictures.append(picture_of(browser))
+        return skin(pictures[-1]) > FEWEST_PIXELS and np.array_equal(pictures[-2], pictures[-1])
+
+    wait_until(has_settled, "the picture does not settle, or shows no hand")
+    return pictures[-1]
 
 
 def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser, viewer: ReplayViewer) -> None:
@@ -179,14 +189,14 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser
     )
     robot_q = viewer.sample.robot_q
     browser.press("Home", 36)
-    end = time.monotonic() + 10.0
-    while viewer.replay.mapping.deformation_gain != 0.0 and time.monotonic() < end:
-        time.sleep(0.05)
-    assert viewer.replay.mapping.deformation_gain == 0.0
-    assert np.abs(viewer.sample.robot_q - robot_q).max() > 0.05
-    after = settled_picture(browser)
-    changed = np.abs(after.astype(int) - before).max(axis=2) > 30
-    assert changed[:, half:].sum() > 500, "the robot has moved"
+    wait_until(lambda: viewer.replay.mapping.deformation_gain == 0.0, "the slider does not move")
+    wait_until(lambda: np.abs(viewer.sample.robot_q - robot_q).max() > 0.05, "the robot's joints do not move")
+
+    def robot_has_moved() -> bool:
+        changed = np.abs(picture_of(browser) - before).max(axis=2) > 30
+        return int(changed[:, half:].sum()) > 500
+
+    wait_until(robot_has_moved, "the robot does not move in the picture")
     assert not browser.errors
 
 
@@ -209,9 +219,10 @@ def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) ->
             browser.open(f"http://127.0.0.1:{server.get_port()}")
             browser.wait_for("!!document.querySelector('canvas')")
             # It never settles: time goes on.
-            end = time.monotonic() + 30.0
-            while not has_both_hands(browser.screenshot()[1][160:, 340:660]):
-                assert time.monotonic() < end, "no human hand on the left, or no robot's points on the right"
+            wait_until(
+                lambda: has_both_hands(browser.screenshot()[1][160:, 340:660]),
+                "no human hand on the left, or no robot's points on the right",
+            )
             browser.evaluate("[...document.querySelectorAll('button')].find(e => e.innerText.trim() == 'Release').click()")
             browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch' && !e.disabled)")
         viewer.close()
@@ -232,12 +243,13 @@ def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> Non
     browser.open(page.as_uri(), offline=True)
     browser.wait_for("!!document.querySelector('canvas')")
     # The lower edge is the play bar, which moves whatever happens above.
-    pictures = [browser.screenshot()[1][:340]]
-    end = time.monotonic() + 30.0
-    while time.monotonic() < end and not has_moved(pictures):
-        time.sleep(0.3)
+    pictures: list[np.ndarray] = []
+
+    def hands_move() -> bool:
         pictures.append(browser.screenshot()[1][:340])
-    assert has_moved(pictures), "the hands move by themselves"
+        return has_moved(pictures)
+
+    wait_until(hands_move, "the hands do not move by themselves")
     assert not browser.errors
 
 

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
 import viser
-from viewer_cases import wait_until
+from patience import wait_until
 from websockets.asyncio import server as listener
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect

@@ -1,9 +1,7 @@
-"""What the tests of the view share: a motion to look at, as joint angles and as a file, and the patience to see it."""
+"""What the tests of the view share: a motion to look at, as joint angles and as a file."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +44,3 @@ def write_recording(path: Path) -> Path:
     landmarks = [motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)]
     np.savez(path, time=motion.time, landmarks=np.array(landmarks), valid=motion.valid, handedness="right")
     return path
-
-
-def wait_until(is_done: Callable[[], bool]) -> None:
-    """Give another thread the time that it needs, which on a busy machine is more than anybody would think."""
-    end = time.monotonic() + 30.0
-    while not is_done():
-        assert time.monotonic() < end, "nothing happens"
-        time.sleep(0.005)
