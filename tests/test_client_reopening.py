@@ -191,3 +191,16 @@ def test_a_reset_takes_hold_again_for_good(server: Server) -> None:
         assert tracker.step(q=human_q(), wrist=WRIST).status != "released"
         lose_sessions(server)
         assert tracker.step(q=human_q(), wrist=WRIST).status != "released"
+
+
+def test_a_release_that_only_the_watchdog_told_of_outlives_the_server(free_port: int) -> None:
+    tracker, other = (Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2))
+    with serving(LOCAL, port=free_port), other:
+        tracker.open("three_finger", name="lab", is_shared=True)
+        before = tracker.step(q=human_q(), wrist=WRIST)
+        other.watch("lab")
+        other.release()
+        wait_until(lambda: (command := tracker.latest(0.1)) is not None and "released" in command.flags)
+    with serving(LOCAL, port=free_port), tracker:
+        after = tracker.step(q=human_q(2.0), wrist=WRIST)
+        assert (tracker.reopened, after.status, after.q) == (1, "released", before.q)
