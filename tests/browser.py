@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -16,6 +15,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from patience import wait_until
 
 FLAGS = (
     "--headless",
@@ -32,6 +32,9 @@ FLAGS = (
     "--hide-scrollbars",
     "--remote-debugging-port=0",
 )
+
+DRAWING = 180.0
+"""More than a page takes that is drawn without a graphics card [s], also on a busy machine."""
 
 
 def find_chromium() -> str | None:
@@ -74,7 +77,7 @@ class Browser:
         """Open a page and speak with it."""
         from websockets.sync.client import connect
 
-        self._wait(lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1, 30.0, "Chromium does not start")
+        self._wait(lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1, "Chromium does not start")
         port, path = port_file.read_text().split("\n")[:2]
         self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
         self._number = 0
@@ -102,9 +105,9 @@ class Browser:
             raise RuntimeError(answer["exceptionDetails"].get("exception", {}).get("description", "exception in the page"))
         return answer["result"].get("value")
 
-    def wait_for(self, code: str, seconds: float = 30.0) -> None:
+    def wait_for(self, code: str) -> None:
         """Wait until a JavaScript expression is true."""
-        self._wait(lambda: bool(self.evaluate(code)), seconds, f"the page does not come to {code}")
+        self._wait(lambda: bool(self.evaluate(code)), f"the page does not come to {code}")
 
     def press(self, key: str, code: int) -> None:
         """Press and release a key in the element that has the focus."""
@@ -134,7 +137,7 @@ class Browser:
             message["sessionId"] = session
         self._socket.send(json.dumps(message))
         while True:
-            answer = json.loads(self._socket.recv(timeout=60.0))
+            answer = json.loads(self._socket.recv(timeout=DRAWING))
             if answer.get("method") == "Runtime.exceptionThrown":
                 self.errors.append(json.dumps(answer["params"])[:500])
             if answer.get("id") == self._number:
@@ -142,12 +145,12 @@ class Browser:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 return answer["result"]
 
-    def _wait(self, is_done: Callable[[], bool], seconds: float, complaint: str) -> None:
-        end = time.monotonic() + seconds
-        while not is_done():
-            if time.monotonic() > end or self._process.poll() is not None:
-                raise TimeoutError(complaint)
-            time.sleep(0.1)
+    def _wait(self, is_done: Callable[[], bool], complaint: str) -> None:
+        def see() -> bool:
+            assert self._process.poll() is None, complaint
+            return is_done()
+
+        wait_until(see, complaint, DRAWING)
 
     def _end(self) -> None:
         self._process.terminate()

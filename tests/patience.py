@@ -11,17 +11,18 @@ PATIENCE = 30.0
 T = TypeVar("T")
 
 
-def wait_until(see: Callable[[], T | None], complaint: str = "nothing happens") -> T:
+def wait_until(see: Callable[[], T | None], complaint: str = "nothing happens", patience: float = PATIENCE) -> T:
     """Look again and again for what others are to bring about.
 
     Args:
         see: Looks; what it gives is true once it is there.
         complaint: What to say if it does not come.
+        patience: How long to look [s].
 
     Returns:
         What was seen.
     """
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + patience
     while not (seen := see()):
         assert time.monotonic() < end, complaint
         time.sleep(0.005)

@@ -179,7 +179,7 @@ def address_of(server: Server) -> str:
 
 def client_of(server: Server, **choices: Any) -> Client:
     """A client that waits for its answers as long as it takes."""
-    return Client(address_of(server), **{"timeout": PATIENCE, **choices})
+    return Client(address_of(server), timeout=PATIENCE, **choices)
 
 
 @contextmanager
@@ -208,6 +208,12 @@ def send_until_reopened(client: Client, **sample: Any) -> None:
         return client.reopened
 
     wait_until(send)
+
+
+def assert_no_jump(client: Client, before: HeardCommand, after: HeardCommand) -> None:
+    """No farther than the first sample of a new session may lead a robot."""
+    assert client.opened is not None
+    assert (np.abs(np.subtract(after.q, before.q)) <= np.array(client.opened.speed) / 30.0 + 1e-9).all()
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from patience import PATIENCE, wait_until
 from service_tools import (
     LOCAL,
     address_of,
+    assert_no_jump,
     client_of,
     connected,
     heard,
@@ -64,12 +65,6 @@ def lead_away(tracker: Client, driver: Client) -> Command:
         return command if np.abs(np.subtract(command.q, start)).max() > 0.1 else None
 
     return wait_until(go_on)
-
-
-def assert_no_jump(tracker: Client, before: Command, after: Command) -> None:
-    """No farther than the first sample of a new session may lead a robot."""
-    assert tracker.opened is not None
-    assert (np.abs(np.subtract(after.q, before.q)) <= np.array(tracker.opened.speed) / 30.0 + 1e-9).all()
 
 
 def test_a_tracker_that_only_sends_is_opened_anew_where_its_robot_is(server: Server) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
-from browser import Browser, find_chromium
+from browser import DRAWING, Browser, find_chromium
 from patience import wait_until
 from viewer_cases import make_replay, write_recording
 
@@ -24,7 +24,8 @@ from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
 from handmap_qp.viewer.serving import serving
 
-# The least that a hand covers of the 420 x 540 pixels between the panels.
+# Where the hands are, between the panels, and the least of its 420 x 540 pixels that a hand covers.
+MIDDLE = np.s_[160:, 340:760]
 FEWEST_PIXELS = 1000
 
 
@@ -150,10 +151,6 @@ def reference_points(pixels: np.ndarray) -> int:
     return int(((red > 110) & (green < 0.45 * red) & (blue < 0.45 * red)).sum())
 
 
-MIDDLE = np.s_[160:, 340:760]
-"""Where the hands are, between the panels."""
-
-
 def picture_of(browser: Browser) -> np.ndarray:
     return browser.screenshot()[1][MIDDLE].astype(int)
 
@@ -168,7 +165,7 @@ def settled_picture(browser: Browser) -> np.ndarray:
         pictures.append(picture_of(browser))
         return skin(pictures[-1]) > FEWEST_PIXELS and np.array_equal(pictures[-2], pictures[-1])
 
-    wait_until(has_settled, "the picture does not settle, or shows no hand")
+    wait_until(has_settled, "the picture does not settle, or shows no hand", DRAWING)
     return pictures[-1]
 
 
@@ -180,7 +177,7 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser
     half = before.shape[1] // 2
     assert skin(before[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
     assert reference_points(before[:, half:]) > 100, "the robot's points, on the right"
-    assert browser.evaluate("document.body.innerText.includes('deformation gain')")
+    browser.wait_for("document.body.innerText.includes('deformation gain')")
     # As a user does: focus the slider, and use the keyboard.
     labels = "[...document.querySelectorAll('label')]"
     browser.evaluate(
@@ -196,7 +193,7 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(browser: Browser
         changed = np.abs(picture_of(browser) - before).max(axis=2) > 30
         return int(changed[:, half:].sum()) > 500
 
-    wait_until(robot_has_moved, "the robot does not move in the picture")
+    wait_until(robot_has_moved, "the robot does not move in the picture", DRAWING)
     assert not browser.errors
 
 
@@ -222,9 +219,12 @@ def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) ->
             wait_until(
                 lambda: has_both_hands(browser.screenshot()[1][160:, 340:660]),
                 "no human hand on the left, or no robot's points on the right",
+                DRAWING,
             )
-            browser.evaluate("[...document.querySelectorAll('button')].find(e => e.innerText.trim() == 'Release').click()")
-            browser.wait_for("[...document.querySelectorAll('button')].some(e => e.innerText.trim() == 'Clutch' && !e.disabled)")
+            button = "[...document.querySelectorAll('button')].find(e => e.innerText.trim() == '{}' && !e.disabled)"
+            browser.wait_for(f"!!{button.format('Release')}")
+            browser.evaluate(f"{button.format('Release')}.click()")
+            browser.wait_for(f"!!{button.format('Clutch')}")
         viewer.close()
     assert not browser.errors
 
@@ -249,7 +249,7 @@ def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> Non
         pictures.append(browser.screenshot()[1][:340])
         return has_moved(pictures)
 
-    wait_until(hands_move, "the hands do not move by themselves")
+    wait_until(hands_move, "the hands do not move by themselves", DRAWING)
     assert not browser.errors
 
 
