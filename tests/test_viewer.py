@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Literal
@@ -22,7 +23,7 @@ from handmap_qp.viewer.gauges import short_names
 from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls, Options
 from handmap_qp.viewer.samples import Replay
 from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
-from handmap_qp.viewer.serving import serving
+from handmap_qp.viewer.serving import drawing, serving
 
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -303,6 +304,25 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     viewer.tick(0.0)
     assert not viewer.replay.switches
     assert viewer.replay.samples[40].status != "released"
+
+
+def test_a_picture_that_viser_stumbles_at_loses_no_wish(viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stumble() -> None:
+        # As `asyncio.Event.set` does while another thread begins to wait for it.
+        waiters = deque([0])
+        for _ in waiters:
+            waiters.append(0)
+
+    viewer.steering.options.handles["ridge"].value = 0.3
+    with monkeypatch.context() as once:
+        once.setattr(viewer.server, "flush", stumble)
+        with drawing():
+            viewer.tick(0.0)
+        assert viewer.replay.mapping.ridge == 0.1
+    viewer.tick(0.0)
+    assert viewer.replay.mapping.ridge == 0.3
+    with pytest.raises(RuntimeError, match="another"), drawing():
+        raise RuntimeError("another mistake")
 
 
 def test_time_runs_at_the_chosen_speed_and_starts_over(viewer: ReplayViewer) -> None:

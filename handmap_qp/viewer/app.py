@@ -13,6 +13,7 @@ from handmap_qp.viewer.gauges import Gauges, gauge_row
 from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.samples import Replay, ViewSample
 from handmap_qp.viewer.scene import HandScene
+from handmap_qp.viewer.serving import drawing
 
 if TYPE_CHECKING:
     import viser
@@ -49,6 +50,7 @@ class ReplayViewer:
         self.play_bar = PlayBar(server, float(replay.time[-1]))
         self._start = Options(replay.mapping, replay.ik)
         self._changes: dict[str, Any] = {}
+        self._is_behind = False
         self.steering = SteeringControls(server, replay.robot, self._start)
         self._drawn: tuple[object, ...] = ()
         self._gauges_drawn: tuple[object, ...] = ()
@@ -92,7 +94,8 @@ class ReplayViewer:
         while True:
             now = time.monotonic()
             # Time stands still while a long recording is mapped anew.
-            self.tick(min(now - before, _LONGEST_TICK))
+            with drawing():
+                self.tick(min(now - before, _LONGEST_TICK))
             before = now
             time.sleep(max(0.0, _PERIOD - (time.monotonic() - now)))
 
@@ -100,6 +103,7 @@ class ReplayViewer:
         """Buttons first, then options; a slider that moves while the recording is mapped counts as it stands afterwards."""
         wishes, changes = self.steering.take_wishes(), self.steering.options.take_changes()
         self._changes |= changes
+        self._is_behind |= bool(wishes or changes)
         for wish in wishes:
             if wish != "reset":
                 self.replay.switches[self.index] = wish == "release"
@@ -107,10 +111,11 @@ class ReplayViewer:
                 self.replay.switches.clear()
                 self._changes.clear()
                 self.steering.options.show(self._start)
-        if not (wishes or changes):
+        if not self._is_behind:
             return
         self.steering.say("mapping …")
         self.server.flush()
+        self._is_behind = False
         try:
             self.replay.remap(*self._start.with_changes(self._changes))
         except HandmapError as error:

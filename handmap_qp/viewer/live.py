@@ -15,6 +15,7 @@ from handmap_qp.viewer.gauges import Gauges, gauge_row
 from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.samples import ViewSample
 from handmap_qp.viewer.scene import HandScene
+from handmap_qp.viewer.serving import drawing
 
 if TYPE_CHECKING:
     import viser
@@ -152,7 +153,8 @@ class LiveViewer:
         """Go on until interrupted, until the source fails, or until other hands are mapped there."""
         while not self._source.is_outdated:
             started = time.monotonic()
-            self.tick()
+            with drawing():
+                self.tick()
             time.sleep(max(0.0, _PERIOD - (time.monotonic() - started)))
 
     def close(self) -> None:

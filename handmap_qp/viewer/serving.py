@@ -55,6 +55,20 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
 
 
 @contextlib.contextmanager
+def drawing() -> Iterator[None]:
+    """While a picture is drawn: let it be where viser stumbles, for the next one.
+
+    viser 1.1 wakes its own thread by an `asyncio.Event` that it sets in ours. If that thread begins to wait at the same moment,
+    `set` finds its list of those who wait changed. What was to be drawn has been noted by then.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        if "mutated during iteration" not in str(error):
+            raise
+
+
+@contextlib.contextmanager
 def _own_pages_only(host: str) -> Iterator[None]:
     """While a viser server starts: let it take connections from the page that it serves, and from no other.
 
