@@ -48,7 +48,8 @@ class Node:
         return types.SimpleNamespace(now=lambda: types.SimpleNamespace(to_msg=lambda: STAMP))
 
     def get_logger(self) -> Any:
-        return types.SimpleNamespace(warning=self.published.setdefault("log", []).append)
+        lines = self.published.setdefault("log", [])
+        return types.SimpleNamespace(warning=lambda line, throttle_duration_sec: lines.append(line))
 
 
 DEFAULTS = {"JointState": {"velocity": [], "effort": []}, "Header": {"frame_id": ""}}
