@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 
 from handmap_qp.errors import InvalidInputError
 
@@ -15,6 +16,15 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def names_loopback(asked: str) -> bool:
+    """Whether the `Host` of an HTTP request names this machine: any site's name can be made to lead here.
+
+    Args:
+        asked: `HOST` or `HOST:PORT`.
+    """
+    return is_loopback(_unbracketed(re.sub(r":\d*$", "", asked)))
+
+
 def bare_host(name: str, host: str) -> str:
     """A host without the brackets that URLs have round IPv6.
 
@@ -25,10 +35,14 @@ def bare_host(name: str, host: str) -> str:
     Raises:
         InvalidInputError: If more was given than a host.
     """
-    bare = host[1:-1] if host.startswith("[") and host.endswith("]") else host
+    bare = _unbracketed(host)
     if not bare or "/" in bare or (":" in bare and not _is_address(bare)):
         raise InvalidInputError(f"{name}: expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}")
     return bare
+
+
+def _unbracketed(host: str) -> str:
+    return host[1:-1] if host.startswith("[") and host.endswith("]") else host
 
 
 def _is_address(host: str) -> bool:

@@ -235,7 +235,7 @@ class _Connection:
         """Send a sample as of `step` and do not wait for its command, which comes in the stream; the newest counts."""
         if self.opened is None:
             raise RuntimeError("open a session first")
-        if (socket := self._socket("samples")).poll(0) and isinstance(reply := self._take(socket.recv(zmq.NOBLOCK)), Error):
+        if self._socket("samples").poll(0) and isinstance(reply := self._take("samples"), Error):
             # Of an earlier sample; what is wrong inside one is told in the stream.
             if reply.code != "no_session":
                 raise ServiceError(reply)
@@ -252,7 +252,7 @@ class _Connection:
             # Another task's call may have put another socket in its place, or closed the client.
             if not self._stream[1] or clock.monotonic() >= until:
                 return None
-        reply = self._take(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
+        reply = self._take("stream")
         if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
             raise ServiceError(reply)
         return reply if isinstance(reply, Command) else None
@@ -306,9 +306,9 @@ class _Connection:
         self._stream = name, port
         self._socket("stream")
 
-    def _take(self, payload: bytes) -> _Reply:
-        """A message that has come; of commands it is kept what a session that has to be opened anew goes on from."""
-        reply = self._decode(payload)
+    def _take(self, use: str) -> _Reply:
+        """What waits in a socket; of commands it is kept what a session that has to be opened anew goes on from."""
+        reply = self._decode(self._socket(use).recv(zmq.NOBLOCK).split(b"\0", 1 if use == "stream" else 0)[-1])
         if isinstance(reply, Command) and (self._last is None or reply.seq >= self._last.seq):
             self._last = reply
             # Others may let go of a shared session too; what was done here since the sample that this answers is newer.
@@ -319,7 +319,7 @@ class _Connection:
     def _reopen(self, deadline: float) -> _Work[None]:
         """The session anew, where it was; a server that does not remember that takes where its last command left the robot."""
         if self._socket("stream").poll(0):
-            self._take(self._socket("stream").recv(zmq.NOBLOCK).partition(b"\0")[2])
+            self._take("stream")
         start, last = {"session": secrets.token_urlsafe(24)}, self._last
         if self.opened is not None:
             start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
@@ -336,7 +336,7 @@ class _Connection:
             if (yield socket, zmq.POLLOUT, until):
                 socket.send(payload, zmq.NOBLOCK)
                 while (yield socket, zmq.POLLIN, until):
-                    reply = self._take(socket.recv(zmq.NOBLOCK))
+                    reply = self._take("requests")
                     # An answer to a request that was given up is of no use any more; 0 is a refusal to look at this one.
                     if reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error)):
                         return reply

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 import resource
 import sys
 from bisect import bisect_left
@@ -13,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.addresses import is_loopback
+from handmap_qp.addresses import names_loopback
 
 BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
@@ -133,7 +132,7 @@ def _is_for_loopback(head: bytes) -> bool:
     for line in head.split(b"\r\n")[1:]:
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"host":
-            return is_loopback(re.sub(r":\d*$", "", value.strip().decode("latin-1")).strip("[]"))
+            return names_loopback(value.strip().decode("latin-1"))
     return True
 
 

@@ -82,15 +82,14 @@ class View:
 
     def _refuse_idle_options(self) -> None:
         """Refuse options that would do nothing."""
-        if self.live is None:
-            idle, reason = ["session", "keys"], "is for --live, and this is a recording"
-        else:
+        if self.live is not None:
             self._refuse(["html"], "is for a recording; a session that runs has no end")
-            idle = ["human_points", "robot_points", "mapping", "ik"]
-            reason = "is for a recording; of a service, the session's client chose"
-        if self.html is not None and self.live is None:
+            chosen = ["human_points", "robot_points", "mapping", "ik"]
+            self._refuse(chosen, "is for a recording; of a service, the session's client chose")
+            return
+        if self.html is not None:
             self._refuse(["host", "port", "open"], "is for a view that is served, and --html writes a file")
-        self._refuse(idle, reason)
+        self._refuse(["session", "keys"], "is for --live, and this is a recording")
 
     def _refuse(self, names: list[str], reason: str) -> None:
         plain = View()

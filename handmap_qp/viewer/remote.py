@@ -150,11 +150,11 @@ class ServiceSession:
 
     def release(self) -> None:
         """Wish to let go of the robot."""
-        self._wishes.append(lambda: self._client.release())
+        self._wishes.append(self._client.release)
 
     def clutch(self) -> None:
         """Wish to take hold of it again."""
-        self._wishes.append(lambda: self._client.clutch())
+        self._wishes.append(self._client.clutch)
 
     def configure(self, changes: dict[str, Any]) -> None:
         """Wish for other values of some options."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from handmap_qp.addresses import is_loopback
+from handmap_qp.addresses import is_loopback, names_loopback
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -99,11 +99,7 @@ def is_own_page(host: str, asked: str, origins: list[str]) -> bool:
 
     Args:
         host: Address that the server listens on.
-        asked: The request's `Host`. On loopback it has to be a name of that, since any site's name can be made to lead there.
+        asked: The request's `Host`, which on loopback has to be a name of that.
         origins: Its `Origin`, which browsers set and pages cannot.
     """
-    try:
-        name = urlsplit(f"//{asked}").hostname or ""
-    except ValueError:
-        return False
-    return (is_loopback(name) or not is_loopback(host)) and all(urlsplit(origin).netloc == asked for origin in origins)
+    return (names_loopback(asked) or not is_loopback(host)) and all(urlsplit(origin).netloc == asked for origin in origins)
