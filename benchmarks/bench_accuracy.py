@@ -1,8 +1,11 @@
-"""How the mapping's choices show in the robot's motion: the measurement that the defaults come from.
+"""How the mapping's choices show in the robot's motion.
 
-One factor at a time is varied around the defaults (some together with a second one), over all recordings and two robots. Two kinds
-of numbers come out. How well does the robot do what the mapping asks for: point error, joint limits, speed, jerk? And is that what
-the person did: does the palm follow the human's, and does every finger stretch and bend with the human's, and as far?
+The measurement that the defaults come from.
+
+One factor at a time is varied around the defaults (some together with a second one), over all
+recordings and two robots. Two kinds of numbers come out. How well does the robot do what the
+mapping asks for: point error, joint limits, speed, jerk? And is that what the person did: does the
+palm follow the human's, and does every finger stretch and bend with the human's, and as far?
 """
 
 from __future__ import annotations
@@ -21,8 +24,14 @@ import numpy as np
 from scenes import ROBOTS, Scene, load_scenes, robot_for
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, MapStep, load_hand
-from handmap_qp.quality import FingerMatch, MotionQuality, assess_quality, mean_correlation, total_range_ratio
-from handmap_qp.trajectory import map_motion
+from handmap_qp.offline.quality import (
+    FingerMatch,
+    MotionQuality,
+    assess_quality,
+    mean_correlation,
+    total_range_ratio,
+)
+from handmap_qp.offline.trajectory import map_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +40,13 @@ FINGERS = ("thumb", "index", "middle", "ring")
 """Fingers that some robot has."""
 FOLLOW_POINTS = {"rigid_from": "points", "pivot": "centroid"}
 FOLLOW_WRIST = {"rigid_from": "wrist", "pivot": "palm"}
-PAPER = {"human_points": "fingertips", "ridge": 0.0, **FOLLOW_POINTS, "residual_gain": 0.0, "deformation_gain": 1.0}
+PAPER = {
+    "human_points": "fingertips",
+    "ridge": 0.0,
+    **FOLLOW_POINTS,
+    "residual_gain": 0.0,
+    "deformation_gain": 1.0,
+}
 """The paper's estimation, in the coordinates of the centroid."""
 
 
@@ -46,10 +61,14 @@ class Case:
 
     def changed(self, changes: dict[str, Any]) -> Case:
         """The same with some choices changed, by their names in whichever of the options they are."""
-        mapping = {name: value for name, value in changes.items() if name in MappingOptions.__slots__}
+        mapping = {
+            name: value for name, value in changes.items() if name in MappingOptions.__slots__
+        }
         ik = {name: value for name, value in changes.items() if name in IkOptions.__slots__}
         points = {name: value for name, value in changes.items() if name not in (*mapping, *ik)}
-        return replace(self, mapping=replace(self.mapping, **mapping), ik=replace(self.ik, **ik), **points)
+        return replace(
+            self, mapping=replace(self.mapping, **mapping), ik=replace(self.ik, **ik), **points
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +87,27 @@ class Factor:
 
 
 FACTORS = (
-    Factor("human_points", ("fingertips", "fingertips_middle", "joints", "landmarks"), (FOLLOW_POINTS, FOLLOW_WRIST)),
-    Factor("ridge", (0.0, 0.03, 0.1, 0.3, 1.0), ({"human_points": "joints"}, {"human_points": "fingertips"})),
-    Factor("pivot", ("centroid", "palm", "world"), tuple({"rigid_from": name} for name in ("points", "wrist", "none"))),
+    Factor(
+        "human_points",
+        ("fingertips", "fingertips_middle", "joints", "landmarks"),
+        (FOLLOW_POINTS, FOLLOW_WRIST),
+    ),
+    Factor(
+        "ridge",
+        (0.0, 0.03, 0.1, 0.3, 1.0),
+        ({"human_points": "joints"}, {"human_points": "fingertips"}),
+    ),
+    Factor(
+        "pivot",
+        ("centroid", "palm", "world"),
+        tuple({"rigid_from": name} for name in ("points", "wrist", "none")),
+    ),
     Factor("residual_gain", (0.0, 0.25, 0.5, 0.75, 1.0), (FOLLOW_POINTS, FOLLOW_WRIST)),
-    Factor("deformation_gain", (0.0, 0.5, 1.0), tuple({"residual_gain": gain} for gain in (0.0, 0.5, 1.0))),
+    Factor(
+        "deformation_gain",
+        (0.0, 0.5, 1.0),
+        tuple({"residual_gain": gain} for gain in (0.0, 0.5, 1.0)),
+    ),
     Factor("max_iterations", (1, 2, 3, 6)),
     Factor("error_damping", (0.0, 0.1, 0.3, 0.7, 1.0, 3.0)),
     Factor("rest_weight", (0.0, 0.1, 0.2, 0.5, 1.0)),
@@ -80,13 +115,24 @@ FACTORS = (
     Factor(
         "human_points",
         ("fingertips", "fingertips_middle", "joints"),
-        tuple({**follow, "residual_gain": gain} for gain in (0.5, 1.0) for follow in (FOLLOW_POINTS, FOLLOW_WRIST)),
+        tuple(
+            {**follow, "residual_gain": gain}
+            for gain in (0.5, 1.0)
+            for follow in (FOLLOW_POINTS, FOLLOW_WRIST)
+        ),
     ),
-    Factor("deformation_gain", (0.0, 0.5, 1.0), ({"human_points": "joints", **FOLLOW_WRIST, "residual_gain": 1.0},)),
+    Factor(
+        "deformation_gain",
+        (0.0, 0.5, 1.0),
+        ({"human_points": "joints", **FOLLOW_WRIST, "residual_gain": 1.0},),
+    ),
     Factor("robot_points", ("fingertips", "fingertips_middle")),
     Factor("reference", ("initial", "previous"), ({}, PAPER)),
 )
-QUICK_FACTORS = (Factor("ridge", (0.1, 1.0)), Factor("residual_gain", (0.0, 1.0), (FOLLOW_POINTS, FOLLOW_WRIST)))
+QUICK_FACTORS = (
+    Factor("ridge", (0.1, 1.0)),
+    Factor("residual_gain", (0.0, 1.0), (FOLLOW_POINTS, FOLLOW_WRIST)),
+)
 DRAWN = 8
 """So many factors, from the first on, are in the picture."""
 
@@ -97,7 +143,10 @@ class WatchedMapper(HandMapper):
     def map_step(self, *arguments: Any, **words: Any) -> MapStep:
         """As ever."""
         step = super().map_step(*arguments, **words)
-        self.watched = [*getattr(self, "watched", ()), (step.stretches.min(), step.stretches.max(), step.is_clamped)]
+        self.watched = [
+            *getattr(self, "watched", ()),
+            (step.stretches.min(), step.stretches.max(), step.is_clamped),
+        ]
         return step
 
 
@@ -107,7 +156,9 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
     watched: list[tuple[float, float, bool]] = []
     for scene in scenes:
         human = scene.motion.human.with_points(case.human_points)
-        mapper = WatchedMapper(human, robot_for(family, scene.side, case.robot_points), case.mapping, ik=case.ik)
+        mapper = WatchedMapper(
+            human, robot_for(family, scene.side, case.robot_points), case.mapping, ik=case.ik
+        )
         trajectory = map_motion(mapper, scene.motion)
         qualities.append(assess_quality(scene.motion, trajectory))
         watched += mapper.watched
@@ -129,11 +180,18 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
         "speed_rad_s_rms": mean("speed"),
         "jerk_rad_s3_rms": mean("jerk"),
         # Recordings differ tenfold in rate and noise, so each counts by its ratio.
-        "jerk_over_human": float(np.exp(np.mean([np.log(quality.jerk / quality.human_jerk) for quality in qualities]))),
+        "jerk_over_human": float(
+            np.exp(np.mean([np.log(quality.jerk / quality.human_jerk) for quality in qualities]))
+        ),
         "jerk_over_human_max": max(quality.jerk / quality.human_jerk for quality in qualities),
         **_follow(matches),
-        "fingers": {finger: _follow([match for match in matches if match.finger == finger]) for finger in _fingers(matches)},
-        "recordings": {scene.name: asdict(quality) for scene, quality in zip(scenes, qualities, strict=True)},
+        "fingers": {
+            finger: _follow([match for match in matches if match.finger == finger])
+            for finger in _fingers(matches)
+        },
+        "recordings": {
+            scene.name: asdict(quality) for scene, quality in zip(scenes, qualities, strict=True)
+        },
     }
 
 
@@ -156,7 +214,9 @@ def _work(job: tuple[Case, str]) -> dict[str, Any]:
     return measure(*job, _scenes)
 
 
-def measure_all(jobs: list[tuple[Case, str]], files: list[Path], arguments: Namespace) -> list[dict[str, Any]]:
+def measure_all(
+    jobs: list[tuple[Case, str]], files: list[Path], arguments: Namespace
+) -> list[dict[str, Any]]:
     """Measure every case, in as many processes as asked for."""
     samples = 60 if arguments.quick else None
     prepare = partial(_start_worker, files, arguments.every, samples)
@@ -174,7 +234,9 @@ def _advanced(advance: Any, result: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def table_rows(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]) -> list[dict[str, Any]]:
+def table_rows(
+    factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]
+) -> list[dict[str, Any]]:
     """The table: a line for every case and robot."""
     rows: list[dict[str, Any]] = []
     for factor in factors:
@@ -182,7 +244,9 @@ def table_rows(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict
             for family in ROBOTS:
                 row = {
                     "setting": f"{factor.name} {value}" + (" *" if case == Case() else ""),
-                    "with": ", ".join(f"{name} {word}" for name, word in variant.items()) if variant is not PAPER else "the paper",
+                    "with": ", ".join(f"{name} {word}" for name, word in variant.items())
+                    if variant is not PAPER
+                    else "the paper",
                     "robot": family,
                 }
                 rows.append(row | _cells(results[case, family]))
@@ -217,7 +281,10 @@ METRICS = (
     ("point_error_mm_mean", "point error\n[mm]", (0.0, 40.0)),
     ("jerk_over_human", "joint jerk over\nthe human's", (0.0, 1.6)),
 )
-"""Rows of the picture: a result, its label and the range of its axis; what lies outside is drawn at the edge, as a triangle."""
+"""Rows of the picture: a result, its label and the range of its axis.
+
+What lies outside is drawn at the edge, as a triangle.
+"""
 
 
 def draw(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]) -> Figure:
@@ -233,12 +300,39 @@ def draw(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, 
             _draw_panel(axes, factor, metric, limits, results)
             if factor is factors[0]:
                 axes.set_ylabel(label)
-        column[-1].set_xticks(range(len(factor.values)), [_short(value) for value in factor.values], rotation=30, ha="right")
+        column[-1].set_xticks(
+            range(len(factor.values)),
+            [_short(value) for value in factor.values],
+            rotation=30,
+            ha="right",
+        )
         styles = zip(factor.variants, _LINES, strict=False)
-        names = [Line2D([], [], color="#222831", linestyle=line, label=_words(variant)) for variant, line in styles if variant]
-        column[-1].legend(handles=names, loc="upper center", bbox_to_anchor=(0.5, -0.42), fontsize=7.5, handlelength=2.6)
-    robots = [Line2D([], [], color=common.COLOURS[family], marker="o", label=family.replace("_", "-")) for family in ROBOTS]
-    mark = Line2D([], [], color="#222831", marker="o", markersize=9, fillstyle="none", linestyle="", label="default")
+        names = [
+            Line2D([], [], color="#222831", linestyle=line, label=_words(variant))
+            for variant, line in styles
+            if variant
+        ]
+        column[-1].legend(
+            handles=names,
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.42),
+            fontsize=7.5,
+            handlelength=2.6,
+        )
+    robots = [
+        Line2D([], [], color=common.COLOURS[family], marker="o", label=family.replace("_", "-"))
+        for family in ROBOTS
+    ]
+    mark = Line2D(
+        [],
+        [],
+        color="#222831",
+        marker="o",
+        markersize=9,
+        fillstyle="none",
+        linestyle="",
+        label="default",
+    )
     figure.legend(handles=[*robots, mark], loc="outside upper left", ncols=3, fontsize=10)
     return figure
 
@@ -247,7 +341,11 @@ _LINES = ("-", (0, (4, 1.5)), (0, (1, 1.2)))
 
 
 def _draw_panel(
-    axes: Any, factor: Factor, metric: str, limits: tuple[float, float], results: dict[tuple[Case, str], dict[str, Any]]
+    axes: Any,
+    factor: Factor,
+    metric: str,
+    limits: tuple[float, float],
+    results: dict[tuple[Case, str], dict[str, Any]],
 ) -> None:
     for family in ROBOTS:
         for variant, line in zip(factor.variants, _LINES, strict=False):
@@ -256,10 +354,25 @@ def _draw_panel(
             shown, colour = np.clip(heights, *limits), common.COLOURS[family]
             axes.plot(range(len(cases)), shown, color=colour, linestyle=line)
             for i, (height, mark) in enumerate(zip(heights, shown, strict=True)):
-                axes.plot(i, mark, marker="o" if height == mark else "^", markersize=3.5, color=colour, clip_on=False)
+                axes.plot(
+                    i,
+                    mark,
+                    marker="o" if height == mark else "^",
+                    markersize=3.5,
+                    color=colour,
+                    clip_on=False,
+                )
             if Case() in cases:
                 place = cases.index(Case())
-                axes.plot(place, shown[place], marker="o", markersize=9, fillstyle="none", color=colour, clip_on=False)
+                axes.plot(
+                    place,
+                    shown[place],
+                    marker="o",
+                    markersize=9,
+                    fillstyle="none",
+                    color=colour,
+                    clip_on=False,
+                )
     axes.set(xlim=(-0.3, len(factor.values) - 0.7), ylim=limits)
     axes.set_xticks(range(len(factor.values)), [])
 
@@ -275,14 +388,24 @@ def _words(variant: dict[str, Any]) -> str:
 def main(words: Sequence[str] | None = None) -> None:
     """Measure, print, write, draw."""
     parser = common.make_parser(" ".join(str(__doc__).split("\n\n")[0].split()))
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="map every N-th sample only (default: all)")
+    parser.add_argument(
+        "--every",
+        type=int,
+        default=1,
+        metavar="N",
+        help="map every N-th sample only (default: all)",
+    )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
     arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)[: 2 if arguments.quick else None]
     arguments.jobs = 1 if arguments.quick else max(1, arguments.jobs)
     factors = QUICK_FACTORS if arguments.quick else FACTORS
     # Each case once, however many factors it belongs to.
-    jobs = list(dict.fromkeys((case, family) for factor in factors for *_, case in factor.cases() for family in ROBOTS))
+    jobs = list(
+        dict.fromkeys(
+            (case, family) for factor in factors for *_, case in factor.cases() for family in ROBOTS
+        )
+    )
     results = dict(zip(jobs, measure_all(jobs, files, arguments), strict=True))
     common.print_table(
         f"What the choices do: {len(files)} recordings, mean over them",
@@ -296,7 +419,13 @@ def main(words: Sequence[str] | None = None) -> None:
         "default": asdict(Case()),
         "recordings": [file.stem for file in files],
         "rows": [
-            {"factor": factor.name, "value": value, "with": variant, "robot": family, "default": case == Case()}
+            {
+                "factor": factor.name,
+                "value": value,
+                "with": variant,
+                "robot": family,
+                "default": case == Case(),
+            }
             | results[case, family]
             for factor in factors
             for variant, value, case in factor.cases()

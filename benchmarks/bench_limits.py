@@ -1,8 +1,11 @@
-"""What limit handling costs and buys: the QP against eq. (8) with no limits, with clipping, and damped with clipping.
+"""What limit handling costs and buys: the QP against eq.
 
-Each way moves the same robots through the same recordings. Limits that are looked at after the step, or not at all, are violated
-or bend the step for every finger; a QP knows them while it solves. The last columns look at the samples in which some fingers have
-a joint at a position limit and others have none: what happens to those others?
+(8) with no limits, with clipping, and damped with clipping.
+
+Each way moves the same robots through the same recordings. Limits that are looked at after the
+step, or not at all, are violated or bend the step for every finger; a QP knows them while it
+solves. The last columns look at the samples in which some fingers have a joint at a position limit
+and others have none: what happens to those others?
 
     python benchmarks/bench_limits.py --picture limits.png --json limits.json
 """
@@ -17,16 +20,18 @@ import numpy as np
 import scenes
 
 from handmap_qp import HandMapper, IkOptions
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.trajectory import Trajectory, map_motion
+from handmap_qp.offline.trajectory import Trajectory, map_motion
 
 WAYS: dict[str, Callable[[Hand, IkOptions], Any]] = {
     "QP": PointIk,
     "eq. (8), no limits": PseudoinverseIk,
     "eq. (8), clipped": lambda hand, options: PseudoinverseIk(hand, options, limits="clip"),
-    "damped, clipped": lambda hand, options: PseudoinverseIk(hand, options, limits="clip", damping=1.0),
+    "damped, clipped": lambda hand, options: PseudoinverseIk(
+        hand, options, limits="clip", damping=1.0
+    ),
 }
 _TOLERANCE = 1e-9
 
@@ -38,7 +43,9 @@ def measure(trajectories: Sequence[Trajectory]) -> dict[str, float]:
     for trajectory in trajectories:
         robot, dt = trajectory.robot, np.diff(trajectory.time)
         seen = trajectory.valid
-        outside = np.maximum(robot.lower_limits - trajectory.q, trajectory.q - robot.upper_limits).max(axis=1)
+        outside = np.maximum(
+            robot.lower_limits - trajectory.q, trajectory.q - robot.upper_limits
+        ).max(axis=1)
         violations += int((outside > _TOLERANCE).sum())
         largest = max(largest, float(outside.max()))
         at_limit += int(trajectory.at_limit.any(axis=1).sum())
@@ -68,9 +75,14 @@ def measure(trajectories: Sequence[Trajectory]) -> dict[str, float]:
 
 
 def split_by_saturation(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Point errors [m] where some fingers have a joint at a limit and others none: of the former, and of the latter."""
+    """Point errors [m] where some fingers have a joint at a limit and others none.
+
+    Of the former, and of the latter.
+    """
     robot = trajectory.robot
-    moves = robot.configuration().support[: 3 * len(robot.reference_points) : 3, robot.v_indices] > 0.0
+    moves = (
+        robot.configuration().support[: 3 * len(robot.reference_points) : 3, robot.v_indices] > 0.0
+    )
     is_saturated = (trajectory.at_limit @ moves.T) & trajectory.valid[:, None]
     is_mixed = is_saturated.any(axis=1) & ~is_saturated.all(axis=1)
     errors, held = trajectory.point_error[is_mixed], is_saturated[is_mixed]
@@ -97,7 +109,11 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
     for row, (robot, rows) in zip(grid, results.items(), strict=True):
         names = [entry["way"] for entry in rows]
         for axes, (key, title) in zip(row, panels.items(), strict=True):
-            axes.barh(names, [entry[key] for entry in rows], color=[common.PALETTE[0], *[common.PALETTE[1]] * (len(rows) - 1)])
+            axes.barh(
+                names,
+                [entry[key] for entry in rows],
+                color=[common.PALETTE[0], *[common.PALETTE[1]] * (len(rows) - 1)],
+            )
             for i, entry in enumerate(rows):
                 axes.annotate(f" {entry[key]:.3g}", (entry[key], i), va="center", size=7.5)
             axes.set_title(title, size=8.5)
@@ -114,7 +130,9 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Limit handling: the QP against eq. (8) unlimited, clipped, and damped with clipping.")
+    parser = common.make_parser(
+        "Limit handling: the QP against eq. (8) unlimited, clipped, and damped with clipping."
+    )
     arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
     with common.progress("reading recordings", len(files)) as advance:
@@ -126,13 +144,17 @@ def main(words: Sequence[str] | None = None) -> None:
             for way, make in WAYS.items():
                 trajectories = []
                 for scene in found:
-                    mapper = HandMapper(scene.motion.human.with_points(None), scenes.robot_for(family, scene.side))
+                    mapper = HandMapper(
+                        scene.motion.human.with_points(None), scenes.robot_for(family, scene.side)
+                    )
                     mapper._ik = make(mapper.robot, IkOptions())
                     trajectories.append(map_motion(mapper, scene.motion))
                     advance()
                 results[family].append({"way": way, **measure(trajectories)})
     for family, rows in results.items():
-        common.print_table(f"{family}, {len(found)} recordings", rows, to_stderr=arguments.json == "-")
+        common.print_table(
+            f"{family}, {len(found)} recordings", rows, to_stderr=arguments.json == "-"
+        )
     common.write_json(arguments.json, "bench_limits", results)
     common.save_picture(arguments.picture, lambda: draw(results))
 

@@ -1,8 +1,10 @@
-"""The mapping service under load: round trips beside those of a bare echo of the same transport, in the same run.
+"""The mapping service under load.
 
-A client at 1 kHz for a minute, with no step lost; thirty clients at 60 Hz; a client over WebSocket. A part of the round trips goes
-to the echo, which reads and maps nothing, from the same client and with messages of the same length: what the machine does to one
-it does to the other.
+Round trips beside those of a bare echo of the same transport, in the same run.
+
+A client at 1 kHz for a minute, with no step lost; thirty clients at 60 Hz; a client over WebSocket.
+A part of the round trips goes to the echo, which reads and maps nothing, from the same client and
+with messages of the same length: what the machine does to one it does to the other.
 
     python benchmarks/bench_service.py --picture service.png --json service.json
 """
@@ -30,14 +32,22 @@ _ECHO_EVERY = 20
 _CLIENTS_A_PROCESS = 10
 
 
-def one_client(service: ServiceProcess, echo: str, robot: str, rate: float, duration: float) -> dict[str, Any]:
+def one_client(
+    service: ServiceProcess, echo: str, robot: str, rate: float, duration: float
+) -> dict[str, Any]:
     """One client at a steady rate, which waits for each answer."""
     motion, steps, echoes, late = HumanMotion(), [], [], 0.0
-    with Client(service.address, timeout=5.0) as client, zmq.Context() as context, context.socket(zmq.DEALER) as bare:
+    with (
+        Client(service.address, timeout=5.0) as client,
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as bare,
+    ):
         bare.linger = 0
         bare.connect(echo)
         client.open(robot, max_dt=max(1e-3, 2.0 / rate))
-        payload = msgspec.msgpack.encode({"type": "step", "q": [0.0] * 20, "wrist": [[0.0] * 3, [0.0] * 4], "session": "s" * 32})
+        payload = msgspec.msgpack.encode(
+            {"type": "step", "q": [0.0] * 20, "wrist": [[0.0] * 3, [0.0] * 4], "session": "s" * 32}
+        )
         before, started = service.cpu(), time.monotonic()
         for i, now in enumerate(pace(rate, duration)):
             late = max(late, now - i / rate)
@@ -46,36 +56,56 @@ def one_client(service: ServiceProcess, echo: str, robot: str, rate: float, dura
                 echoes.append(timed(lambda: (bare.send(payload), bare.recv())))
         elapsed, cpu = time.monotonic() - started, service.cpu() - before
         counted = client.status().counts["steps"]
-    return row(f"1 client, {rate:g} Hz", steps, echoes, lost=round(rate * duration) - counted, rate=len(steps) / elapsed) | {
+    return row(
+        f"1 client, {rate:g} Hz",
+        steps,
+        echoes,
+        lost=round(rate * duration) - counted,
+        rate=len(steps) / elapsed,
+    ) | {
         "skipped": 0,
         "late_ms": 1e3 * late,
         "server_%": 100.0 * cpu / elapsed,
     }
 
 
-def many_clients(service: ServiceProcess, echo: str, robot: str, count: int, rate: float, duration: float) -> dict[str, Any]:
+def many_clients(
+    service: ServiceProcess, echo: str, robot: str, count: int, rate: float, duration: float
+) -> dict[str, Any]:
     """Clients that do not wait for each other, some in a process."""
-    parts = [range(first, min(first + _CLIENTS_A_PROCESS, count)) for first in range(0, count, _CLIENTS_A_PROCESS)]
+    parts = [
+        range(first, min(first + _CLIENTS_A_PROCESS, count))
+        for first in range(0, count, _CLIENTS_A_PROCESS)
+    ]
     before, started = service.cpu(), time.monotonic()
     context = multiprocessing.get_context("spawn")
     with context.Pool(len(parts)) as pool:
-        found = pool.starmap(_some_clients, [(service.address, echo, robot, list(part), rate, duration) for part in parts])
+        found = pool.starmap(
+            _some_clients,
+            [(service.address, echo, robot, list(part), rate, duration) for part in parts],
+        )
     elapsed, cpu = time.monotonic() - started, service.cpu() - before
     steps, echoes = (np.concatenate([part[key] for part in found]) for key in ("steps", "echoes"))
     counted = sum(part["counted"] for part in found)
     skipped = sum(part["skipped"] for part in found)
     lost = round(rate * duration) * count - skipped - counted
-    return row(f"{count} clients, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / duration) | {
+    return row(
+        f"{count} clients, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / duration
+    ) | {
         "skipped": skipped,
         "late_ms": 1e3 * max(part["late"] for part in found),
         "server_%": 100.0 * cpu / elapsed,
     }
 
 
-def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: float, duration: float) -> dict[str, Any]:
+def _some_clients(
+    address: str, echo: str, robot: str, seeds: list[int], rate: float, duration: float
+) -> dict[str, Any]:
     """The clients of one process; at top level, for it is found by name there."""
 
-    async def one(seed: int, opened: asyncio.Barrier) -> tuple[list[float], list[float], float, int, int]:
+    async def one(
+        seed: int, opened: asyncio.Barrier
+    ) -> tuple[list[float], list[float], float, int, int]:
         motion, steps, echoes, late, skipped = HumanMotion(seed), [], [], 0.0, 0
         bare = zmq.asyncio.Context.instance().socket(zmq.DEALER)
         bare.linger = 0
@@ -119,7 +149,9 @@ def _some_clients(address: str, echo: str, robot: str, seeds: list[int], rate: f
     }
 
 
-def over_websocket(service: ServiceProcess, echo: int, robot: str, rate: float, duration: float) -> dict[str, Any]:
+def over_websocket(
+    service: ServiceProcess, echo: int, robot: str, rate: float, duration: float
+) -> dict[str, Any]:
     """One client over WebSocket, which waits for each answer."""
     from websockets.sync.client import connect
 
@@ -139,8 +171,17 @@ def over_websocket(service: ServiceProcess, echo: int, robot: str, rate: float, 
         for i, now in enumerate(pace(rate, duration)):
             late = max(late, now - i / rate)
             sample = motion(now)
-            wrist = {"position": sample["wrist"][:3].tolist(), "quat_xyzw": sample["wrist"][3:].tolist()}
-            message = {"type": "step", "seq": i + 2, "time": now, "q": sample["q"].tolist(), "wrist": wrist}
+            wrist = {
+                "position": sample["wrist"][:3].tolist(),
+                "quat_xyzw": sample["wrist"][3:].tolist(),
+            }
+            message = {
+                "type": "step",
+                "seq": i + 2,
+                "time": now,
+                "q": sample["q"].tolist(),
+                "wrist": wrist,
+            }
             steps.append(timed(lambda message=message: ask(message)))
             if i % _ECHO_EVERY == 0:
                 echoes.append(timed(lambda: (bare.send(b"x" * 400), bare.recv())))
@@ -163,7 +204,12 @@ def timed(call: Any) -> float:
 
 
 def row(
-    load: str, steps: Sequence[float] | np.ndarray, echoes: Sequence[float] | np.ndarray, *, lost: int, rate: float
+    load: str,
+    steps: Sequence[float] | np.ndarray,
+    echoes: Sequence[float] | np.ndarray,
+    *,
+    lost: int,
+    rate: float,
 ) -> dict[str, Any]:
     """What is told of a load; times in microseconds."""
     step, echo = 1e6 * np.asarray(steps), 1e6 * np.asarray(echoes)
@@ -175,7 +221,11 @@ def row(
         "rate": rate,
         **{f"{name}_us": float(np.percentile(step, q)) for name, q in quantiles.items()},
         "max_us": float(step.max()),
-        **{f"echo_{name}_us": float(np.percentile(echo, q)) for name, q in quantiles.items() if name != "p99.9"},
+        **{
+            f"echo_{name}_us": float(np.percentile(echo, q))
+            for name, q in quantiles.items()
+            if name != "p99.9"
+        },
     }
 
 
@@ -186,17 +236,30 @@ def draw(rows: list[dict[str, Any]]) -> Any:
     figure = Figure(figsize=(8.0, 0.9 + 0.75 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for i, entry in enumerate(rows):
-        for offset, prefix, colour in ((0.18, "echo_", common.PALETTE[5]), (-0.18, "", common.PALETTE[0])):
+        for offset, prefix, colour in (
+            (0.18, "echo_", common.PALETTE[5]),
+            (-0.18, "", common.PALETTE[0]),
+        ):
             low, high = entry[f"{prefix}p50_us"] / 1e3, entry[f"{prefix}p99_us"] / 1e3
             axes.plot([low, high], [i + offset] * 2, color=colour, lw=2.5, solid_capstyle="butt")
             axes.plot(low, i + offset, "o", color=colour, ms=6)
             axes.plot(high, i + offset, "|", color=colour, ms=12, mew=2.5)
-            axes.annotate(f"{low:.2f} to {high:.2f}", (high, i + offset), (6, 0), textcoords="offset points", va="center", size=8)
+            axes.annotate(
+                f"{low:.2f} to {high:.2f}",
+                (high, i + offset),
+                (6, 0),
+                textcoords="offset points",
+                va="center",
+                size=8,
+            )
     axes.plot([], [], "-o", color=common.PALETTE[0], label="step, p50 to p99")
     axes.plot([], [], "-o", color=common.PALETTE[5], label="bare echo")
     axes.set_yticks(range(len(rows)), [entry["load"] for entry in rows])
     axes.set_ylim(-0.6, len(rows) - 0.4)
-    axes.set_xlim(left=0.0, right=1.2 * max(max(entry["p99_us"], entry["echo_p99_us"]) for entry in rows) / 1e3)
+    axes.set_xlim(
+        left=0.0,
+        right=1.2 * max(max(entry["p99_us"], entry["echo_p99_us"]) for entry in rows) / 1e3,
+    )
     axes.set_xlabel("round trip [ms]")
     axes.set_title("The mapping service beside an echo that maps nothing")
     axes.grid(axis="y", visible=False)
@@ -206,13 +269,29 @@ def draw(rows: list[dict[str, Any]]) -> Any:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Load on the mapping service, beside a bare echo of the same transport.")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="time of each load [s]; 60 by default")
-    parser.add_argument("--clients", type=int, default=30, metavar="N", help="clients at 60 Hz; 30 by default")
-    parser.add_argument("--robot", default="three_finger", help="robot hand; three_finger by default")
+    parser = common.make_parser(
+        "Load on the mapping service, beside a bare echo of the same transport."
+    )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="time of each load [s]; 60 by default",
+    )
+    parser.add_argument(
+        "--clients", type=int, default=30, metavar="N", help="clients at 60 Hz; 30 by default"
+    )
+    parser.add_argument(
+        "--robot", default="three_finger", help="robot hand; three_finger by default"
+    )
     arguments = common.parse_arguments(parser, words)
     duration, clients = (2.0, 4) if arguments.quick else (arguments.duration, arguments.clients)
-    with serving(web=True, web_port=0) as service, echoing() as echo, common.progress("loads", 3) as advance:
+    with (
+        serving(web=True, web_port=0) as service,
+        echoing() as echo,
+        common.progress("loads", 3) as advance,
+    ):
         bare = f"tcp://127.0.0.1:{echo['requests']}"
         rows = [one_client(service, bare, arguments.robot, 1000.0, duration)]
         advance()
@@ -226,7 +305,9 @@ def main(words: Sequence[str] | None = None) -> None:
         "Times of a round trip in us, wall. lost: asked and not answered; skipped: never asked, since the client was late by more "
         f"than a period;\nlate_ms: the latest a client was. Resident memory grew by {growth:.1f} MB after the first load."
     )
-    common.print_table("The mapping service under load", rows, to_stderr=arguments.json == "-", caption=caption)
+    common.print_table(
+        "The mapping service under load", rows, to_stderr=arguments.json == "-", caption=caption
+    )
     common.write_json(arguments.json, "service", {"rows": rows, "memory_growth_MB": growth})
     common.save_picture(arguments.picture, lambda: draw(rows))
 

@@ -1,8 +1,10 @@
-"""Every QP solver on the same problems: time, failures, distance to the exact answer, violation, and what a warm start gains.
+"""Every QP solver on the same problems.
 
-Two sets of box-constrained problems. *Recorded*: those of a headset recording mapped to the Allegro hand, in their order, where a
-warm start can help. *Hard*: random ones, with targets out of reach, joints at and outside their limits, stretched-out singular
-postures, short and long time steps.
+Time, failures, distance to the exact answer, violation, and what a warm start gains.
+
+Two sets of box-constrained problems. *Recorded*: those of a headset recording mapped to the Allegro
+hand, in their order, where a warm start can help. *Hard*: random ones, with targets out of reach,
+joints at and outside their limits, stretched-out singular postures, short and long time steps.
 
     python benchmarks/bench_solvers.py --picture solvers.png --json solvers.json
 """
@@ -20,10 +22,10 @@ import pinocchio as pin
 import synthetic
 
 from handmap_qp import HandMapper, IkOptions, load_hand
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver, Rows
-from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine
 
 _HARD = 5000
@@ -47,7 +49,12 @@ class Recorder:
         self._solver = DaqpSolver(size)
 
     def solve(
-        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+        self,
+        H: np.ndarray,
+        c: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rows: Rows | None = None,
     ) -> np.ndarray | None:
         """As `QpSolver.solve`."""
         self.problems.append(Problem(H.copy(), c.copy(), lower.copy(), upper.copy()))
@@ -75,19 +82,28 @@ def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
     hand: Hand = ik.hand
     q = rng.uniform(hand.lower_limits, hand.upper_limits)
     if kind == 1:  # half of the joints at a limit
-        q = np.where(rng.random(len(q)) < 0.5, np.where(rng.random(len(q)) < 0.5, hand.lower_limits, hand.upper_limits), q)
+        q = np.where(
+            rng.random(len(q)) < 0.5,
+            np.where(rng.random(len(q)) < 0.5, hand.lower_limits, hand.upper_limits),
+            q,
+        )
     elif kind == 2:  # stretched out: singular
         q = np.clip(np.zeros(len(q)), hand.lower_limits, hand.upper_limits)
     elif kind == 3:  # outside the limits
         q = q + rng.uniform(-0.5, 0.5, len(q))
     ik.place(hand.configuration_vector(q))
-    targets = ik.configuration.points + rng.normal(scale=10.0 ** rng.uniform(-3.0, 0.0), size=ik.configuration.points.shape)
+    targets = ik.configuration.points + rng.normal(
+        scale=10.0 ** rng.uniform(-3.0, 0.0), size=ik.configuration.points.shape
+    )
     wrist = affine(pin.exp3(rng.normal(size=3)), rng.normal(scale=0.3, size=3))
     return Problem(*ik.problem(targets, wrist, 10.0 ** rng.uniform(-3.0, -1.0)))
 
 
 def exact_answer(problem: Problem) -> np.ndarray:
-    """The minimiser to rounding: DAQP's active set, the other variables solved for directly, the KKT conditions checked."""
+    """The minimiser to rounding.
+
+    DAQP's active set, the other variables solved for directly, the KKT conditions checked.
+    """
     H, c, lower, upper = problem
     start = DaqpSolver(len(c)).solve(*problem)
     if start is None:
@@ -97,18 +113,30 @@ def exact_answer(problem: Problem) -> np.ndarray:
     x = np.where(at_lower, lower, np.where(at_upper, upper, start))
     free = ~(at_lower | at_upper)
     if free.any():
-        x[free] = np.linalg.solve(H[np.ix_(free, free)], -c[free] - H[np.ix_(free, ~free)] @ x[~free])
+        x[free] = np.linalg.solve(
+            H[np.ix_(free, free)], -c[free] - H[np.ix_(free, ~free)] @ x[~free]
+        )
     slope, scale = H @ x + c, 1e-9 * np.abs(H).max()
-    ok = (x >= lower - 1e-12).all() and (x <= upper + 1e-12).all() and (np.abs(slope[free]) <= scale).all()
+    ok = (
+        (x >= lower - 1e-12).all()
+        and (x <= upper + 1e-12).all()
+        and (np.abs(slope[free]) <= scale).all()
+    )
     # On a bound that is hardly held, slope and distance are both zero and either side is right.
-    signs = (slope[at_lower & ~at_upper] >= -scale).all() and (slope[at_upper & ~at_lower] <= scale).all()
+    signs = (slope[at_lower & ~at_upper] >= -scale).all() and (
+        slope[at_upper & ~at_lower] <= scale
+    ).all()
     if not (ok and signs):
         raise RuntimeError("the exact answer fails its own optimality conditions")
     return x
 
 
 def measure(
-    make: Callable[[int], Any], problems: Sequence[Problem], answers: Sequence[np.ndarray], *, is_warm: bool
+    make: Callable[[int], Any],
+    problems: Sequence[Problem],
+    answers: Sequence[np.ndarray],
+    *,
+    is_warm: bool,
 ) -> dict[str, Any]:
     """One solver on one set of problems."""
     solvers: dict[int, Any] = {}
@@ -148,7 +176,8 @@ def solvers() -> list[tuple[str, Callable[[int], Any], bool]]:
         ("proxqp, native, cold", ProxqpSolver, False),
     ]
     rows += [
-        (f"{name}, qpsolvers", lambda _, name=name: QpsolversSolver(name), False) for name in sorted(qpsolvers.available_solvers)
+        (f"{name}, qpsolvers", lambda _, name=name: QpsolversSolver(name), False)
+        for name in sorted(qpsolvers.available_solvers)
     ]
     return rows
 
@@ -160,7 +189,12 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     for axes, (name, rows) in zip(figure.subplots(1, 2, sharey=True), results.items(), strict=True):
         names, times = [row["solver"] for row in rows], [row["median_us"] for row in rows]
-        axes.barh(names, times, color=[common.PALETTE[0 if name.startswith("daqp, native") else 1] for name in names], height=0.6)
+        axes.barh(
+            names,
+            times,
+            color=[common.PALETTE[0 if name.startswith("daqp, native") else 1] for name in names],
+            height=0.6,
+        )
         for i, row in enumerate(rows):
             failed = f", {row['failures']} failed" if row["failures"] else ""
             axes.text(
@@ -170,7 +204,9 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
                 va="center",
                 size=7.5,
             )
-        axes.set(title=f"{name} problems", xscale="log", xlabel="median CPU time [us]", xlim=(1.0, 3e4))
+        axes.set(
+            title=f"{name} problems", xscale="log", xlabel="median CPU time [us]", xlim=(1.0, 3e4)
+        )
         axes.grid(axis="y", visible=False)
     figure.axes[0].invert_yaxis()
     return figure
@@ -189,13 +225,20 @@ def main(words: Sequence[str] | None = None) -> None:
     for name, problems in sets.items():
         answers = [exact_answer(problem) for problem in problems]
         rows = []
-        with common.progress(f"{name} problems", len(solvers())) as advance, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what solvers warn of is counted as failure or distance
+        with (
+            common.progress(f"{name} problems", len(solvers())) as advance,
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter(
+                "ignore"
+            )  # what solvers warn of is counted as failure or distance
             for label, make, is_warm in solvers():
                 rows.append({"solver": label, **measure(make, problems, answers, is_warm=is_warm)})
                 advance()
         results[name] = rows
-        common.print_table(f"{len(problems)} {name} problems", rows, to_stderr=arguments.json == "-")
+        common.print_table(
+            f"{len(problems)} {name} problems", rows, to_stderr=arguments.json == "-"
+        )
     gain = {
         solver: results["recorded"][i + 1]["median_us"] / results["recorded"][i]["median_us"]
         for i, solver in ((0, "daqp"), (2, "proxqp"))

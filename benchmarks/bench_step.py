@@ -1,8 +1,9 @@
 """How long one whole `map_step` takes, part by part, and how it grows with reference points and joints.
 
-Times are CPU times of one thread; what counts is their ratio to one `pin.computeJointJacobians` on the same robot in the same
-run, which hardly depends on the machine. The scene is a headset recording mapped to the Allegro hand with a floating wrist (22
-variables) under default options; without recordings, the human hand moving along its synergies.
+Times are CPU times of one thread; what counts is their ratio to one `pin.computeJointJacobians` on
+the same robot in the same run, which hardly depends on the machine. The scene is a headset
+recording mapped to the Allegro hand with a floating wrist (22 variables) under default options;
+without recordings, the human hand moving along its synergies.
 
     python benchmarks/bench_step.py --picture step.png
     python benchmarks/bench_step.py --save before.json     # change something
@@ -24,11 +25,11 @@ import pinocchio as pin
 import synthetic
 
 import handmap_qp.ik.qp
-import handmap_qp.mapping
-import handmap_qp.transfer
+import handmap_qp.mapping.mapper
+import handmap_qp.mapping.transfer
 from handmap_qp import HandMapper, load_hand
-from handmap_qp.hand import Hand
-from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.hands.hand import Hand
+from handmap_qp.trackers.recording import HumanMotion
 
 RECORDING = "quest3_webxr_right"
 POINT_COUNTS = (3, 4, 6, 10, 20, 35, 50)
@@ -63,7 +64,10 @@ def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[s
 
 
 class Stopwatches:
-    """Own times of functions that call each other, taken by wrapping them: the time inside a wrapped callee is not the caller's."""
+    """Own times of functions that call each other, taken by wrapping them.
+
+    The time inside a wrapped callee is not the caller's.
+    """
 
     def __init__(self) -> None:
         self.sums: dict[str, float] = {}
@@ -87,19 +91,22 @@ class Stopwatches:
 
 
 def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
-    """Mean CPU time of each part of a step [us]; wrapping costs each some 0.6 us, which is taken off."""
+    """Mean CPU time of each part of a step [us].
+
+    Wrapping costs each some 0.6 us, which is taken off.
+    """
     watches = Stopwatches()
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
     ik = mapper._ik
     reference = mapper._reference
     wrapped = [
-        (handmap_qp.mapping, "check_pose", "checks"),
+        (handmap_qp.mapping.mapper, "check_pose", "checks"),
         (mapper, "_check_joints", "checks"),
         (mapper, "_human_points", "human FK"),
         (reference.estimator if reference else None, "estimate", "estimation"),
-        (handmap_qp.transfer, "polar", "decomposition"),
-        (handmap_qp.mapping, "transfer_motion", "targets"),
+        (handmap_qp.mapping.transfer, "polar", "decomposition"),
+        (handmap_qp.mapping.mapper, "transfer_motion", "targets"),
         (ik._limits, "bounds", "limits"),
         (ik.configuration, "stacked_jacobian", "Jacobians"),
         (ik, "_linearise", "assembly"),
@@ -123,7 +130,10 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
         empty()
     cost = watches.sums.pop("empty") / 2000
     count = len(motion.time)
-    return {part: 1e6 * max(0.0, spent - cost * calls.get(part, count)) / count for part, spent in watches.sums.items()}
+    return {
+        part: 1e6 * max(0.0, spent - cost * calls.get(part, count)) / count
+        for part, spent in watches.sums.items()
+    }
 
 
 def _counted(calls: dict[str, int], part: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -134,18 +144,27 @@ def _counted(calls: dict[str, int], part: str, function: Callable[..., Any]) -> 
     return counted
 
 
-def measure_growth(motion: HumanMotion, hands: Sequence[tuple[int, Hand]], what: str) -> list[dict[str, float]]:
+def measure_growth(
+    motion: HumanMotion, hands: Sequence[tuple[int, Hand]], what: str
+) -> list[dict[str, float]]:
     """Median step over a motion for each robot of a row of growing ones."""
     rows = []
     for size, robot in hands:
         result = measure_step(HandMapper(motion.human, robot), motion, 1)
         rows.append(
-            {what: size, "variables": robot.model.nv, "step_us": result["step_cpu_us_median"], "ratio": result["ratio_median"]}
+            {
+                what: size,
+                "variables": robot.model.nv,
+                "step_us": result["step_cpu_us_median"],
+                "ratio": result["ratio_median"],
+            }
         )
     return rows
 
 
-def draw(step: dict[str, Any], parts: dict[str, float], growth: dict[str, list[dict[str, float]]]) -> Any:
+def draw(
+    step: dict[str, Any], parts: dict[str, float], growth: dict[str, list[dict[str, float]]]
+) -> Any:
     """Parts as bars, growth as two curves."""
     from matplotlib.figure import Figure
 
@@ -159,7 +178,12 @@ def draw(step: dict[str, Any], parts: dict[str, float], growth: dict[str, list[d
     )
     bars.grid(axis="y", visible=False)
     for axes, (what, rows) in zip((by_points, by_joints), growth.items(), strict=True):
-        axes.plot([row[what] for row in rows], [row["step_us"] for row in rows], "o-", color=common.PALETTE[0])
+        axes.plot(
+            [row[what] for row in rows],
+            [row["step_us"] for row in rows],
+            "o-",
+            color=common.PALETTE[0],
+        )
         axes.set(
             title=f"Growth with {what}",
             xlabel=what,
@@ -179,9 +203,15 @@ def _read(file: str) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("CPU time of one map_step: whole, by part, and as points and joints grow.")
-    parser.add_argument("--save", metavar="FILE", help="the same as --json: numbers to compare with later")
-    parser.add_argument("--compare", metavar="FILE", help="numbers of an earlier run to compare with")
+    parser = common.make_parser(
+        "CPU time of one map_step: whole, by part, and as points and joints grow."
+    )
+    parser.add_argument(
+        "--save", metavar="FILE", help="the same as --json: numbers to compare with later"
+    )
+    parser.add_argument(
+        "--compare", metavar="FILE", help="numbers of an earlier run to compare with"
+    )
     arguments = common.parse_arguments(parser, words)
     before = _read(arguments.compare) if arguments.compare else {}
     motion = synthetic.motion_or_synergies(arguments.recordings, RECORDING)
@@ -191,19 +221,33 @@ def main(words: Sequence[str] | None = None) -> None:
     measure_step(mapper, motion, 1)  # so that what is compiled and cached at first use is
     step = measure_step(mapper, motion, 1 if arguments.quick else 5)
     parts = measure_parts(mapper, motion)
-    counts, fingers = (POINT_COUNTS[:2], FINGER_COUNTS[:2]) if arguments.quick else (POINT_COUNTS, FINGER_COUNTS)
+    counts, fingers = (
+        (POINT_COUNTS[:2], FINGER_COUNTS[:2]) if arguments.quick else (POINT_COUNTS, FINGER_COUNTS)
+    )
     synergies = synthetic.synergy_motion(60 if arguments.quick else 300)
     growth = {
-        "points": measure_growth(motion, [(count, synthetic.allegro_with_points(count)) for count in counts], "points"),
-        "joints": measure_growth(synergies, [(4 * count, synthetic.comb_hand(count)) for count in fingers], "joints"),
+        "points": measure_growth(
+            motion, [(count, synthetic.allegro_with_points(count)) for count in counts], "points"
+        ),
+        "joints": measure_growth(
+            synergies, [(4 * count, synthetic.comb_hand(count)) for count in fingers], "joints"
+        ),
     }
     results = {**step, "parts_cpu_us": parts, "growth": growth}
     is_json = arguments.json == "-"
-    summary = [{"what": name, "now": value, **({"before": before.get(name, "")} if before else {})} for name, value in step.items()]
-    common.print_table("map_step, Allegro hand with floating wrist, default options", summary, to_stderr=is_json)
+    summary = [
+        {"what": name, "now": value, **({"before": before.get(name, "")} if before else {})}
+        for name, value in step.items()
+    ]
+    common.print_table(
+        "map_step, Allegro hand with floating wrist, default options", summary, to_stderr=is_json
+    )
     ordered = sorted(parts.items(), key=lambda item: -item[1])
     earlier = before.get("parts_cpu_us", {})
-    rows = [{"part": name, "mean us": value, **({"before": earlier.get(name, "")} if before else {})} for name, value in ordered]
+    rows = [
+        {"part": name, "mean us": value, **({"before": earlier.get(name, "")} if before else {})}
+        for name, value in ordered
+    ]
     common.print_table("By part", rows, to_stderr=is_json)
     for what, table in growth.items():
         common.print_table(f"Growth with {what}", table, to_stderr=is_json)

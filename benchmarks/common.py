@@ -1,7 +1,10 @@
-"""What all benchmarks share: arguments, progress, tables, JSON, facts about the machine, CPU time and the style of pictures.
+"""What all benchmarks share.
 
-A benchmark is a script: `python benchmarks/bench_accuracy.py --json results.json --picture results.png`. Results go to stdout,
-progress and complaints to stderr; a mistake of the user's is one line and exit code 2.
+Arguments, progress, tables, JSON, facts about the machine, CPU time and the style of pictures.
+
+A benchmark is a script: `python benchmarks/bench_accuracy.py --json results.json --picture
+results.png`. Results go to stdout, progress and complaints to stderr; a mistake of the user's is
+one line and exit code 2.
 """
 
 # ruff: noqa: E402
@@ -9,7 +12,8 @@ from __future__ import annotations
 
 import os
 
-# One thread, set before numpy is imported: our matrices are small, so that more threads only wait for each other.
+# One thread, set before numpy is imported: our matrices are small, so that more threads only wait
+# for each other.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
@@ -31,7 +35,18 @@ from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
-PACKAGES = ("handmap-qp", "pin", "daqp", "proxsuite", "osqp", "qpsolvers", "mink", "mujoco", "numpy", "scipy")
+PACKAGES = (
+    "handmap-qp",
+    "pin",
+    "daqp",
+    "proxsuite",
+    "osqp",
+    "qpsolvers",
+    "mink",
+    "mujoco",
+    "numpy",
+    "scipy",
+)
 """Packages whose versions `facts` tells, where they are installed."""
 COLOURS = {"three_finger": "#c8452f", "allegro": "#3f6fb5"}
 """Colours of the robots in every picture."""
@@ -76,8 +91,12 @@ def make_parser(description: str) -> argparse.ArgumentParser:
         The parser; a benchmark adds its own arguments.
     """
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -")
-    parser.add_argument("--picture", metavar="FILE", type=Path, help="draw the results into FILE (.png, .svg, .pdf)")
+    parser.add_argument(
+        "--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -"
+    )
+    parser.add_argument(
+        "--picture", metavar="FILE", type=Path, help="draw the results into FILE (.png, .svg, .pdf)"
+    )
     parser.add_argument(
         "--recordings",
         metavar="DIR",
@@ -85,11 +104,17 @@ def make_parser(description: str) -> argparse.ArgumentParser:
         default=Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings"),
         help="folder of recordings of human hands; by default $HANDMAP_RECORDINGS, else ../shared/recordings",
     )
-    parser.add_argument("--quick", action="store_true", help="few samples and settings: to see that it works, not to measure")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="few samples and settings: to see that it works, not to measure",
+    )
     return parser
 
 
-def parse_arguments(parser: argparse.ArgumentParser, words: Sequence[str] | None = None) -> argparse.Namespace:
+def parse_arguments(
+    parser: argparse.ArgumentParser, words: Sequence[str] | None = None
+) -> argparse.Namespace:
     """Parse the command line and refuse files that could not be written, before any work is done.
 
     Args:
@@ -110,7 +135,9 @@ def find_recordings(folder: Path) -> list[Path]:
     """The recordings of a folder, by name; without any, one line and exit code 2."""
     files = sorted(folder.glob("*.npz"))
     if not files:
-        stop(f"no recordings (*.npz) in {folder}: name their folder by --recordings DIR or HANDMAP_RECORDINGS")
+        stop(
+            f"no recordings (*.npz) in {folder}: name their folder by --recordings DIR or HANDMAP_RECORDINGS"
+        )
     return files
 
 
@@ -122,27 +149,46 @@ def stop(message: str) -> NoReturn:
 
 @contextmanager
 def progress(what: str, total: int | None) -> Iterator[Callable[[], None]]:
-    """A bar on stderr while the block runs; gives the function to call after each of `total` pieces of work."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    """A bar on stderr while the block runs.
+
+    Gives the function to call after each of `total` pieces of work.
+    """
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         task = bar.add_task(what, total=total)
         yield lambda: bar.advance(task)
 
 
-def print_table(title: str, rows: Sequence[dict[str, Any]], *, to_stderr: bool = False, caption: str | None = None) -> None:
+def print_table(
+    title: str,
+    rows: Sequence[dict[str, Any]],
+    *,
+    to_stderr: bool = False,
+    caption: str | None = None,
+) -> None:
     """Print rows as a table, words flush left and numbers flush right.
 
     Args:
         title: Heading.
-        rows: Values by column, the same columns in each row; words are printed as they are. An empty row is a line.
+        rows: Values by column, the same columns in each row; words are printed as they are. An
+            empty row is a line.
         to_stderr: Where stdout carries JSON.
         caption: What a reader has to know.
     """
     columns = list(next(row for row in rows if row))
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
     for column in columns:
-        is_text = any(isinstance(row[column], str) and row[column][:1].isalpha() for row in rows if row)
+        is_text = any(
+            isinstance(row[column], str) and row[column][:1].isalpha() for row in rows if row
+        )
         table.add_column(column, justify="left" if is_text else "right", no_wrap=True)
     for row in rows:
         if row:
@@ -155,7 +201,9 @@ def print_table(title: str, rows: Sequence[dict[str, Any]], *, to_stderr: bool =
 
 
 def write_json(target: str | None, name: str, results: dict[str, Any]) -> None:
-    """Write the results with the facts about the machine, to a file or to stdout (`-`); NaN becomes null.
+    """Write the results with the facts about the machine, to a file or to stdout (`-`).
+
+    NaN becomes null.
 
     Args:
         target: The argument `--json`; None writes nothing.
@@ -164,7 +212,9 @@ def write_json(target: str | None, name: str, results: dict[str, Any]) -> None:
     """
     if target is None:
         return
-    text = json.dumps(_plain({"benchmark": name, "facts": facts(), **results}), indent=1, allow_nan=False)
+    text = json.dumps(
+        _plain({"benchmark": name, "facts": facts(), **results}), indent=1, allow_nan=False
+    )
     if target == "-":
         print(text)
     else:
@@ -199,7 +249,8 @@ def cpu_times(call: Callable[[int], Any], count: int) -> np.ndarray:
         count: Number of calls.
 
     Returns:
-        Times [s], shape (count,). Reading the clock adds some 0.3 us to each: measure what is quicker by `mean_cpu_time`.
+        Times [s], shape (count,). Reading the clock adds some 0.3 us to each: measure what is
+        quicker by `mean_cpu_time`.
     """
     times = np.empty(count)
     for i in range(count):
@@ -238,7 +289,9 @@ def save_picture(file: Path | None, draw: Callable[[], Any]) -> None:
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+        return next(
+            line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
 

@@ -1,10 +1,12 @@
-"""A million random steps over every hand of the package, hostile ones included: does every limit hold, and every answer make sense?
+"""A million random steps over every hand of the package, hostile ones included.
+
+Does every limit hold, and every answer make sense?
 
     python benchmarks/exactness.py --steps 1000000 --json exactness.json
 
-What is counted, and what makes the run fail (exit code 1): a position or speed limit passed by more than 1e-9, an answer that holds
-a NaN or an infinity, an exception that is not documented. Memory is watched on the way. The tests take a shorter run of the same
-steps (`hostile.py`).
+What is counted, and what makes the run fail (exit code 1): a position or speed limit passed by more
+than 1e-9, an answer that holds a NaN or an infinity, an exception that is not documented. Memory is
+watched on the way. The tests take a shorter run of the same steps (`hostile.py`).
 """
 
 from __future__ import annotations
@@ -37,7 +39,10 @@ def measure(steps: int, seed: int) -> dict[str, Any]:
         The tally, times and memory in plain values.
     """
     tally, memory, started = hostile.Tally(), [], time.perf_counter()
-    with common.progress("random steps", -(-steps // _STEPS_PER_RUN)) as advance, warnings.catch_warnings():
+    with (
+        common.progress("random steps", -(-steps // _STEPS_PER_RUN)) as advance,
+        warnings.catch_warnings(),
+    ):
         # An overflow or a division by zero is no answer either.
         warnings.simplefilter("error")
         for tally in hostile.drive(hostile.hostile_runs(seed), steps, _STEPS_PER_RUN):
@@ -67,10 +72,13 @@ def memory_growth(samples: np.ndarray) -> dict[str, float]:
         samples: Steps and bytes, shape (n, 2).
 
     Returns:
-        Megabytes at the start, after a tenth and at the end, and megabytes a million steps by a straight line.
+        Megabytes at the start, after a tenth and at the end, and megabytes a million steps by a
+        straight line.
     """
     settled = samples[samples[:, 0] >= 0.1 * samples[-1, 0]]
-    slope = float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) if len(settled) > 1 else float("nan")
+    slope = (
+        float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) if len(settled) > 1 else float("nan")
+    )
     return {
         "memory_first_mb": samples[0, 1] / 1e6,
         "memory_tenth_mb": settled[0, 1] / 1e6,
@@ -92,10 +100,18 @@ def resident_memory() -> float:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the benchmark; the exit code is 1 where anything was violated."""
-    parser = argparse.ArgumentParser(description="A million random steps over every hand: limits, numbers, exceptions, memory.")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="how many steps (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default: %(default)s)")
-    parser.add_argument("--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -")
+    parser = argparse.ArgumentParser(
+        description="A million random steps over every hand: limits, numbers, exceptions, memory."
+    )
+    parser.add_argument(
+        "--steps", type=int, default=1_000_000, help="how many steps (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the random numbers (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -"
+    )
     parser.add_argument("--quick", action="store_true", help="20,000 steps: to see that it works")
     parser.set_defaults(picture=None)
     arguments = common.parse_arguments(parser, words)
@@ -107,11 +123,17 @@ def main(words: Sequence[str] | None = None) -> int:
     caption = "in rad and m; negative where no limit was reached"
     common.print_table("Worst violations of limits", [worst], to_stderr=is_json, caption=caption)
     counts = {name: results[name] for name in ("steps", "steps_per_second", "not_finite")}
-    common.print_table("Steps", [{**counts, "undocumented": len(results["undocumented"])}], to_stderr=is_json)
+    common.print_table(
+        "Steps", [{**counts, "undocumented": len(results["undocumented"])}], to_stderr=is_json
+    )
     for name in ("statuses", "refused"):
         if results[name]:
             common.print_table(name.capitalize(), [results[name]], to_stderr=is_json)
-    common.print_table("Memory", [{name: value for name, value in results.items() if name.startswith("memory")}], to_stderr=is_json)
+    common.print_table(
+        "Memory",
+        [{name: value for name, value in results.items() if name.startswith("memory")}],
+        to_stderr=is_json,
+    )
     for line in results["undocumented"]:
         print(line, file=sys.stderr)
     common.write_json(arguments.json, "exactness", results)

@@ -1,8 +1,9 @@
 """Random steps that no one would wish on a hand, and a tally of what came of them.
 
-`IkRun` drives the inverse kinematics alone, from postures inside, at and outside limits to targets near, far and absurd.
-`MapperRun` drives the whole mapping with samples of a human hand, some of which are no samples at all. Both count violated limits,
-numbers that are none, and exceptions that nothing documents.
+`IkRun` drives the inverse kinematics alone, from postures inside, at and outside limits to targets
+near, far and absurd. `MapperRun` drives the whole mapping with samples of a human hand, some of
+which are no samples at all. Both count violated limits, numbers that are none, and exceptions that
+nothing documents.
 """
 
 from __future__ import annotations
@@ -16,9 +17,17 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp import HandmapError, HandMapper, IkOptions, MapStep, MissingExtraError, hand_names, load_hand
-from handmap_qp.hand import Hand
-from handmap_qp.hand_spec import Mount
+from handmap_qp import (
+    HandmapError,
+    HandMapper,
+    IkOptions,
+    MapStep,
+    MissingExtraError,
+    hand_names,
+    load_hand,
+)
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Mount
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.transform import nearest_rotation
 
@@ -55,11 +64,13 @@ class Tally:
         steps: Steps asked for.
         position: Worst violation of a position limit [rad]; negative where none was even reached.
         speed: Worst violation of a joint's speed limit, as a displacement [rad].
-        wrist_speed: Worst violation of a floating wrist's speed limits, as a displacement [m or rad].
+        wrist_speed: Worst violation of a floating wrist's speed limits, as a displacement [m or
+            rad].
         not_finite: Answers that hold a NaN or an infinity.
         statuses: Answers by their status.
         refused: Documented errors by their kind.
-        undocumented: Other exceptions, and refusals that moved the hand, with where they happened: the first few of them.
+        undocumented: Other exceptions, and refusals that moved the hand, with where they happened:
+            the first few of them.
     """
 
     steps: int = 0
@@ -94,9 +105,14 @@ class Tally:
             self._check_wrist(hand, before, after, dt)
 
     def _check_wrist(self, hand: Hand, before: np.ndarray, after: np.ndarray, dt: float) -> None:
-        linear, angular = hand.spec.wrist.max_linear_speed * dt, hand.spec.wrist.max_angular_speed * dt
+        linear, angular = (
+            hand.spec.wrist.max_linear_speed * dt,
+            hand.spec.wrist.max_angular_speed * dt,
+        )
         if np.sqrt(3.0) * angular < np.pi:
-            excess = np.abs(pin.difference(hand.model, before, after)[:6]) - np.repeat([linear, angular], 3)
+            excess = np.abs(pin.difference(hand.model, before, after)[:6]) - np.repeat(
+                [linear, angular], 3
+            )
         else:
             # Time enough to turn around: of the twist only the length of its path is left to see.
             excess = np.linalg.norm(after[:3] - before[:3]) - np.sqrt(3.0) * linear
@@ -135,7 +151,9 @@ class IkRun:
             self._place()
             return
         tally.statuses[result.status] += 1
-        tally.check_finite(ik.configuration.q, ik.configuration.wrist.homogeneous, result.points, result.errors)
+        tally.check_finite(
+            ik.configuration.q, ik.configuration.wrist.homogeneous, result.points, result.errors
+        )
         tally.check_motion(self._hand, before, ik.configuration.q, dt)
 
     def _place(self) -> None:
@@ -148,7 +166,11 @@ class IkRun:
             q = np.zeros(len(q))
         elif kind == 3:
             q = rng.uniform(hand.lower_limits - MOST_OUTSIDE, hand.upper_limits + MOST_OUTSIDE)
-        self._ik.place(hand.configuration_vector(q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None))
+        self._ik.place(
+            hand.configuration_vector(
+                q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None
+            )
+        )
 
     def _targets(self) -> np.ndarray:
         rng, points = self._rng, self._ik.configuration.points.copy()
@@ -215,11 +237,19 @@ class MapperRun:
             return
         tally.statuses[step.status] += 1
         tally.check_finite(
-            step.command.q, step.command.wrist, step.motion, step.motion_rigid, step.motion_deformation, step.targets, step.points
+            step.command.q,
+            step.command.wrist,
+            step.motion,
+            step.motion_rigid,
+            step.motion_deformation,
+            step.targets,
+            step.points,
         )
         tally.check_finite(step.residuals, step.stretches, step.point_error, step.wrist_target)
         robot = mapper.robot
-        now = robot.configuration_vector(step.command.q, step.command.wrist if robot.is_floating else None)
+        now = robot.configuration_vector(
+            step.command.q, step.command.wrist if robot.is_floating else None
+        )
         if self._last is not None:
             tally.check_motion(robot, self._last, now, dt)
         self._last = now
@@ -245,7 +275,11 @@ class MapperRun:
             self._q = rng.uniform(human.lower_limits, human.upper_limits)
             self._wrist = _pose(rng, 10.0 ** rng.uniform(-2, 4))
         else:
-            self._q = np.clip(self._q + 0.1 * rng.normal(size=len(self._q)), human.lower_limits - 0.2, human.upper_limits + 0.2)
+            self._q = np.clip(
+                self._q + 0.1 * rng.normal(size=len(self._q)),
+                human.lower_limits - 0.2,
+                human.upper_limits + 0.2,
+            )
             self._wrist = self._wrist @ pin.exp6(0.05 * rng.normal(size=6)).homogeneous
             self._wrist[:3, :3] = nearest_rotation(self._wrist[:3, :3])
         if rng.random() < 0.8:
@@ -262,7 +296,11 @@ class MapperRun:
 
     def _ask_nonsense(self, dt: float) -> MapStep:
         mapper, rng = self._mapper, self._rng
-        q, wrist, points = self._q.copy(), self._wrist.copy(), mapper.human.points(mapper.human.rest)
+        q, wrist, points = (
+            self._q.copy(),
+            self._wrist.copy(),
+            mapper.human.points(mapper.human.rest),
+        )
         kind = rng.integers(12)
         if kind == 0:
             q[rng.integers(len(q))] = rng.choice([np.nan, np.inf, -np.inf, 1e300])
@@ -286,14 +324,19 @@ class MapperRun:
         elif kind == 9:
             return mapper.map_points(points[:-1], wrist, dt=dt)
         elif kind == 10:
-            return mapper.map_points(10.0 ** rng.uniform(3, np.log10(FARTHEST)) * points, wrist, dt=dt)
+            return mapper.map_points(
+                10.0 ** rng.uniform(3, np.log10(FARTHEST)) * points, wrist, dt=dt
+            )
         else:
             return mapper.map_points(points, dt=dt)
         return mapper.map_step(q, wrist, dt=dt)
 
 
 def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
-    """Runs over all hands of the package, wrists free and held, forever: the inverse kinematics and the mapping in turn."""
+    """Runs over all hands of the package, wrists free and held, forever.
+
+    The inverse kinematics and the mapping in turn.
+    """
     while True:
         for i, (name, mount) in enumerate(_available_hands()):
             robot = _hand(name, mount, (None, "fingertips_middle")[(seed + i) % 2])
@@ -306,7 +349,9 @@ def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
             seed += 1
 
 
-def drive(runs: Iterator[IkRun | MapperRun], steps: int, steps_per_run: int = 500) -> Iterator[Tally]:
+def drive(
+    runs: Iterator[IkRun | MapperRun], steps: int, steps_per_run: int = 500
+) -> Iterator[Tally]:
     """Take steps from the runs in turn.
 
     Args:
@@ -335,7 +380,9 @@ def _available_hands() -> tuple[tuple[str, Mount], ...]:
         except MissingExtraError:
             continue
         # A hand on an arm or on a robot stands on the arm's foot.
-        found.extend(((name, "floating"), (name, "fixed")) if hand.is_floating else ((name, "fixed"),))
+        found.extend(
+            ((name, "floating"), (name, "fixed")) if hand.is_floating else ((name, "fixed"),)
+        )
     return tuple(found)
 
 
@@ -358,4 +405,6 @@ def _time(rng: np.random.Generator) -> float:
 
 def _pose(rng: np.random.Generator, distance: float) -> np.ndarray:
     quat = rng.normal(size=4)
-    return pin.SE3(pin.Quaternion(quat / np.linalg.norm(quat)), distance * rng.normal(size=3)).homogeneous
+    return pin.SE3(
+        pin.Quaternion(quat / np.linalg.norm(quat)), distance * rng.normal(size=3)
+    ).homogeneous

@@ -2,7 +2,8 @@
 
     python benchmarks/profile_step.py --robot three_finger --sort cumtime --lines 40
 
-Profiling slows small functions most: read off it what is called and how often, and measure by `bench_step.py`.
+Profiling slows small functions most: read off it what is called and how often, and measure by
+`bench_step.py`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,11 @@ from handmap_qp import HandMapper, load_hand
 def costliest(statistics: pstats.Stats, steps: int, count: int) -> list[dict[str, Any]]:
     """The functions that take most time of their own, per step."""
     rows = [
-        {"function": f"{name} ({Path(file).name}:{line})" if line else name, "calls": calls / steps, "own_us": 1e6 * own / steps}
+        {
+            "function": f"{name} ({Path(file).name}:{line})" if line else name,
+            "calls": calls / steps,
+            "own_us": 1e6 * own / steps,
+        }
         for (file, line, name), (_, calls, own, _, _) in statistics.stats.items()  # type: ignore[attr-defined]
     ]
     return sorted(rows, key=lambda row: -row["own_us"])[:count]
@@ -35,7 +40,11 @@ def draw(functions: list[dict[str, Any]]) -> Any:
 
     figure = Figure(figsize=(9.0, 0.3 * len(functions) + 1.0), layout="constrained")
     axes = figure.subplots()
-    axes.barh([row["function"] for row in functions], [row["own_us"] for row in functions], color=common.PALETTE[1])
+    axes.barh(
+        [row["function"] for row in functions],
+        [row["own_us"] for row in functions],
+        color=common.PALETTE[1],
+    )
     axes.set(title="Own time of functions in a step, slowed by the profiler", xlabel="us per step")
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
@@ -45,10 +54,19 @@ def draw(functions: list[dict[str, Any]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Profile and print."""
     parser = common.make_parser("Profile map_step over a recording.")
-    parser.add_argument("--robot", default="allegro_right", help="robot hand: a name or the path of a hand.yaml")
-    parser.add_argument("--sort", default="tottime", choices=("tottime", "cumtime", "ncalls"), help="what to sort by")
+    parser.add_argument(
+        "--robot", default="allegro_right", help="robot hand: a name or the path of a hand.yaml"
+    )
+    parser.add_argument(
+        "--sort",
+        default="tottime",
+        choices=("tottime", "cumtime", "ncalls"),
+        help="what to sort by",
+    )
     parser.add_argument("--lines", type=int, default=25, help="functions to print")
-    parser.add_argument("--save", metavar="FILE", help="write the profile for a viewer such as snakeviz")
+    parser.add_argument(
+        "--save", metavar="FILE", help="write the profile for a viewer such as snakeviz"
+    )
     arguments = common.parse_arguments(parser, words)
     motion = synthetic.motion_or_synergies(arguments.recordings, "quest3_webxr_right")
     if arguments.quick:
@@ -63,7 +81,9 @@ def main(words: Sequence[str] | None = None) -> None:
     statistics = pstats.Stats(profile, stream=sys.stderr if arguments.json == "-" else sys.stdout)
     statistics.strip_dirs().sort_stats(arguments.sort).print_stats(arguments.lines)
     functions = costliest(statistics, len(motion.time), arguments.lines)
-    common.write_json(arguments.json, "profile_step", {"steps": len(motion.time), "functions": functions})
+    common.write_json(
+        arguments.json, "profile_step", {"steps": len(motion.time), "functions": functions}
+    )
     common.save_picture(arguments.picture, lambda: draw(functions))
     if arguments.save:
         statistics.dump_stats(arguments.save)

@@ -1,4 +1,7 @@
-"""The motions that benchmarks map: recordings of real hands, as joint angles, and the robots that go with them."""
+"""The motions that benchmarks map.
+
+Recordings of real hands, as joint angles, and the robots that go with them.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,15 @@ import msgspec
 import numpy as np
 
 from handmap_qp import Hand, HandSpec, load_hand, read_recording
-from handmap_qp.hand_spec import Side
-from handmap_qp.trackers.landmarks import HumanMotion, fit_recording
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.landmarks import fit_recording
+from handmap_qp.trackers.recording import HumanMotion
 
 ROBOTS = ("three_finger", "allegro")
 """Robots by family; `robot_for` finds the one for a side."""
 
-# The three-fingered hand is its own mirror image, but for what its second and third finger stand for.
+# The three-fingered hand is its own mirror image, but for what its second and third finger stand
+# for.
 _SWAPPED = {"index": "middle", "middle": "index"}
 
 
@@ -50,14 +55,19 @@ def load_scene(file: Path, every: int = 1, samples: int | None = None) -> Scene:
     """
     recording = read_recording(file)
     if samples is not None:
-        kept = slice(int(np.argmax(recording.valid)), int(np.argmax(recording.valid)) + samples * every)
+        kept = slice(
+            int(np.argmax(recording.valid)), int(np.argmax(recording.valid)) + samples * every
+        )
         columns = {name: getattr(recording, name)[kept] for name in ("time", "landmarks", "valid")}
         recording = replace(recording, **columns)
     return Scene(recording.name, recording.side, thinned(fit_recording(recording), every))
 
 
 def load_scenes(
-    files: list[Path], every: int = 1, samples: int | None = None, done: Callable[[], None] = lambda: None
+    files: list[Path],
+    every: int = 1,
+    samples: int | None = None,
+    done: Callable[[], None] = lambda: None,
 ) -> list[Scene]:
     """The same for several recordings; `done` is called after each."""
     scenes = []
@@ -71,7 +81,10 @@ def thinned(motion: HumanMotion, every: int) -> HumanMotion:
     """Every so-manieth sample of a motion; the time from sample to sample grows accordingly."""
     if every == 1:
         return motion
-    kept = {name: getattr(motion, name)[::every] for name in ("time", "q", "wrist", "valid", "fit_error")}
+    kept = {
+        name: getattr(motion, name)[::every]
+        for name in ("time", "q", "wrist", "valid", "fit_error")
+    }
     steps = np.diff(kept["time"])
     first = np.median(steps) if len(steps) else motion.dt[0] * every
     return replace(motion, dt=np.concatenate([[first], steps]), **kept)
@@ -92,13 +105,18 @@ def robot_for(family: str, side: Side, points: str | None = None) -> Hand:
     if family == "allegro":
         return load_hand(f"allegro_{side}", points=points)
     hand = load_hand(family, points=points)
-    return load_hand(_other_side(hand.spec), points=points) if family == "three_finger" and side == "left" else hand
+    return (
+        load_hand(_other_side(hand.spec), points=points)
+        if family == "three_finger" and side == "left"
+        else hand
+    )
 
 
 def _other_side(spec: HandSpec) -> HandSpec:
     """The three-fingered hand for the other side: index and middle finger change places."""
     points = tuple(
-        msgspec.structs.replace(point, finger=_swap(point.finger), partner=_swap(point.partner)) for point in spec.points
+        msgspec.structs.replace(point, finger=_swap(point.finger), partner=_swap(point.partner))
+        for point in spec.points
     )
     return msgspec.structs.replace(spec, side="left", points=points)
 

@@ -1,4 +1,7 @@
-"""Clients for the load and fault runs: a hand that moves, a client that works steadily, a driver that watches what it is told."""
+"""Clients for the load and fault runs.
+
+A hand that moves, a client that works steadily, a driver that watches what it is told.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,9 @@ class HumanMotion:
         """The sample at an instant [s]: `q` and `wrist`."""
         phase = 2.0 * np.pi * self._frequency * time + self._phase
         q = 0.5 * (self._rest + self._middle) + self._span * np.sin(phase)
-        wrist = np.array([0.1 * np.sin(0.5 * phase), 0.05 * np.cos(0.3 * phase), 0.2, 0.0, 0.0, 0.0, 1.0])
+        wrist = np.array(
+            [0.1 * np.sin(0.5 * phase), 0.05 * np.cos(0.3 * phase), 0.2, 0.0, 0.0, 0.0, 1.0]
+        )
         return {"q": q, "wrist": wrist}
 
 
@@ -52,11 +57,13 @@ class Driver:
 
     Attributes:
         speed: Limits of the joints' speed [rad/s].
-        hears_all: Whether every command comes here; else one may account for those between it and the one before.
+        hears_all: Whether every command comes here; else one may account for those between it and
+            the one before.
         fastest: Highest speed between two commands, as a part of its limit.
         commands: How many came.
         epochs: How often the robot was said to be elsewhere.
-        missed: Time that commands may account for which were made and never came, since the service was killed [s].
+        missed: Time that commands may account for which were made and never came, since the service
+            was killed [s].
     """
 
     speed: np.ndarray
@@ -69,7 +76,10 @@ class Driver:
     _last: Command | None = None
 
     def take(self, command: Command) -> None:
-        """One more command; times are the server's, whose monotonic clock is the machine's and goes on over a restart."""
+        """One more command.
+
+        Times are the server's, whose monotonic clock is the machine's and goes on over a restart.
+        """
         self.flags |= set(command.flags)
         last, self._last = self._last, command
         self.commands += 1
@@ -78,7 +88,9 @@ class Driver:
         if last.epoch != command.epoch:
             self.epochs += 1
             return
-        time = command.dt + self.missed if self.hears_all else command.server_time - last.server_time
+        time = (
+            command.dt + self.missed if self.hears_all else command.server_time - last.server_time
+        )
         self.missed = 0.0
         moved = float((np.abs(np.subtract(command.q, last.q)) / self.speed).max())
         # Rounding of a displacement of nothing in no time is no jump.
@@ -86,13 +98,18 @@ class Driver:
             self.fastest = max(self.fastest, moved / time if time > 0.0 else np.inf)
 
 
-def open_driver(client: Client, robot: str = "three_finger", *, hears_all: bool = False, **choices: Any) -> Driver:
+def open_driver(
+    client: Client, robot: str = "three_finger", *, hears_all: bool = False, **choices: Any
+) -> Driver:
     """Open a session, and a driver for its robot."""
     return Driver(np.array(client.open(robot, **choices).speed), hears_all)
 
 
 def pace(rate: float, duration: float) -> Iterator[float]:
-    """Instants since the start [s] at a steady rate; late ones follow at once, so that none is left out."""
+    """Instants since the start [s] at a steady rate.
+
+    Late ones follow at once, so that none is left out.
+    """
     started = time.monotonic()
     for i in range(round(rate * duration)):
         wait = started + i / rate - time.monotonic()
@@ -108,14 +125,15 @@ class Honest(threading.Thread):
         service: The service.
         seed: Whose hand moves.
         keys: Keys of an encrypted connection.
-        streams: Whether samples are only sent, and the driver listens in a client of its own; else each is answered.
+        streams: Whether samples are only sent, and the driver listens in a client of its own; else
+            each is answered.
         jumps: Whether its time stamps jump about.
         is_shared: Whether others may steer its session.
         lets_go: Whether it releases the robot after a second, for good.
 
     Attributes:
-        start_offset: How far from its last command the robot was taken to be where a session was opened anew, in parts of what
-            three commands may account for.
+        start_offset: How far from its last command the robot was taken to be where a session was
+            opened anew, in parts of what three commands may account for.
         is_disobeyed: Whether a released robot moved.
     """
 
@@ -133,7 +151,9 @@ class Honest(threading.Thread):
         super().__init__(daemon=True)
         self.client = Client(service.address, timeout=TIMEOUT, keys=keys)
         choices = {"name": f"honest-{seed}", "max_dt": _MAX_DT, "is_shared": is_shared}
-        self.driver: Driver = open_driver(self.client, "three_finger", hears_all=not streams and not is_shared, **choices)
+        self.driver: Driver = open_driver(
+            self.client, "three_finger", hears_all=not streams and not is_shared, **choices
+        )
         self._listener = Client(service.address, timeout=TIMEOUT, keys=keys)
         if streams:
             self._listener.watch(choices["name"])
@@ -157,7 +177,9 @@ class Honest(threading.Thread):
                 self._look_where_it_starts()
                 if command is not None:
                     self.driver.take(command)
-                    self.is_disobeyed |= self._has_let_go and self.last is not None and command.q != self.last.q
+                    self.is_disobeyed |= (
+                        self._has_let_go and self.last is not None and command.q != self.last.q
+                    )
                     self.last = command
                     self.answered += 1
             except ServiceTimeoutError:
@@ -175,17 +197,26 @@ class Honest(threading.Thread):
             self._listener.close()
 
     def _look_where_it_starts(self) -> None:
-        """After a session was opened anew: where the server takes the robot to be, and where it was last told to go."""
+        """After a session was opened anew.
+
+        Where the server takes the robot to be, and where it was last told to go.
+        """
         opened = self.client.opened
         if self.client.reopened != self._reopened and opened is not None and self.last is not None:
-            offset = np.abs(np.subtract(opened.q, self.last.q)) / (self.driver.speed * 3.0 * _MAX_DT)
+            offset = np.abs(np.subtract(opened.q, self.last.q)) / (
+                self.driver.speed * 3.0 * _MAX_DT
+            )
             self.start_offset = max(self.start_offset, float(offset.max()))
             # The one that it was killed over.
             self.driver.missed = _MAX_DT
         self._reopened = self.client.reopened
 
     def _work(self, now: float) -> Command | None:
-        stamp = now if not self._jumps else float(self._generator.choice([now, -1e9, 1e9, 1e15, 0.0, now - 3600.0]))
+        stamp = (
+            now
+            if not self._jumps
+            else float(self._generator.choice([now, -1e9, 1e9, 1e15, 0.0, now - 3600.0]))
+        )
         if self._lets_go and now > 1.0 and not self._has_let_go:
             self.client.release()
             self._has_let_go = True
@@ -196,8 +227,13 @@ class Honest(threading.Thread):
 
 
 @contextmanager
-def honest(service: ServiceProcess, count: int = 2, *, first: int = 0, **choices: Any) -> Iterator[list[Honest]]:
-    """Honest clients at work while the block runs; their names are honest-0 and so on, or from another number."""
+def honest(
+    service: ServiceProcess, count: int = 2, *, first: int = 0, **choices: Any
+) -> Iterator[list[Honest]]:
+    """Honest clients at work while the block runs.
+
+    Their names are honest-0 and so on, or from another number.
+    """
     clients = [Honest(service, first + i, **choices) for i in range(count)]
     for client in clients:
         client.start()

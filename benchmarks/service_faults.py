@@ -1,7 +1,8 @@
 """What the mapping service does when things go wrong: commands, not tests, for they take minutes.
 
-Each scenario does its worst while honest clients go on, and then looks: did any call take longer than its timeout, did any robot
-get a command that its speed limits do not allow, has memory grown, did the service log a failure? The exit code is 1 if so.
+Each scenario does its worst while honest clients go on, and then looks: did any call take longer
+than its timeout, did any robot get a command that its speed limits do not allow, has memory grown,
+did the service log a failure? The exit code is 1 if so.
 
     python benchmarks/service_faults.py --json faults.json
     python benchmarks/service_faults.py --only restarts fuzz --quick
@@ -37,7 +38,8 @@ from handmap_qp.service.caps import Caps
 def restarts(duration: float) -> dict[str, Any]:
     """The service is killed hard under load every three seconds, and started again.
 
-    Three clients have each sample answered; two only send, with drivers of their own that listen; one has let its robot go.
+    Three clients have each sample answered; two only send, with drivers of their own that listen;
+    one has let its robot go.
     """
     with tempfile.TemporaryDirectory() as folder, serving(state=Path(folder) / "state") as service:
         restored, outages, end = 0, [], time.monotonic() + duration
@@ -52,7 +54,10 @@ def restarts(duration: float) -> dict[str, Any]:
                 service.kill()
                 killed, counts = time.monotonic(), [client.answered for client in clients]
                 service.start()
-                while any(client.answered == before for client, before in zip(clients, counts, strict=True)):
+                while any(
+                    client.answered == before
+                    for client, before in zip(clients, counts, strict=True)
+                ):
                     if time.monotonic() - killed > 15.0:
                         break
                     time.sleep(0.01)
@@ -66,7 +71,12 @@ def restarts(duration: float) -> dict[str, Any]:
             restored = int(last is not None and opened.q == last.q)
         reopened = sum(client.client.reopened for client in clients)
         offset = max(client.start_offset for client in clients)
-        numbers = {"kills": len(outages), "reopened": reopened, "longest_outage_s": max(outages), "restored": restored}
+        numbers = {
+            "kills": len(outages),
+            "reopened": reopened,
+            "longest_outage_s": max(outages),
+            "restored": restored,
+        }
         found = told(clients, **numbers, start_offset=offset)
         if found["epochs"]:
             found["wrong"].append("a session did not go on from the one before")
@@ -84,17 +94,30 @@ def vanishing(duration: float) -> dict[str, Any]:
     greeting = b"\xff" + b"\x00" * 8 + b"\x7f\x03\x00NULL" + b"\x00" * 48
     ready = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
     halves = {
-        "requests": [b"", b"\xff", greeting[:20], greeting, greeting + ready, greeting + ready + b"\x00\xc8" + b"x" * 50],
+        "requests": [
+            b"",
+            b"\xff",
+            greeting[:20],
+            greeting,
+            greeting + ready,
+            greeting + ready + b"\x00\xc8" + b"x" * 50,
+        ],
         "stream": [greeting, greeting + ready[:9]],
         "web": [b"GET / HTTP/1.1\r\nHost:", b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00"],
         "health": [b"GET /metr", b"\x00" * 100],
     }
-    with serving(web=True, web_port=0, idle=2.0) as service, honest(service) as clients, MemoryWatch(service) as memory:
+    with (
+        serving(web=True, web_port=0, idle=2.0) as service,
+        honest(service) as clients,
+        MemoryWatch(service) as memory,
+    ):
         files, vanished, killed, end = service.files(), 0, 0, time.monotonic() + duration
         while time.monotonic() < end:
             vanished += _touch(service, halves)
             if killed < duration / 5.0:
-                process = subprocess.Popen([sys.executable, "-c", code, service.address], stdout=subprocess.PIPE)
+                process = subprocess.Popen(
+                    [sys.executable, "-c", code, service.address], stdout=subprocess.PIPE
+                )
                 if process.stdout is not None and process.stdout.readline():
                     process.send_signal(signal.SIGKILL)
                     killed += 1
@@ -103,7 +126,12 @@ def vanishing(duration: float) -> dict[str, Any]:
         time.sleep(8.0)
         with Client(service.address) as client:
             state = client.status()
-        found = {"vanished": vanished, "killed": killed, "files": service.files() - files, "sessions_left": len(state.names) - 2}
+        found = {
+            "vanished": vanished,
+            "killed": killed,
+            "files": service.files() - files,
+            "sessions_left": len(state.names) - 2,
+        }
     return told(clients, **memory.found(), failures=len(service.failures), **found)
 
 
@@ -112,9 +140,16 @@ def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
     count = 0
     for door, payloads in halves.items():
         for payload in payloads:
-            with suppress(OSError), socket.create_connection(("127.0.0.1", service.ports[door]), timeout=1.0) as connection:
+            with (
+                suppress(OSError),
+                socket.create_connection(
+                    ("127.0.0.1", service.ports[door]), timeout=1.0
+                ) as connection,
+            ):
                 # Gone without a goodbye.
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
+                connection.setsockopt(
+                    socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00"
+                )
                 connection.sendall(payload)
             count += 1
     return count
@@ -141,8 +176,17 @@ def slow_readers(duration: float) -> dict[str, Any]:
             asker.linger, asker.rcvhwm, asker.sndhwm = 0, 1, 10
             asker.connect(service.address)
             deaf += [listener, asker]
-            web = connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None, max_queue=1, ping_interval=None)
-            web.send(msgspec.msgpack.encode({"type": "subscribe", "protocol": 1, "seq": 1, "name": "honest-0"}))
+            web = connect(
+                f"ws://127.0.0.1:{service.ports['web']}",
+                compression=None,
+                max_queue=1,
+                ping_interval=None,
+            )
+            web.send(
+                msgspec.msgpack.encode(
+                    {"type": "subscribe", "protocol": 1, "seq": 1, "name": "honest-0"}
+                )
+            )
             webs.append(web)
         asked, end = 0, time.monotonic() + duration
         while time.monotonic() < end:
@@ -184,7 +228,11 @@ def wrong_keys(duration: float) -> dict[str, Any]:
         admitted = (ours / "admitted.key_secret", ours / "server.key")
         stranger = (others / "stranger.key_secret", ours / "server.key")
         elsewhere = (ours / "admitted.key_secret", others / "server.key")
-        with serving(keys=ours) as service, honest(service, 2, keys=admitted) as clients, MemoryWatch(service) as memory:
+        with (
+            serving(keys=ours) as service,
+            honest(service, 2, keys=admitted) as clients,
+            MemoryWatch(service) as memory,
+        ):
             knocks, let_in, end = 0, 0, time.monotonic() + duration
             while time.monotonic() < end:
                 for keys in (None, stranger, elsewhere):
@@ -193,7 +241,9 @@ def wrong_keys(duration: float) -> dict[str, Any]:
                         with suppress(ServiceTimeoutError):
                             client.status()
                             let_in += 1
-        found = told(clients, **memory.found(), failures=len(service.failures), knocks=knocks, let_in=let_in)
+        found = told(
+            clients, **memory.found(), failures=len(service.failures), knocks=knocks, let_in=let_in
+        )
     if let_in:
         found["wrong"].append("a wrong key was let in")
     return found
@@ -239,12 +289,24 @@ _WILD: dict[str, dict[str, tuple[Any, ...]]] = {
 def steering(duration: float) -> dict[str, Any]:
     """Others clutch, release and configure shared sessions as fast as they are let, with options that are wild and valid."""
     # Of the caps, the one on changes of options alone is to slow them down.
-    with serving(rate=1e7) as service, honest(service, is_shared=True) as clients, MemoryWatch(service) as memory:
+    with (
+        serving(rate=1e7) as service,
+        honest(service, is_shared=True) as clients,
+        MemoryWatch(service) as memory,
+    ):
         started = time.monotonic()
         with ThreadPoolExecutor(4) as pool:
-            answers = sum(pool.map(lambda seed: _steer(service, seed, started + duration), range(4)), Counter[str]())
+            answers = sum(
+                pool.map(lambda seed: _steer(service, seed, started + duration), range(4)),
+                Counter[str](),
+            )
         most = Caps().configures * (time.monotonic() - started + 0.25) + 1.0
-    found = told(clients, **memory.found(), failures=len(service.failures), answers=dict(answers.most_common()))
+    found = told(
+        clients,
+        **memory.found(),
+        failures=len(service.failures),
+        answers=dict(answers.most_common()),
+    )
     if not answers["configure: rate"] or answers["configure: done"] > most:
         found["wrong"].append("changes of options were not capped")
     if not set(answers) <= {"release: done", "clutch: done", "configure: done", "configure: rate"}:
@@ -253,7 +315,10 @@ def steering(duration: float) -> dict[str, Any]:
 
 
 def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
-    """Steer one of two honest clients' sessions by its name, mostly by its options; the answers by their kind."""
+    """Steer one of two honest clients' sessions by its name, mostly by its options.
+
+    The answers by their kind.
+    """
     generator, answers = np.random.default_rng(seed), Counter[str]()
     with Client(service.address, timeout=TIMEOUT) as client:
         client.watch(f"honest-{seed % 2}")
@@ -275,7 +340,9 @@ def _wild_changes(generator: np.random.Generator) -> dict[str, Any]:
     changes: dict[str, Any] = {"has_detail": bool(generator.integers(2))}
     for field, options in _WILD.items():
         drawn = [name for name in options if generator.random() < 1.0 / 3.0]
-        changes[field] = {name: options[name][int(generator.integers(len(options[name])))] for name in drawn}
+        changes[field] = {
+            name: options[name][int(generator.integers(len(options[name])))] for name in drawn
+        }
     return changes
 
 
@@ -303,8 +370,20 @@ def _flat(found: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the scenarios."""
     parser = common.make_parser("Faults of and around the mapping service.")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="time of each scenario [s]; 60 by default")
-    parser.add_argument("--only", nargs="+", choices=SCENARIOS, default=list(SCENARIOS), help="scenarios to run; all by default")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="time of each scenario [s]; 60 by default",
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=SCENARIOS,
+        default=list(SCENARIOS),
+        help="scenarios to run; all by default",
+    )
     arguments = common.parse_arguments(parser, words)
     results = {}
     with common.progress("scenarios", len(arguments.only)) as advance:
@@ -314,7 +393,9 @@ def main(words: Sequence[str] | None = None) -> None:
     for name, found in results.items():
         wrong = found.pop("wrong")
         rows = [{"what": key, "value": value} for key, value in _flat(found)]
-        common.print_table(f"{name}: {', '.join(wrong) or 'all well'}", rows, to_stderr=arguments.json == "-")
+        common.print_table(
+            f"{name}: {', '.join(wrong) or 'all well'}", rows, to_stderr=arguments.json == "-"
+        )
         found["wrong"] = wrong
     common.write_json(arguments.json, "service_faults", {"scenarios": results})
     if any(found["wrong"] for found in results.values()):

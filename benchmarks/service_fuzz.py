@@ -22,8 +22,17 @@ from handmap_qp.client import Command
 _VICTIMS: tuple[dict[str, Any], ...] = (
     {"robot": "three_finger"},
     {"robot": "three_finger", "input": "landmarks", "hand_length": 0.19, "has_detail": True},
-    {"robot": "three_finger", "input": "points", "mapping": {"rigid_from": "wrist", "reference": "previous"}},
-    {"robot": "three_finger", "mount": "fixed", "mapping": {"rigid_from": "none"}, "return_after": 0.0},
+    {
+        "robot": "three_finger",
+        "input": "points",
+        "mapping": {"rigid_from": "wrist", "reference": "previous"},
+    },
+    {
+        "robot": "three_finger",
+        "mount": "fixed",
+        "mapping": {"rigid_from": "none"},
+        "return_after": 0.0,
+    },
 )
 # Messages to one victim, and between two looks at what has become of them.
 _TO_ONE, _AT_ONCE = 4000, 50
@@ -31,7 +40,10 @@ _PATIENCE = 5.0
 
 
 def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
-    """A million altered and truncated messages, to sessions whose secret has got about; fewer in a short run."""
+    """A million altered and truncated messages, to sessions whose secret has got about.
+
+    Fewer in a short run.
+    """
     if duration < 30.0:
         count = 40_000
     with (
@@ -49,11 +61,20 @@ def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
             fastest, commands = max(fastest, driver.fastest), commands + driver.commands
         elapsed = time.monotonic() - started
     sent = doors.total()
-    numbers = {"messages": sent, "per_second": sent / elapsed, "through": dict(doors), "answers": dict(codes.most_common())}
+    numbers = {
+        "messages": sent,
+        "per_second": sent / elapsed,
+        "through": dict(doors),
+        "answers": dict(codes.most_common()),
+    }
     found = told(clients, **memory.found(), failures=len(service.failures), **numbers)
     if fastest > 1.0 + 1e-6:
         found["wrong"].append("the victim jumped")
-    return found | {"victims_commands": commands, "victims_fastest": fastest, "first_failure": "".join(service.failures[:1])}
+    return found | {
+        "victims_commands": commands,
+        "victims_fastest": fastest,
+        "first_failure": "".join(service.failures[:1]),
+    }
 
 
 class Door(AbstractContextManager["Door"]):
@@ -113,10 +134,15 @@ class WebDoor(Door):
         from websockets.sync.client import connect
 
         self.name, self.is_json = ("web, JSON" if is_json else "web, msgpack"), is_json
-        self._connection = connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None, ping_interval=None)
+        self._connection = connect(
+            f"ws://127.0.0.1:{service.ports['web']}", compression=None, ping_interval=None
+        )
 
     def send(self, payload: bytes) -> None:
-        """Send a message; in text every byte is a character, since a frame that is no UTF-8 ends its connection."""
+        """Send a message.
+
+        In text every byte is a character, since a frame that is no UTF-8 ends its connection.
+        """
         self._connection.send(payload.decode("latin-1") if self.is_json else payload)
 
     def receive(self) -> bytes:
@@ -158,7 +184,8 @@ def _maltreat(service: ServiceProcess, door: Door, number: int, codes: Counter[s
         for _ in range(_TO_ONE // _AT_ONCE):
             for _ in range(_AT_ONCE):
                 door.send(nonsense())
-            # A question that is always answered: when its answer comes, what was before it has been dealt with.
+            # A question that is always answered: when its answer comes, what was before it has been
+            # dealt with.
             door.ask(type="status", seq=1, session="")
             while not (answer := door.answer()).get("robots"):
                 codes[answer.get("code", answer["type"])] += 1

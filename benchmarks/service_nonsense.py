@@ -1,4 +1,7 @@
-"""Messages that no honest client sends: altered, truncated, and well-formed ones full of nonsense; in msgpack or in JSON."""
+"""Messages that no honest client sends.
+
+Altered, truncated, and well-formed ones full of nonsense; in msgpack or in JSON.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,34 @@ import numpy as np
 
 # After a number that is too high, the session takes no other: that has to be seldom.
 _SELDOM = 500
-_NUMBERS = (0.0, -1.0, 1e-300, 1e9, 1e300, -1e308, math.nan, math.inf, -math.inf, 2**63, -(2**63), 0, 7)
-_OTHERS: tuple[Any, ...] = (None, True, "", "x" * 300, b"\x00\xff", [], {}, [[]], {"a": {"b": 1}}, "../../etc/passwd", "\x00")
+_NUMBERS = (
+    0.0,
+    -1.0,
+    1e-300,
+    1e9,
+    1e300,
+    -1e308,
+    math.nan,
+    math.inf,
+    -math.inf,
+    2**63,
+    -(2**63),
+    0,
+    7,
+)
+_OTHERS: tuple[Any, ...] = (
+    None,
+    True,
+    "",
+    "x" * 300,
+    b"\x00\xff",
+    [],
+    {},
+    [[]],
+    {"a": {"b": 1}},
+    "../../etc/passwd",
+    "\x00",
+)
 
 
 class Nonsense:
@@ -106,10 +135,24 @@ def _templates(secret: str, name: str) -> list[dict[str, Any]]:
         head | {"type": "clutch"},
         head | {"type": "release"},
         head | {"type": "reset", "robot_q": [0.1] * 8, "robot_wrist": wrist},
-        head | {"type": "configure", "mapping": {"scale": 1.5, "pivot": "palm", "ridge": 0.2}, "has_detail": True},
-        head | {"type": "configure", "ik": {"rest_weight": 0.3, "max_iterations": 2, "max_acceleration": 50.0}},
+        head
+        | {
+            "type": "configure",
+            "mapping": {"scale": 1.5, "pivot": "palm", "ridge": 0.2},
+            "has_detail": True,
+        },
+        head
+        | {
+            "type": "configure",
+            "ik": {"rest_weight": 0.3, "max_iterations": 2, "max_acceleration": 50.0},
+        },
         head | {"type": "status"},
-        by_name | {"type": "configure", "mapping": {"reference": "previous", "stretch_max": 2.0}, "ik": {"damping": 0.2}},
+        by_name
+        | {
+            "type": "configure",
+            "mapping": {"reference": "previous", "stretch_max": 2.0},
+            "ik": {"damping": 0.2},
+        },
         by_name | {"type": "clutch"},
         by_name | {"type": "release"},
         by_name | {"type": "status"},

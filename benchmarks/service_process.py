@@ -1,4 +1,7 @@
-"""A mapping service in a process of its own, for the load and fault runs: started, watched, killed and started again."""
+"""A mapping service in a process of its own, for the load and fault runs.
+
+Started, watched, killed and started again.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,13 @@ class ServiceProcess:
     """
 
     def __init__(self, **choices: Any) -> None:
-        self._choices = {"port": 0, "stream_port": 0, "health_port": 0, "log_level": "error", **choices}
+        self._choices = {
+            "port": 0,
+            "stream_port": 0,
+            "health_port": 0,
+            "log_level": "error",
+            **choices,
+        }
         self.log = Path(tempfile.mkstemp(suffix=".log")[1])
         self.ports: dict[str, int] = {}
         self.failures: list[str] = []
@@ -38,11 +47,18 @@ class ServiceProcess:
 
     def start(self) -> None:
         """Start it, and wait until it is ready."""
-        kept = {"requests": "port", "stream": "stream_port", "health": "health_port", "web": "web_port"}
+        kept = {
+            "requests": "port",
+            "stream": "stream_port",
+            "health": "health_port",
+            "web": "web_port",
+        }
         choices = self._choices | {kept[name]: port for name, port in self.ports.items()}
         code = f"from pathlib import Path, PosixPath\nfrom handmap_qp.service.cli import Serve\nServe(**{choices!r}).run()"
         with self.log.open("a") as log:
-            self.process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=log, text=True)
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=log, text=True
+            )
         ready = self.process.stdout.readline() if self.process.stdout else ""
         if not ready:
             raise RuntimeError(f"the service did not start: {self.log.read_text()[-2000:]}")
@@ -65,7 +81,9 @@ class ServiceProcess:
             self.process.wait(5.0)
         except subprocess.TimeoutExpired:
             self.kill()
-        self.failures = [line for line in self.log.read_text().splitlines() if '"event": "failed"' in line]
+        self.failures = [
+            line for line in self.log.read_text().splitlines() if '"event": "failed"' in line
+        ]
         self.log.unlink()
 
     def memory(self) -> float:
@@ -132,7 +150,10 @@ class MemoryWatch(threading.Thread):
 
 @contextmanager
 def echoing() -> Iterator[dict[str, int]]:
-    """A bare echo of both transports in a process of its own: no messages read, nothing mapped. Gives its ports."""
+    """A bare echo of both transports in a process of its own: no messages read, nothing mapped.
+
+    Gives its ports.
+    """
     process = subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE, text=True)
     try:
         yield json.loads(process.stdout.readline() if process.stdout else "")
@@ -153,7 +174,10 @@ async def _echo() -> None:
     router = zmq.asyncio.Context.instance().socket(zmq.ROUTER)
     port = router.bind_to_random_port("tcp://127.0.0.1")
     async with serve(answer, "127.0.0.1", 0, compression=None) as web:
-        print(json.dumps({"requests": port, "web": next(iter(web.sockets)).getsockname()[1]}), flush=True)
+        print(
+            json.dumps({"requests": port, "web": next(iter(web.sockets)).getsockname()[1]}),
+            flush=True,
+        )
         while True:
             await router.send_multipart(await router.recv_multipart())
 

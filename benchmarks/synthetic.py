@@ -1,4 +1,7 @@
-"""Motions and robots made to measure: for benchmarks that need no recording, or robots of any size."""
+"""Motions and robots made to measure.
+
+For benchmarks that need no recording, or robots of any size.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ import numpy as np
 import scenes
 
 from handmap_qp import Hand, HandSpec, PointSpec, load_hand, load_synergies
-from handmap_qp.hand_spec import PalmSpec, WristSpec
-from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.hands.spec import PalmSpec, WristSpec
+from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine
 
 _RATE = 90.0
@@ -22,13 +25,20 @@ def synergy_motion(samples: int) -> HumanMotion:
     time = np.arange(samples) / _RATE
     z = 0.6 * np.sin(2.0 * np.pi * np.outer(time, (0.5, 0.35, 0.2)))
     q = np.clip([synergies.posture(row) for row in z], human.lower_limits, human.upper_limits)
-    wrist = np.array([affine(np.eye(3), np.array([0.2 * np.sin(t), 0.0, 0.1 * np.cos(t)])) for t in time])
+    wrist = np.array(
+        [affine(np.eye(3), np.array([0.2 * np.sin(t), 0.0, 0.1 * np.cos(t)])) for t in time]
+    )
     error = np.zeros((samples, len(human.reference_points)))
-    return HumanMotion(human, time, np.full(samples, 1.0 / _RATE), q, wrist, np.ones(samples, dtype=bool), error)
+    return HumanMotion(
+        human, time, np.full(samples, 1.0 / _RATE), q, wrist, np.ones(samples, dtype=bool), error
+    )
 
 
 def motion_or_synergies(folder: Path, name: str) -> HumanMotion:
-    """A recording as a motion of the human hand, its samples without a hand left out; synergies where it is missing."""
+    """A recording as a motion of the human hand, its samples without a hand left out.
+
+    Synergies where it is missing.
+    """
     file = folder / f"{name}.npz"
     if not file.is_file():
         return synergy_motion(750)
@@ -46,7 +56,10 @@ def allegro_with_points(count: int) -> Hand:
     """The Allegro hand with reference points strewn over its links."""
     links = [f"link_{i}.0" for i in range(16)]
     rng = np.random.default_rng(count)
-    points = [PointSpec(f"p{i}", links[-1 - i % 16], tuple(rng.uniform(0.0, 0.03, 3).tolist())) for i in range(count)]
+    points = [
+        PointSpec(f"p{i}", links[-1 - i % 16], tuple(rng.uniform(0.0, 0.03, 3).tolist()))
+        for i in range(count)
+    ]
     return load_hand("allegro_right", points=tuple(points))
 
 
@@ -70,7 +83,9 @@ def comb_hand(fingers: int) -> Hand:
             )
             parent, origin, axis = child, "0 0.03 0" if joint else "0 0 0", "-1 0 0"
     joints = tuple(f"f{finger}_{joint}" for finger in range(fingers) for joint in range(4))
-    points = tuple(PointSpec(f"tip{finger}", f"f{finger}_3", (0.0, 0.03, 0.0)) for finger in range(fingers))
+    points = tuple(
+        PointSpec(f"tip{finger}", f"f{finger}_3", (0.0, 0.03, 0.0)) for finger in range(fingers)
+    )
     spec = HandSpec(
         name=f"comb{fingers}",
         urdf="",

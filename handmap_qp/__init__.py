@@ -8,7 +8,6 @@ step = mapper.map_step(human_q, wrist_pose)
 
 from importlib.metadata import version
 
-from handmap_qp.decomposition import Decomposition, Primitives, decompose, primitives
 from handmap_qp.errors import (
     DegeneratePointsError,
     HandError,
@@ -18,16 +17,17 @@ from handmap_qp.errors import (
     MissingExtraError,
     RecordingError,
 )
-from handmap_qp.estimation import MotionEstimate, estimate_motion
-from handmap_qp.hand import Hand
-from handmap_qp.hand_spec import HandSpec, PointSpec
-from handmap_qp.human import HumanLengths, load_synergies
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths, load_synergies
+from handmap_qp.hands.library import hand_names, load_hand
+from handmap_qp.hands.spec import HandSpec, PointSpec
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.library import hand_names, load_hand
-from handmap_qp.mapping import HandMapper
-from handmap_qp.options import TELEMANIPULATION, MappingOptions
-from handmap_qp.recording import Recording, read_recording
-from handmap_qp.samples import MapStep, RobotCommand
+from handmap_qp.mapping.decomposition import Decomposition, Primitives, decompose, primitives
+from handmap_qp.mapping.estimation import MotionEstimate, estimate_motion
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.options import TELEMANIPULATION, MappingOptions
+from handmap_qp.mapping.step import MapStep, RobotCommand
+from handmap_qp.trackers.recording import Recording, read_recording
 
 __version__ = version("handmap-qp")
 

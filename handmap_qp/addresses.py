@@ -17,7 +17,9 @@ def is_loopback(host: str) -> bool:
 
 
 def names_loopback(asked: str) -> bool:
-    """Whether the `Host` of an HTTP request names this machine: any site's name can be made to lead here.
+    """Whether the `Host` of an HTTP request names this machine.
+
+    Any site's name can be made to lead here.
 
     Args:
         asked: `HOST` or `HOST:PORT`.
@@ -37,7 +39,9 @@ def bare_host(name: str, host: str) -> str:
     """
     bare = _unbracketed(host)
     if not bare or "/" in bare or (":" in bare and not _is_address(bare)):
-        raise InvalidInputError(f"{name}: expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}")
+        raise InvalidInputError(
+            f"{name}: expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}"
+        )
     return bare
 
 
@@ -54,7 +58,9 @@ def _is_address(host: str) -> bool:
 
 
 def check_port(name: str, port: int) -> None:
-    """Refuse a number that is no port: ZeroMQ takes -1 for any port, and others fail late and in their own words.
+    """Refuse a number that is no port.
+
+    ZeroMQ takes -1 for any port, and others fail late and in their own words.
 
     Args:
         name: What the port is called.

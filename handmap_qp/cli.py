@@ -1,7 +1,7 @@
 """The command `handmap`: demo, map, view, hands, figures, serve, keys.
 
-Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130, and 0 where it is the
-way to end (`view`, `serve`). Results go to stdout, progress to stderr.
+Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130, and 0 where it is
+the way to end (`view`, `serve`). Results go to stdout, progress to stderr.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import or_
@@ -23,9 +23,10 @@ import tyro
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.experiments.cli import Figures
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
-from handmap_qp.options import MappingOptions
 from handmap_qp.service.cli import Keys, Serve
+from handmap_qp.tables import print_rows, print_table, progress
 from handmap_qp.viewer.cli import View
 
 
@@ -41,8 +42,9 @@ class Command(Protocol):
 class Demo:
     """Carry a human hand's motion to a three-fingered robot hand, on embedded data.
 
-    The wrist goes along the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural synergy closes and opens the hand.
-    Writes the robot's trajectory, a picture of both hands and plots of errors and joints.
+    The wrist goes along the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural
+    synergy closes and opens the hand. Writes the robot's trajectory, a picture of both hands and
+    plots of errors and joints.
 
     Attributes:
         out: Folder to write to; made if it does not exist.
@@ -54,9 +56,11 @@ class Demo:
         """Run the demo and say what it made."""
         from handmap_qp.experiments.demo import run_demo
 
-        with _progress("mapping") as advance:
+        with progress("mapping") as advance:
             result = run_demo(self.out, progress=advance)
-        _print_table("The paper's arc with the first synergy, human hand to three_finger", result.summary())
+        print_table(
+            "The paper's arc with the first synergy, human hand to three_finger", result.summary()
+        )
         for file in result.files:
             print(f"wrote {file}")
 
@@ -65,19 +69,22 @@ class Demo:
 class Map:
     """Map a recording of a human hand to a robot hand.
 
-    The hand is measured, its landmarks become joint angles, and every sample goes through the mapper. The result is an .npz file
-    with time, joint_names, q, wrist, targets, points, point_error, valid and versions.
+    The hand is measured, its landmarks become joint angles, and every sample goes through the
+    mapper. The result is an .npz file with time, joint_names, q, wrist, targets, points,
+    point_error, valid and versions.
 
     Examples: `handmap map recording.npz --robot three_finger`, or
     `handmap map recording.npz --robot my_hand.yaml --out my_hand.npz --rigid-from wrist --json`.
 
     Attributes:
-        recording: Recording of a human hand: an .npz file with time, landmarks (T, 21, 3) and handedness.
+        recording: Recording of a human hand: an .npz file with time, landmarks (T, 21, 3) and
+            handedness.
         robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml.
         out: File to write; RECORDING_ROBOT.npz in the working folder if omitted.
         json: Print the summary as one JSON object instead of a table.
         human_points: Reference points on the human hand: the name of a set.
-        robot_points: Reference points on the robot hand: the name of a set; its own default if omitted.
+        robot_points: Reference points on the robot hand: the name of a set; its own default if
+            omitted.
         mapping: How the human's motion becomes the robot's.
         ik: Weights and settings of the QP.
     """
@@ -88,33 +95,35 @@ class Map:
     json: bool = False
     human_points: str | None = None
     robot_points: str | None = None
-    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(default_factory=MappingOptions)
+    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(
+        default_factory=MappingOptions
+    )
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
 
     def run(self) -> None:
         """Read, fit, map, write and sum up."""
-        from handmap_qp.library import load_hand
-        from handmap_qp.mapping import HandMapper
-        from handmap_qp.metrics import summarise, table_rows
-        from handmap_qp.recording import read_recording
+        from handmap_qp.hands.library import load_hand
+        from handmap_qp.mapping.mapper import HandMapper
+        from handmap_qp.offline.summary import summarise, table_rows
+        from handmap_qp.offline.trajectory import map_motion, save_npz
         from handmap_qp.trackers.landmarks import fit_recording
-        from handmap_qp.trajectory import map_motion, save_npz
+        from handmap_qp.trackers.recording import read_recording
 
         recording = read_recording(self.recording)
         robot = load_hand(self.robot, points=self.robot_points)
         out = _check_out(self.out or Path(f"{recording.name}_{robot.name}.npz"))
-        with _progress("fitting the human hand", len(recording)) as advance:
+        with progress("fitting the human hand", len(recording)) as advance:
             motion = fit_recording(recording, advance)
         human = motion.human.with_points(self.human_points)
         mapper = HandMapper(human, robot, self.mapping, ik=self.ik)
-        with _progress(f"mapping to {robot.name}", len(recording)) as advance:
+        with progress(f"mapping to {robot.name}", len(recording)) as advance:
             trajectory = map_motion(mapper, motion, advance)
         save_npz(out, trajectory.columns)
         summary = {"recording": recording.name, **summarise(motion, trajectory), "out": str(out)}
         if self.json:
             print(json.dumps(summary, allow_nan=False))
             return
-        _print_table(f"{recording.name} to {robot.name}", table_rows(summary))
+        print_table(f"{recording.name} to {robot.name}", table_rows(summary))
         print(f"wrote {out}")
 
 
@@ -122,8 +131,8 @@ class Map:
 class Hands:
     """List the hands that come with the package, or describe one.
 
-    `handmap hands init ROBOT.urdf` writes the description of a hand of your own, and `handmap hands check hand.yaml` looks it over;
-    both have their own --help.
+    `handmap hands init ROBOT.urdf` writes the description of a hand of your own, and `handmap hands
+    check hand.yaml` looks it over; both have their own --help.
 
     Attributes:
         hand: Name of a hand or path of a hand.yaml to describe; lists all hands if omitted.
@@ -135,21 +144,21 @@ class Hands:
 
     def run(self) -> None:
         """Print the table."""
-        from handmap_qp.library import describe_hand, list_hands
+        from handmap_qp.hands.library import describe_hand, list_hands
 
         rows = list_hands() if self.hand is None else describe_hand(self.hand)
         if self.json:
             print(json.dumps(rows))
         elif isinstance(rows, list):
-            _print_rows("Hands", rows)
+            print_rows("Hands", rows)
         else:
-            _print_table(rows["name"], {key: value for key, value in rows.items() if not isinstance(value, list)})
-            _print_rows("Joints", rows["joints"])
-            _print_rows("Reference points", rows["points"])
+            print_table(
+                rows["name"],
+                {key: value for key, value in rows.items() if not isinstance(value, list)},
+            )
+            print_rows("Joints", rows["joints"])
+            print_rows("Reference points", rows["points"])
 
-
-_PAIR = ("what", "value")
-"""Columns of a table that needs no header."""
 
 _COMMANDS: dict[str, Any] = {
     "demo": Demo,
@@ -160,7 +169,13 @@ _COMMANDS: dict[str, Any] = {
     "serve": Serve,
     "keys": Keys,
 }
-_Any: Any = reduce(or_, (Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)] for name, kind in _COMMANDS.items()))
+_Any: Any = reduce(
+    or_,
+    (
+        Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)]
+        for name, kind in _COMMANDS.items()
+    ),
+)
 _NESTED: dict[tuple[str, str], Any] = {("hands", "init"): HandsInit, ("hands", "check"): HandsCheck}
 """Commands of a command that can also be used alone."""
 
@@ -180,7 +195,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        # The reader of stdout has gone (`| head`): say nothing, and keep Python from complaining about it at exit.
+        # The reader of stdout has gone (`| head`): say nothing, and keep Python from complaining
+        # about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("handmap: interrupted, nothing was written", file=sys.stderr)
@@ -215,7 +231,9 @@ def parse(arguments: Sequence[str]) -> Command:
             raise
         if command is _Any and words and words[0] in _COMMANDS:
             name = f"handmap {words[0]}"
-        raise InvalidInputError(f"{_first_sentences(complaint.getvalue())} (see {name} --help)") from end
+        raise InvalidInputError(
+            f"{_first_sentences(complaint.getvalue())} (see {name} --help)"
+        ) from end
 
 
 def _first_sentences(box: str) -> str:
@@ -235,36 +253,6 @@ def _check_out(path: Path) -> Path:
     if path.is_dir():
         raise InvalidInputError(f"--out {path}: is a folder")
     return path
-
-
-@contextlib.contextmanager
-def _progress(what: str, total: int | None = None) -> Iterator[Any]:
-    """A progress bar on stderr while the block runs; gives the function to call with the number of samples done."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done: progress.update(task, completed=done)
-
-
-def _print_table(title: str, values: dict[str, Any]) -> None:
-    _print_rows(title, [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()])
-
-
-def _print_rows(title: str, rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=list(rows[0]) != list(_PAIR))
-    for name, value in rows[0].items():
-        table.add_column(name, justify="right" if isinstance(value, int | float) else "left")
-    for row in rows:
-        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-    console = Console()
-    console.print(title, style="bold")
-    console.print(table)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Every error that `handmap_qp` raises on purpose.
 
-An error carries its evidence as attributes, so that a program can act on it, and says in one line what was expected, where,
-and what came instead. Whatever raises one leaves its object as it was before the call.
+An error carries its evidence as attributes, so that a program can act on it, and says in one line
+what was expected, where, and what came instead. Whatever raises one leaves its object as it was
+before the call.
 """
 
 from __future__ import annotations
@@ -16,20 +17,99 @@ class HandmapError(Exception):
     """Base of all errors of this package: catch it to catch them all."""
 
 
-class InvalidInputError(HandmapError, ValueError):
+class _DescribedError(HandmapError, ValueError):
+    """What is wrong with one named thing, kept as attributes; the text is composed of them."""
+
+    def __init__(
+        self, name: str, problem: str, expected: str, value: Any, got: str, advice: str
+    ) -> None:
+        # All arguments go to `Exception`, which rebuilds the error from them when it is unpickled.
+        super().__init__(name, problem, expected, value, got, advice)
+        self.problem = problem
+        self.expected = expected
+        self.value = value
+        self.got = got or (_shortened(value) if value is not None else "")
+        self.advice = advice
+
+    def __str__(self) -> str:
+        """Compose `name: expected X, got Y: advice` in one line."""
+        name = self.args[0]
+        what = self.problem or f"expected {self.expected}" + (
+            f", got {self.got}" if self.got else ""
+        )
+        text = f"{name}: {what}" if name else what
+        return f"{text}: {self.advice}" if self.advice else text
+
+
+class InvalidInputError(_DescribedError):
     """A value given to a public function cannot be used.
 
     Attributes:
-        value: The offending value, where it is short enough to be worth keeping.
+        argument: The argument at fault, `human_q` or `points[3]`; empty where there is none.
+        expected: What it must be.
+        value: What it is, where that is short enough to be worth keeping.
+        got: The same as text.
+        problem: What is wrong, where "expected X, got Y" does not say it.
+        advice: What to do about it.
     """
 
-    def __init__(self, message: str, *, value: Any = None) -> None:
-        super().__init__(message)
-        self.value = value
+    def __init__(
+        self,
+        problem: str = "",
+        *,
+        argument: str = "",
+        expected: str = "",
+        value: Any = None,
+        got: str = "",
+        advice: str = "",
+    ) -> None:
+        super().__init__(argument, problem, expected, value, got, advice)
+        self.argument = argument
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (type(self), self.args)
 
 
-class InvalidOptionsError(HandmapError, ValueError):
-    """Options that contradict each other or the hands they are used with."""
+class InvalidOptionsError(_DescribedError):
+    """Options that contradict each other or the hands they are used with.
+
+    Attributes:
+        option: The option at fault; empty where there is no single one.
+        expected: What it must be.
+        value: What it is.
+        got: The same as text.
+        problem: What is wrong, where "expected X, got Y" does not say it.
+        advice: What to do about it.
+    """
+
+    def __init__(
+        self,
+        problem: str = "",
+        *,
+        option: str = "",
+        expected: str = "",
+        value: Any = None,
+        got: str = "",
+        advice: str = "",
+    ) -> None:
+        super().__init__(option, problem, expected, value, got, advice)
+        self.option = option
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (type(self), self.args)
+
+
+def _rebuilt(kind: type[_DescribedError], arguments: tuple[Any, ...]) -> _DescribedError:
+    """Unpickle an error of keyword arguments."""
+    name, problem, expected, value, got, advice = arguments
+    key = "argument" if kind is InvalidInputError else "option"
+    return kind(problem, **{key: name}, expected=expected, value=value, got=got, advice=advice)
+
+
+def _shortened(value: Any) -> str:
+    """The value as text of one line and at most 80 characters."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 class HandError(HandmapError, ValueError):
@@ -41,7 +121,9 @@ class HandError(HandmapError, ValueError):
         value: The value found there.
     """
 
-    def __init__(self, message: str, *, file: Path | None = None, key: str | None = None, value: Any = None) -> None:
+    def __init__(
+        self, message: str, *, file: Path | None = None, key: str | None = None, value: Any = None
+    ) -> None:
         place = ": ".join(str(part) for part in (file, key) if part is not None)
         super().__init__(f"{place}: {message}" if place else message)
         self.file = file

@@ -1,10 +1,13 @@
 """Poses and affine motions as 4x4 matrices: the conventions of the whole project.
 
 - Units are SI and radians, frames right-handed. Points are rows: `(n, 3)` [m].
-- A *pose* `pose_ab` (4, 4) is a rigid change of coordinates: it takes coordinates in `b` to coordinates in `a`, and its
-  columns are the axes and the origin of `b` seen from `a`. Inner letters meet: `pose_ac = pose_ab @ pose_bc`.
-- A *motion* (4, 4) is the paper's active transformation T (eq. 1): it moves points inside one frame, and may deform them.
-- Quaternions appear only where something enters or leaves, and then their order is in the name: `quat_wxyz` or `quat_xyzw`.
+- A *pose* `pose_ab` (4, 4) is a rigid change of coordinates: it takes coordinates in `b` to
+  coordinates in `a`, and its columns are the axes and the origin of `b` seen from `a`. Inner
+  letters meet: `pose_ac = pose_ab @ pose_bc`.
+- A *motion* (4, 4) is the paper's active transformation T (eq. 1): it moves points inside one
+  frame, and may deform them.
+- Quaternions appear only where something enters or leaves, and then their order is in the name:
+  `quat_wxyz` or `quat_xyzw`.
 """
 
 from __future__ import annotations
@@ -19,12 +22,16 @@ from handmap_qp.errors import InvalidInputError
 
 QuatOrder = Literal["wxyz", "xyzw"]
 
-# A rotation that came through float32 is orthogonal to about 1e-6; anything past 1e-3 is not meant to be a rotation.
+# A rotation that came through float32 is orthogonal to about 1e-6; anything past 1e-3 is not meant
+# to be a rotation.
 _ROTATION_TOLERANCE = 1e-3
 _ROTATION_EXACT = 1e-12
 
 FARTHEST = 1e9
-"""Coordinates beyond this are refused [m]: no hand is there, and squares and differences of larger ones lose what matters."""
+"""Coordinates beyond this are refused [m].
+
+No hand is there, and squares and differences of larger ones lose what matters.
+"""
 
 _IDENTITY = np.eye(4)
 
@@ -114,7 +121,9 @@ def rotation_from_quat_wxyz(quat_wxyz: npt.ArrayLike) -> np.ndarray:
     quat = as_floats(quat_wxyz, "quaternion")
     norm = math.hypot(*quat) if quat.shape == (4,) else math.nan
     if not (math.isfinite(norm) and norm > 1e-6):
-        raise InvalidInputError(f"quaternion: expected 4 finite numbers, not all zero; got {quat_wxyz}", value=quat_wxyz)
+        raise InvalidInputError(
+            f"quaternion: expected 4 finite numbers, not all zero; got {quat_wxyz}", value=quat_wxyz
+        )
     w, x, y, z = quat / norm
     return np.array(
         [
@@ -164,17 +173,24 @@ def pose_from_xyz_quat(values: npt.ArrayLike, order: QuatOrder) -> np.ndarray:
     """
     array = as_floats(values, "pose")
     if array.shape != (7,) or not np.isfinite(array).all():
-        raise InvalidInputError(f"pose: expected 7 finite numbers (x, y, z, quaternion), got {values}", value=values)
+        raise InvalidInputError(
+            f"pose: expected 7 finite numbers (x, y, z, quaternion), got {values}", value=values
+        )
     if order not in ("wxyz", "xyzw"):
-        raise InvalidInputError(f"quaternion order: expected 'wxyz' or 'xyzw', got {order!r}", value=order)
+        raise InvalidInputError(
+            f"quaternion order: expected 'wxyz' or 'xyzw', got {order!r}", value=order
+        )
     quat = array[3:] if order == "wxyz" else array[[6, 3, 4, 5]]
     return affine(rotation_from_quat_wxyz(quat), array[:3])
 
 
-def check_pose(value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None) -> np.ndarray:
+def check_pose(
+    value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None
+) -> np.ndarray:
     """Take a pose in any of the accepted forms and return it as a checked 4x4 matrix.
 
-    A rotation that is off by rounding (float32 trackers, chained products) is replaced by the nearest one.
+    A rotation that is off by rounding (float32 trackers, chained products) is replaced by the
+    nearest one.
 
     Args:
         value: A (4, 4) matrix, a `pinocchio.SE3`, or 7 numbers x, y, z, quaternion.
@@ -193,13 +209,17 @@ def check_pose(value: PoseLike, name: str = "pose", quat_order: QuatOrder | None
         pose = as_floats(value.homogeneous if isinstance(value, HasHomogeneous) else value, name)
     if pose.shape == (7,):
         if quat_order is None:
-            raise InvalidInputError(f"{name}: 7 numbers need a named quaternion order: give quat_order='wxyz' or 'xyzw'")
+            raise InvalidInputError(
+                f"{name}: 7 numbers need a named quaternion order: give quat_order='wxyz' or 'xyzw'"
+            )
         try:
             return pose_from_xyz_quat(pose, quat_order)
         except InvalidInputError as error:
             raise InvalidInputError(f"{name}: {error}", value=error.value) from error
     if pose.shape != (4, 4):
-        raise InvalidInputError(f"{name}: expected shape (4, 4), a pinocchio.SE3 or 7 numbers, got shape {pose.shape}")
+        raise InvalidInputError(
+            f"{name}: expected shape (4, 4), a pinocchio.SE3 or 7 numbers, got shape {pose.shape}"
+        )
     # Nine scalar products in plain floats are quicker than numpy's calls on so small an array.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), bottom = pose.tolist()
     defect = max(
@@ -212,7 +232,10 @@ def check_pose(value: PoseLike, name: str = "pose", quat_order: QuatOrder | None
     )
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
     # Written so that a NaN, which compares false with everything, is refused too.
-    if bottom != [0.0, 0.0, 0.0, 1.0] or not max(abs(x), abs(y), abs(z)) + 0.0 * (x + y + z) <= FARTHEST:
+    if (
+        bottom != [0.0, 0.0, 0.0, 1.0]
+        or not max(abs(x), abs(y), abs(z)) + 0.0 * (x + y + z) <= FARTHEST
+    ):
         raise InvalidInputError(
             f"{name}: expected finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1, got {pose.tolist()}"
         )
@@ -227,7 +250,9 @@ def check_pose(value: PoseLike, name: str = "pose", quat_order: QuatOrder | None
 
 
 def as_floats(value: Any, name: str) -> np.ndarray:
-    """Take real numbers in whatever form as an array; texts and complex numbers, which numpy would convert, are refused.
+    """Take real numbers in whatever form as an array.
+
+    Texts and complex numbers, which numpy would convert, are refused.
 
     Args:
         value: Number, nested sequence or array.
@@ -245,4 +270,6 @@ def as_floats(value: Any, name: str) -> np.ndarray:
             raise TypeError(f"{array.dtype} is no real number")
         return array.astype(float, copy=False)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"{name}: expected numbers, got {type(value).__name__} {value!r:.60}") from error
+        raise InvalidInputError(
+            f"{name}: expected numbers, got {type(value).__name__} {value!r:.60}"
+        ) from error

@@ -1,4 +1,7 @@
-"""Chromium without a window, spoken to in its DevTools protocol over a WebSocket: what the tests of the view need of it."""
+"""Chromium without a window, spoken to in its DevTools protocol over a WebSocket.
+
+What the tests of the view need of it.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,9 @@ DRAWING = 180.0
 def find_chromium() -> str | None:
     """The browser that `HANDMAP_CHROMIUM` names, or one on the path."""
     named = os.environ.get("HANDMAP_CHROMIUM")
-    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return named or next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
 
 
 class Browser:
@@ -60,7 +65,9 @@ class Browser:
         self._folder = tempfile.mkdtemp(prefix="chromium-")
         size = f"--window-size={self._size[0]},{self._size[1]}"
         words = [self._program, *FLAGS, size, f"--user-data-dir={self._folder}", "about:blank"]
-        self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._process = subprocess.Popen(
+            words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         try:
             self._attach(Path(self._folder) / "DevToolsActivePort")
         except BaseException:
@@ -68,7 +75,12 @@ class Browser:
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
         """End it, and remove its files."""
         self._socket.close()
         self._end()
@@ -77,7 +89,10 @@ class Browser:
         """Open a page and speak with it."""
         from websockets.sync.client import connect
 
-        self._wait(lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1, "Chromium does not start")
+        self._wait(
+            lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1,
+            "Chromium does not start",
+        )
         port, path = port_file.read_text().split("\n")[:2]
         self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
         self._number = 0
@@ -91,18 +106,36 @@ class Browser:
 
     def resize(self, width: int, height: int) -> None:
         """Give the page another size [px]."""
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
 
     def open(self, address: str, *, offline: bool = False) -> None:
         """Load a page."""
-        self.call("Network.emulateNetworkConditions", offline=offline, latency=0, downloadThroughput=-1, uploadThroughput=-1)
+        self.call(
+            "Network.emulateNetworkConditions",
+            offline=offline,
+            latency=0,
+            downloadThroughput=-1,
+            uploadThroughput=-1,
+        )
         self.call("Page.navigate", url=address)
 
     def evaluate(self, code: str) -> Any:
         """The value of a JavaScript expression in the page."""
-        answer = self.call("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True
+        )
         if "exceptionDetails" in answer:
-            raise RuntimeError(answer["exceptionDetails"].get("exception", {}).get("description", "exception in the page"))
+            raise RuntimeError(
+                answer["exceptionDetails"]
+                .get("exception", {})
+                .get("description", "exception in the page")
+            )
         return answer["result"].get("value")
 
     def wait_for(self, code: str) -> None:
@@ -112,7 +145,9 @@ class Browser:
     def press(self, key: str, code: int) -> None:
         """Press and release a key in the element that has the focus."""
         for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+            self.call(
+                "Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code
+            )
 
     def click(self, x: float, y: float) -> None:
         """Click with the left button."""

@@ -12,9 +12,16 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-# The same examples on every run, so that a failure is a failure for everyone; `--hypothesis-profile=explore` looks further.
+# The same examples on every run, so that a failure is a failure for everyone;
+# `--hypothesis-profile=explore` looks further.
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True, database=None)
-settings.register_profile("explore", deadline=None, max_examples=2000, database=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "explore",
+    deadline=None,
+    max_examples=2000,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("ci")
 
 TESTS = Path(__file__).resolve().parent
@@ -32,7 +39,9 @@ def recordings() -> Path:
     named = os.environ.get("HANDMAP_RECORDINGS")
     folder = Path(named) if named else TESTS.parents[1] / "shared" / "recordings"
     if not any(folder.glob("*.npz")):
-        pytest.skip(f"no recordings (*.npz) in {folder}: set HANDMAP_RECORDINGS to the folder that holds them")
+        pytest.skip(
+            f"no recordings (*.npz) in {folder}: set HANDMAP_RECORDINGS to the folder that holds them"
+        )
     return folder
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from handmap_qp.hand import Hand
-from handmap_qp.hand_spec import MimicSpec
-from handmap_qp.library import load_hand
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import MimicSpec
 
 
 def coupled_hand() -> Hand:

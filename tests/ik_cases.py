@@ -13,10 +13,10 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import MissingExtraError, hand_names, load_hand
-from handmap_qp.hand import Hand, read_urdf
-from handmap_qp.hand_spec import WristSpec, read_hand_spec
-from handmap_qp.paths import urdf_directory
-from handmap_qp.urdf_text import parse_urdf
+from handmap_qp.hands.hand import Hand, read_urdf
+from handmap_qp.hands.spec import WristSpec, read_hand_spec
+from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.hands.urdf.package_data import urdf_directory
 
 ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
 _ARM = """
@@ -35,24 +35,38 @@ _ARM = """
 
 def _ways_to_hold(name: str) -> Iterator[tuple[str, str, str | None]]:
     spec = read_hand_spec(urdf_directory() / name / "hand.yaml")
-    for mount in ("floating", "fixed") if spec.wrist.mount == "floating" and spec.arm is None else ("fixed",):
+    for mount in (
+        ("floating", "fixed") if spec.wrist.mount == "floating" and spec.arm is None else ("fixed",)
+    ):
         for points in (None, "fingertips_middle"):
             if points is None or points in spec.sets:
                 yield name, mount, points
 
 
-# Every hand of the repository with its wrist free and held, and a hand on an arm; each with one or two sets of points.
+# Every hand of the repository with its wrist free and held, and a hand on an arm; each with one or
+# two sets of points.
 HANDS: tuple[tuple[str, str, str | None], ...] = (
     *(way for name in hand_names() for way in _ways_to_hold(name)),
     ("arm", "fixed", None),
     ("arm", "fixed", "fingertips_middle"),
 )
 each_hand = pytest.mark.parametrize("which", HANDS, ids=lambda which: "-".join(filter(None, which)))
-# Without followers, and without a whole robot's arm, whose levers of half a metre make the weighted task too badly conditioned
-# for statements about vanishing weights.
-_PLAIN = ("human", "human_left", "three_finger", "allegro_left", "allegro_right", "g1_left", "g1_right", "arm")
+# Without followers, and without a whole robot's arm, whose levers of half a metre make the weighted
+# task too badly conditioned for statements about vanishing weights.
+_PLAIN = (
+    "human",
+    "human_left",
+    "three_finger",
+    "allegro_left",
+    "allegro_right",
+    "g1_left",
+    "g1_right",
+    "arm",
+)
 each_plain_hand = pytest.mark.parametrize(
-    "which", [which for which in HANDS if which[0] in _PLAIN], ids=lambda which: "-".join(filter(None, which))
+    "which",
+    [which for which in HANDS if which[0] in _PLAIN],
+    ids=lambda which: "-".join(filter(None, which)),
 )
 
 
@@ -93,8 +107,12 @@ class Case:
     dt: float
 
 
-def random_cases(hand: Hand, count: int, *, seed: int = 0, is_inside: bool = False) -> Iterator[Case]:
-    """Postures inside, at and outside limits and stretched out; targets near and far, or none for the wrist; short and long times.
+def random_cases(
+    hand: Hand, count: int, *, seed: int = 0, is_inside: bool = False
+) -> Iterator[Case]:
+    """Postures inside, at and outside limits and stretched out.
+
+    Targets near and far, or none for the wrist; short and long times.
 
     Args:
         hand: The hand.
@@ -105,12 +123,19 @@ def random_cases(hand: Hand, count: int, *, seed: int = 0, is_inside: bool = Fal
     rng = np.random.default_rng(seed)
     configuration = hand.configuration()
     for i in range(count):
-        vector = hand.configuration_vector(_posture(hand, i % 4, rng, is_inside), _pose(rng) if hand.is_floating else None)
+        vector = hand.configuration_vector(
+            _posture(hand, i % 4, rng, is_inside), _pose(rng) if hand.is_floating else None
+        )
         configuration.update(vector)
         reach = 10.0 ** rng.uniform(-4, 0)
         targets = configuration.points + reach * rng.normal(size=(len(hand.reference_points), 3))
-        # At least 1e-3 rad: nearer ones are mink's on MuJoCo to round off (see handmap_qp.ik.mujoco).
-        offset = pin.exp6(np.concatenate([reach * rng.normal(size=3), 10.0 ** rng.uniform(-3, 0.3) * _direction(rng)]))
+        # At least 1e-3 rad: nearer ones are mink's on MuJoCo to round off (see
+        # handmap_qp.ik.mujoco_check).
+        offset = pin.exp6(
+            np.concatenate(
+                [reach * rng.normal(size=3), 10.0 ** rng.uniform(-3, 0.3) * _direction(rng)]
+            )
+        )
         wrist = None if i % 5 == 0 else (configuration.wrist * offset).homogeneous
         yield Case(vector, targets, wrist, 10.0 ** rng.uniform(-3, -1))
 

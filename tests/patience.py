@@ -11,7 +11,9 @@ PATIENCE = 30.0
 T = TypeVar("T")
 
 
-def wait_until(see: Callable[[], T | None], complaint: str = "nothing happens", patience: float = PATIENCE) -> T:
+def wait_until(
+    see: Callable[[], T | None], complaint: str = "nothing happens", patience: float = PATIENCE
+) -> T:
     """Look again and again for what others are to bring about.
 
     Args:

@@ -1,4 +1,7 @@
-"""What the tests of the service share: a server in a thread, a session without one, and a hand that moves."""
+"""What the tests of the service share.
+
+A server in a thread, a session without one, and a hand that moves.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,16 @@ from zmq.utils.monitor import recv_monitor_message
 
 from handmap_qp.client import Client, KeyFiles, ServiceError
 from handmap_qp.client import Command as HeardCommand
-from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Sample, Step
+from handmap_qp.service.messages import (
+    PROTOCOL,
+    Command,
+    Configure,
+    Open,
+    Pose,
+    Reset,
+    Sample,
+    Step,
+)
 from handmap_qp.service.opening import Calibration, Hands, HandShelf, prepare_hands
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Posture, Session
@@ -38,7 +50,10 @@ T = TypeVar("T")
 def human_q(phase: float = 0.0) -> np.ndarray:
     """Joint angles of a human hand that closes and opens, shape (20,)."""
     human = SHELF.human("right", None)
-    middle, half = 0.5 * (human.lower_limits + human.upper_limits), 0.5 * (human.upper_limits - human.lower_limits)
+    middle, half = (
+        0.5 * (human.lower_limits + human.upper_limits),
+        0.5 * (human.upper_limits - human.lower_limits),
+    )
     return human.rest + (middle - human.rest) * 0.3 + 0.4 * half * np.sin(phase)
 
 
@@ -70,7 +85,13 @@ def run_now(work: Callable[[], Hands]) -> Future[Hands]:
 def make_session(now: float = 0.0, robot: str = "three_finger", **choices: Any) -> Session:
     """A session without a server."""
     request = opening(robot, **choices)
-    return Session(request, prepare_hands(request, SHELF), "test", now, calibration=Calibration(request, SHELF, run_now))
+    return Session(
+        request,
+        prepare_hands(request, SHELF),
+        "test",
+        now,
+        calibration=Calibration(request, SHELF, run_now),
+    )
 
 
 class Sampler:
@@ -79,11 +100,21 @@ class Sampler:
     def __init__(self) -> None:
         self.seq = 1
 
-    def __call__(self, time: float = 0.0, q: Any = None, wrist: Pose | None = HERE, **human: Any) -> Step:
+    def __call__(
+        self, time: float = 0.0, q: Any = None, wrist: Pose | None = HERE, **human: Any
+    ) -> Step:
         self.seq += 1
         angles = None if human else tuple(np.asarray(human_q() if q is None else q).tolist())
         pose = None if "landmarks" in human else wrist
-        return Step(protocol=PROTOCOL, seq=self.seq, session=SECRET, time=time, q=angles, wrist=pose, **human)
+        return Step(
+            protocol=PROTOCOL,
+            seq=self.seq,
+            session=SECRET,
+            time=time,
+            q=angles,
+            wrist=pose,
+            **human,
+        )
 
 
 def streamed(step: Step) -> Sample:
@@ -97,8 +128,15 @@ def speeds(session: Session, before: np.ndarray, command: Command, time: float) 
 
 
 def moved_points(session: Session, before: Posture) -> float:
-    """How far the fingertips have gone [m]: at a new reference not far, though joints may drift towards rest meanwhile."""
-    return float(np.linalg.norm(session.robot.points(*session.posture) - session.robot.points(*before), axis=1).max())
+    """How far the fingertips have gone [m].
+
+    At a new reference not far, though joints may drift towards rest meanwhile.
+    """
+    return float(
+        np.linalg.norm(
+            session.robot.points(*session.posture) - session.robot.points(*before), axis=1
+        ).max()
+    )
 
 
 def follow(session: Session, sample: Sampler, start: float, count: int = 20) -> float:
@@ -191,7 +229,10 @@ def connected(server: Server, robot: str = "three_finger", **choices: Any) -> It
 
 
 def heard(listener: Client, stamp: float) -> HeardCommand:
-    """The command that answers a sample, by its time stamp: at the latest when the watchdog repeats it."""
+    """The command that answers a sample, by its time stamp.
+
+    At the latest when the watchdog repeats it.
+    """
 
     def listen() -> HeardCommand | None:
         command = listener.latest(0.1)
@@ -213,13 +254,24 @@ def send_until_reopened(client: Client, **sample: Any) -> None:
 def assert_no_jump(client: Client, before: HeardCommand, after: HeardCommand) -> None:
     """No farther than the first sample of a new session may lead a robot."""
     assert client.opened is not None
-    assert (np.abs(np.subtract(after.q, before.q)) <= np.array(client.opened.speed) / 30.0 + 1e-9).all()
+    assert (
+        np.abs(np.subtract(after.q, before.q)) <= np.array(client.opened.speed) / 30.0 + 1e-9
+    ).all()
 
 
 @contextmanager
-def knocking(server: Server, keys: KeyFiles | None = None) -> Iterator[tuple[zmq.Socket, Callable[[], int]]]:
-    """A bare socket that connects, and what becomes of its connection: event by event, as ZeroMQ tells them."""
-    with zmq.Context() as context, context.socket(zmq.DEALER) as socket, socket.get_monitor_socket() as monitor:
+def knocking(
+    server: Server, keys: KeyFiles | None = None
+) -> Iterator[tuple[zmq.Socket, Callable[[], int]]]:
+    """A bare socket that connects, and what becomes of its connection.
+
+    Event by event, as ZeroMQ tells them.
+    """
+    with (
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as socket,
+        socket.get_monitor_socket() as monitor,
+    ):
         socket.linger, monitor.rcvtimeo = 0, int(1e3 * PATIENCE)
         if keys is not None:
             socket.curve_publickey, socket.curve_secretkey = load_certificate(keys[0])

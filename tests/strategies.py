@@ -1,6 +1,7 @@
 """Hypothesis strategies for rotations, motions and point sets.
 
-Hypothesis draws sizes, scales and conditions, which shrink to something readable; a seed draws the bulk of the numbers.
+Hypothesis draws sizes, scales and conditions, which shrink to something readable; a seed draws the
+bulk of the numbers.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ rotations = unit_quats.map(lambda quat: Rotation.from_quat(quat).as_matrix())
 
 
 def motion_of(linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """The 4x4 of `x -> linear @ x + translation`, written out: the tests do not lean on what they test."""
+    """The 4x4 of `x -> linear @ x + translation`, written out.
+
+    The tests do not lean on what they test.
+    """
     motion = np.eye(4)
     motion[:3, :3] = linear
     motion[:3, 3] = translation
@@ -39,27 +43,38 @@ poses = st.builds(motion_of, rotations, translations)
 
 @st.composite
 def linear_maps(draw: st.DrawFn, largest: float = 3.0, mirrored: bool | None = False) -> np.ndarray:
-    """Invertible (3, 3) matrices with singular values in [1 / largest, largest]; `mirrored=None` draws either sign."""
-    stretches = np.array([draw(st.floats(min_value=1.0 / largest, max_value=largest)) for _ in range(3)])
+    """Invertible (3, 3) matrices with singular values in [1 / largest, largest].
+
+    `mirrored=None` draws either sign.
+    """
+    stretches = np.array(
+        [draw(st.floats(min_value=1.0 / largest, max_value=largest)) for _ in range(3)]
+    )
     if draw(st.booleans()) if mirrored is None else mirrored:
         stretches[0] *= -1.0
     return (draw(rotations) * stretches) @ draw(rotations)
 
 
 @st.composite
-def affine_motions(draw: st.DrawFn, largest: float = 3.0, mirrored: bool | None = False) -> np.ndarray:
+def affine_motions(
+    draw: st.DrawFn, largest: float = 3.0, mirrored: bool | None = False
+) -> np.ndarray:
     """Invertible motions (4, 4) whose condition is at most `largest ** 2`."""
     return motion_of(draw(linear_maps(largest, mirrored)), draw(translations))
 
 
 @st.composite
 def point_sets(
-    draw: st.DrawFn, *, middle: tuple[float, float] = (0.1, 1.0), smallest: tuple[float, float] = (0.1, 1.0), least: int = 4
+    draw: st.DrawFn,
+    *,
+    middle: tuple[float, float] = (0.1, 1.0),
+    smallest: tuple[float, float] = (0.1, 1.0),
+    least: int = 4,
 ) -> np.ndarray:
     """Points (n, 3) [m], a centimetre to a metre large, anywhere within 2 m of the origin.
 
-    `middle` and `smallest` bound the singular values of the centred points as parts of the next larger one, so that the
-    condition is known: at most 100 by default.
+    `middle` and `smallest` bound the singular values of the centred points as parts of the next
+    larger one, so that the condition is known: at most 100 by default.
     """
     count = draw(st.integers(min_value=least, max_value=12))
     spread = draw(st.floats(min_value=0.01, max_value=1.0))
@@ -78,7 +93,9 @@ collinear_point_sets = point_sets(middle=(0.0, 0.0), smallest=(0.0, 0.0))
 
 def weights_for(points: np.ndarray) -> st.SearchStrategy[np.ndarray]:
     """Positive weights (n,) for these points, a hundredfold apart at most."""
-    return st.lists(st.floats(min_value=0.1, max_value=10.0), min_size=len(points), max_size=len(points)).map(np.array)
+    return st.lists(
+        st.floats(min_value=0.1, max_value=10.0), min_size=len(points), max_size=len(points)
+    ).map(np.array)
 
 
 def noise_like(points: np.ndarray, size: float) -> st.SearchStrategy[np.ndarray]:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from handmap_qp import IkOptions, MappingOptions, load_hand
-from handmap_qp.trackers.landmarks import HumanMotion
+from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz
-from handmap_qp.viewer.samples import Replay
+from handmap_qp.viewer.replay import Replay
 
 COUNT, GAP = 60, slice(20, 25)
 
@@ -21,10 +21,23 @@ def closing_motion(points: str | None = None) -> HumanMotion:
     share = np.linspace(0.0, 0.5, COUNT)
     q = human.rest + share[:, None] * (0.8 * human.upper_limits - human.rest)
     turns = [rotation_from_quat_wxyz((np.cos(0.4 * s), 0.0, np.sin(0.4 * s), 0.0)) for s in share]
-    wrist = np.array([affine(turn, np.array([0.3 * s, 1.0, -0.2 * s])) for turn, s in zip(turns, share, strict=True)])
+    wrist = np.array(
+        [
+            affine(turn, np.array([0.3 * s, 1.0, -0.2 * s]))
+            for turn, s in zip(turns, share, strict=True)
+        ]
+    )
     valid = np.ones(COUNT, dtype=bool)
     valid[GAP] = False
-    return HumanMotion(human, np.arange(COUNT) / 30.0, np.full(COUNT, 1.0 / 30.0), q, wrist, valid, np.zeros((COUNT, 21)))
+    return HumanMotion(
+        human,
+        np.arange(COUNT) / 30.0,
+        np.full(COUNT, 1.0 / 30.0),
+        q,
+        wrist,
+        valid,
+        np.zeros((COUNT, 21)),
+    )
 
 
 def make_replay(robot: str = "three_finger", **changes: Any) -> Replay:
@@ -41,6 +54,14 @@ def press(button: Any) -> None:
 def write_recording(path: Path) -> Path:
     """That motion as a recording of landmarks."""
     motion = closing_motion("landmarks")
-    landmarks = [motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)]
-    np.savez(path, time=motion.time, landmarks=np.array(landmarks), valid=motion.valid, handedness="right")
+    landmarks = [
+        motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)
+    ]
+    np.savez(
+        path,
+        time=motion.time,
+        landmarks=np.array(landmarks),
+        valid=motion.valid,
+        handedness="right",
+    )
     return path

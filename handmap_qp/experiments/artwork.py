@@ -36,8 +36,8 @@ class Artwork:
 
     def save(self, folder: Path) -> None:
         """Write NAME.png, NAME.svg and NAME.csv."""
+        from handmap_qp.drawing.hands import require_matplotlib
         from handmap_qp.experiments.style import STYLE
-        from handmap_qp.rendering import require_matplotlib
 
         with require_matplotlib().rc_context(STYLE):
             self.figure.savefig(folder / f"{self.name}.png")

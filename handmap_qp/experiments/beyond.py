@@ -1,6 +1,9 @@
-"""What the paper names as open, as numbers: the runs behind the figures of `handmap_qp.experiments.figures_beyond`.
+"""What the paper names as open, as numbers.
 
-Each function gives the rows of one table. The object follows the contacts as a rigid body, and lengths are in millimetres.
+The runs behind the figures of `handmap_qp.experiments.figures_beyond`.
+
+Each function gives the rows of one table. The object follows the contacts as a rigid body, and
+lengths are in millimetres.
 """
 
 from __future__ import annotations
@@ -15,17 +18,28 @@ from handmap_qp.errors import DegeneratePointsError
 from handmap_qp.experiments.artwork import Row
 from handmap_qp.experiments.followers import Fingers
 from handmap_qp.experiments.held_object import object_error
-from handmap_qp.experiments.section_four import Pivot, Run, Scene, Setting, limited_hand, paper_scene, run_experiment
+from handmap_qp.experiments.section_four import (
+    Pivot,
+    Run,
+    Scene,
+    Setting,
+    limited_hand,
+    paper_scene,
+    run_experiment,
+)
 from handmap_qp.grasp.planning import PlannedGrasp, plan_grasps
 from handmap_qp.grasp.preshape import default_closing
-from handmap_qp.library import load_hand
+from handmap_qp.hands.library import load_hand
 
 SYNERGIES = (1, 2, 3)
 STEPS = 20
 COUNTS = (3, 4, 5, 6, 7)
 """How many of the seven human contacts are chosen."""
 RIDGE = 0.1
-"""Ridge of eq. (6) where fewer than four points, or points near a plane, are to give T; the library's default."""
+"""Ridge of eq. (6) where fewer than four points, or points near a plane, are to give T.
+
+The library's default.
+"""
 PLANS = 240
 """Grasps planned for each hand."""
 SEED = 1
@@ -52,7 +66,9 @@ def limit_rows() -> list[Row]:
             scene = replace(base, robot_points=hand)
             for fingers in ("pseudoinverse", "clipped", "damped", "qp"):
                 run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, fingers=fingers))
-                rows.append({"synergy": synergy, "margin_deg": margin, "fingers": fingers, **_measures(run)})
+                rows.append(
+                    {"synergy": synergy, "margin_deg": margin, "fingers": fingers, **_measures(run)}
+                )
     return rows
 
 
@@ -67,20 +83,29 @@ def own_limit_rows() -> list[Row]:
             lower, upper = np.minimum(0.0, base.robot.q), np.maximum(0.5 * np.pi, base.robot.q)
             hand = limited_hand(hand, base.robot.q, lower, upper)
         for synergy, fingers in product(SYNERGIES, ("pseudoinverse", "clipped", "damped", "qp")):
-            run = run_experiment(replace(base, robot_points=hand), Setting(synergy=synergy, steps=STEPS, fingers=fingers))
+            run = run_experiment(
+                replace(base, robot_points=hand),
+                Setting(synergy=synergy, steps=STEPS, fingers=fingers),
+            )
             rows.append({"limits": name, "synergy": synergy, "fingers": fingers, **_measures(run)})
     return rows
 
 
 def point_rows(gammas: Sequence[float]) -> list[Row]:
     """Points and object, with fingers that follow and with frozen ones."""
-    cases: list[tuple[Fingers, int, float]] = list(product(("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas))
+    cases: list[tuple[Fingers, int, float]] = list(
+        product(("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas)
+    )
     return [
         {
             "synergy": synergy,
             "gamma": gamma,
             "fingers": fingers,
-            **_measures(run_experiment(paper_scene("ours"), Setting(synergy=synergy, gamma=gamma, fingers=fingers))),
+            **_measures(
+                run_experiment(
+                    paper_scene("ours"), Setting(synergy=synergy, gamma=gamma, fingers=fingers)
+                )
+            ),
         }
         for fingers, synergy, gamma in cases
     ]
@@ -96,7 +121,9 @@ def subset_rows() -> list[Row]:
             for ridge, synergy in product((0.0, RIDGE), SYNERGIES):
                 # Three points never determine T without a ridge, and four in a plane neither.
                 try:
-                    measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=ridge)))
+                    measures = _measures(
+                        run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=ridge))
+                    )
                 except DegeneratePointsError:
                     continue
                 names = " ".join(point.name.removeprefix("contact_") for point in chosen)
@@ -106,18 +133,33 @@ def subset_rows() -> list[Row]:
 
 
 def placement_rows() -> list[Row]:
-    """Where the reference points are, on both hands; the object is held at the contacts all the same."""
+    """Where the reference points are, on both hands.
+
+    The object is held at the contacts all the same.
+    """
     base = paper_scene("ours")
     human, robot = load_hand("human"), load_hand("three_finger")
     rows: list[Row] = []
     for human_set, robot_set, synergy in product(HUMAN_SETS, ROBOT_SETS, SYNERGIES):
-        scene = replace(base, human_points=human.with_points(human_set), robot_points=robot.with_points(robot_set))
+        scene = replace(
+            base,
+            human_points=human.with_points(human_set),
+            robot_points=robot.with_points(robot_set),
+        )
         run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=RIDGE))
         counts = {
             "human_points": len(scene.human_points.reference_points),
             "robot_points": len(scene.robot_points.reference_points),
         }
-        rows.append({"human_set": human_set, "robot_set": robot_set, **counts, "synergy": synergy, **_measures(run)})
+        rows.append(
+            {
+                "human_set": human_set,
+                "robot_set": robot_set,
+                **counts,
+                "synergy": synergy,
+                **_measures(run),
+            }
+        )
     return rows
 
 
@@ -136,29 +178,47 @@ def plan(hand: str, progress: Callable[[int], None] | None = None) -> list[Plann
         raise TypeError("the reference grasp has no shape")
     closing = default_closing(model)
     if hand in _OPPOSITION:
-        # With its thumb at rest, and from as far as the planner starts, this large hand never gets all round so small a cube.
+        # With its thumb at rest, and from as far as the planner starts, this large hand never gets
+        # all round so small a cube.
         joint, start = model.joint_names.index(_OPPOSITION[hand]), closing.start.copy()
         start[joint] = model.upper_limits[joint]
         closing = replace(closing, start=start, clearance=0.0)
     return plan_grasps(
-        model, cube.shape, samples=PLANS, seed=SEED, object_pose=cube.object_pose, closing=closing, progress=progress
+        model,
+        cube.shape,
+        samples=PLANS,
+        seed=SEED,
+        object_pose=cube.object_pose,
+        closing=closing,
+        progress=progress,
     )
 
 
 def start_rows(plans: Plans) -> list[Row]:
     """Pairs of planned grasps, each the start of its own experiment.
 
-    The n-th force-closed human grasp in the order of trials is paired with the n-th of the robot's, so pairs are random.
+    The n-th force-closed human grasp in the order of trials is paired with the n-th of the robot's,
+    so pairs are random.
     """
-    pools = {name: [one for one in sorted(plans[name], key=lambda one: one.trial) if one.quality > 0.0] for name in plans}
+    pools = {
+        name: [one for one in sorted(plans[name], key=lambda one: one.trial) if one.quality > 0.0]
+        for name in plans
+    }
     rows: list[Row] = []
     for human, robot in list(zip(pools["human"], pools["three_finger"], strict=False))[:PAIRS]:
         scene = Scene.at_contacts(human.grasp, robot.grasp)
         for fingers, synergy in product(("pseudoinverse", "qp"), SYNERGIES):
-            run = run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=RIDGE, fingers=fingers))
+            run = run_experiment(
+                scene, Setting(synergy=synergy, steps=STEPS, ridge=RIDGE, fingers=fingers)
+            )
             trials = {"human_trial": human.trial, "robot_trial": robot.trial}
-            counts = {"human_contacts": len(human.grasp.contacts), "robot_contacts": len(robot.grasp.contacts)}
-            rows.append({**trials, **counts, "fingers": fingers, "synergy": synergy, **_measures(run)})
+            counts = {
+                "human_contacts": len(human.grasp.contacts),
+                "robot_contacts": len(robot.grasp.contacts),
+            }
+            rows.append(
+                {**trials, **counts, "fingers": fingers, "synergy": synergy, **_measures(run)}
+            )
     return rows
 
 
@@ -170,30 +230,49 @@ def allegro_scene(plans: Plans) -> Scene:
 def allegro_rows(plans: Plans, gammas: Sequence[float]) -> list[Row]:
     """The Allegro hand in place of the three-fingered one."""
     scenes = {"three_finger": paper_scene("ours"), "allegro_right": allegro_scene(plans)}
-    cases: list[tuple[str, Fingers, int, float]] = list(product(scenes, ("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas))
+    cases: list[tuple[str, Fingers, int, float]] = list(
+        product(scenes, ("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas)
+    )
     return [
         {
             "robot": robot,
             "fingers": fingers,
             "synergy": synergy,
             "gamma": gamma,
-            **_measures(run_experiment(scenes[robot], Setting(synergy=synergy, gamma=gamma, steps=STEPS, fingers=fingers))),
+            **_measures(
+                run_experiment(
+                    scenes[robot],
+                    Setting(synergy=synergy, gamma=gamma, steps=STEPS, fingers=fingers),
+                )
+            ),
         }
         for robot, fingers, synergy, gamma in cases
     ]
 
 
 def origin_rows() -> list[Row]:
-    """The whole scene farther and farther from the world's origin, in 14 directions; in three where it should not matter."""
-    axes = np.vstack([np.eye(3), -np.eye(3), np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)])
+    """The whole scene farther and farther from the world's origin, in 14 directions.
+
+    In three where it should not matter.
+    """
+    axes = np.vstack(
+        [np.eye(3), -np.eye(3), np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)]
+    )
     pivots: tuple[Pivot, ...] = ("centroid", "palm", "origin")
     rows: list[Row] = []
     for distance, (number, direction) in product(DISTANCES, enumerate(axes)):
         scene = paper_scene("ours").moved(distance * direction)
-        where = {f"{axis}_m": float(value) for axis, value in zip("xyz", distance * direction, strict=True)}
+        where = {
+            f"{axis}_m": float(value)
+            for axis, value in zip("xyz", distance * direction, strict=True)
+        }
         for pivot, synergy in product(pivots if number < 3 else ("origin",), SYNERGIES):
-            measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot=pivot)))
-            rows.append({"distance_m": distance, **where, "pivot": pivot, "synergy": synergy, **measures})
+            measures = _measures(
+                run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot=pivot))
+            )
+            rows.append(
+                {"distance_m": distance, **where, "pivot": pivot, "synergy": synergy, **measures}
+            )
     return rows
 
 
@@ -202,13 +281,19 @@ def nudged_rows() -> list[Row]:
     rows: list[Row] = []
     for nudge, synergy in product((0.0, 1e-4), SYNERGIES):
         scene = paper_scene("ours").moved(np.array([1.0 + nudge, 0.0, 0.0]))
-        measures = _measures(run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot="origin")))
+        measures = _measures(
+            run_experiment(scene, Setting(synergy=synergy, steps=STEPS, pivot="origin"))
+        )
         rows.append({"nudge_m": nudge, "synergy": synergy, **measures})
     return rows
 
 
 def _measures(run: Run) -> Row:
-    """What every table has: object, points, the farthest joint outside its limits, the wrist off T_rb, and T's largest stretch."""
+    """What every table has.
+
+    Object, points, the farthest joint outside its limits, the wrist off T_rb, and T's largest
+    stretch.
+    """
     return {
         "object_error_mm": 1e3 * object_error(run),
         "point_rms_mm": 1e3 * run.point_rms,

@@ -8,10 +8,13 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Figures:
-    """Redo the paper's numerical experiment (Sec. IV) and draw its figures, and those of what it leaves open.
+    """Redo the paper's numerical experiment (Sec.
 
-    Two hands hold the same cube; the human's wrist goes along an arc while a synergy is activated, and the robot follows. Writes
-    each figure as PNG, SVG and CSV, and report.md with the table "what the paper claims, what we find".
+    IV) and draw its figures, and those of what it leaves open.
+
+    Two hands hold the same cube; the human's wrist goes along an arc while a synergy is activated,
+    and the robot follows. Writes each figure as PNG, SVG and CSV, and report.md with the table
+    "what the paper claims, what we find".
 
     Attributes:
         out: Folder to write to; made if it does not exist.
@@ -35,7 +38,9 @@ class Figures:
             result = run_figures(
                 self.out,
                 has_beyond=self.beyond,
-                progress=lambda what, done, total: progress.update(task, description=what, completed=done, total=total),
+                progress=lambda what, done, total: progress.update(
+                    task, description=what, completed=done, total=total
+                ),
             )
         table = Table(show_lines=True)
         for name in result.claims[0]:

@@ -1,4 +1,7 @@
-"""The demo: the paper's wrist arc with the first synergy (Sec. IV), carried from the human hand to the three-fingered one."""
+"""The demo: the paper's wrist arc with the first synergy (Sec.
+
+IV), carried from the human hand to the three-fingered one.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joints_figure
 from handmap_qp.experiments.output import output_folder
-from handmap_qp.human import load_synergies
-from handmap_qp.library import load_hand
-from handmap_qp.mapping import HandMapper
-from handmap_qp.rendering import require_matplotlib
-from handmap_qp.trackers.landmarks import HumanMotion
-from handmap_qp.trajectory import Trajectory, map_motion, save_npz
+from handmap_qp.hands.human import load_synergies
+from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.offline.trajectory import Trajectory, map_motion, save_npz
+from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, transform_points
 
 ARC_LENGTH = 0.47
@@ -66,14 +69,19 @@ class DemoResult:
 
 
 def run_demo(
-    directory: Path | str = Path("demo"), *, samples: int = 241, progress: Callable[[int], None] | None = None
+    directory: Path | str = Path("demo"),
+    *,
+    samples: int = 241,
+    progress: Callable[[int], None] | None = None,
 ) -> DemoResult:
     """Map the demo's motion and write trajectory and pictures.
 
-    Writes `trajectory.npz`, `hands.png`, `errors.png` and `joints.png`: all of them, or none if something fails.
+    Writes `trajectory.npz`, `hands.png`, `errors.png` and `joints.png`: all of them, or none if
+    something fails.
 
     Args:
-        directory: Folder to write to; made if it does not exist, and files of the same names in it are replaced.
+        directory: Folder to write to; made if it does not exist, and files of the same names in it
+            are replaced.
         samples: Number of samples, 60 a second.
         progress: Called with the number of samples mapped after each one.
 
@@ -88,7 +96,9 @@ def run_demo(
     directory = Path(directory)
     motion = arc_motion(samples)
     with output_folder(directory) as folder:
-        trajectory = map_motion(HandMapper(motion.human, load_hand("three_finger"), dt=1.0 / RATE), motion, progress)
+        trajectory = map_motion(
+            HandMapper(motion.human, load_hand("three_finger"), dt=1.0 / RATE), motion, progress
+        )
         _save(folder / "trajectory.npz", motion, trajectory)
         hands_figure(motion, trajectory).savefig(folder / "hands.png")
         errors_figure(trajectory).savefig(folder / "errors.png")
@@ -98,12 +108,16 @@ def run_demo(
 
 
 def arc_motion(samples: int) -> HumanMotion:
-    """The human's motion: the paper's wrist arc, the hand closing and opening along the first synergy on the way.
+    """The human's motion.
 
-    The paper gives "a cosine arc whose length was 470 mm in the x direction and whose height in the z direction was 150 mm". It is
-    read here as half a wave over the way along x, highest in its middle: `z = 150 mm * cos(pi * (x / 470 mm - 1/2))`. The wrist
-    starts and stops smoothly (`x` is a minimum-jerk function of time) and does not turn. The joints are `q = q_m + S z`, with `z_1`
-    going from open (1.0) to closed (-0.4) in the middle and back, as a cosine; both stay inside the joint limits.
+    The paper's wrist arc, the hand closing and opening along the first synergy on the way.
+
+    The paper gives "a cosine arc whose length was 470 mm in the x direction and whose height in the
+    z direction was 150 mm". It is read here as half a wave over the way along x, highest in its
+    middle: `z = 150 mm * cos(pi * (x / 470 mm - 1/2))`. The wrist starts and stops smoothly (`x` is
+    a minimum-jerk function of time) and does not turn. The joints are `q = q_m + S z`, with `z_1`
+    going from open (1.0) to closed (-0.4) in the middle and back, as a cosine; both stay inside the
+    joint limits.
 
     Args:
         samples: Number of samples T, 60 a second.
@@ -138,7 +152,9 @@ def arc_motion(samples: int) -> HumanMotion:
 def human_points(motion: HumanMotion) -> np.ndarray:
     """The human's reference points in its world [m], shape (T, m, 3)."""
     local = [motion.human.points(q) for q in motion.q]
-    return np.array([transform_points(wrist, points) for wrist, points in zip(motion.wrist, local, strict=True)])
+    return np.array(
+        [transform_points(wrist, points) for wrist, points in zip(motion.wrist, local, strict=True)]
+    )
 
 
 def _save(path: Path, motion: HumanMotion, trajectory: Trajectory) -> None:

@@ -7,12 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from handmap_qp.drawing.hands import (
+    HUMAN_COLOUR,
+    ROBOT_COLOUR,
+    draw_hands,
+    load_shape,
+    spheres,
+    tube,
+)
+from handmap_qp.drawing.raster import Camera, Triangles, merged
 from handmap_qp.experiments.style import COLOURS, INK, PALE, styled, words
-from handmap_qp.hand import Hand
-from handmap_qp.raster import Camera, Triangles, merged
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, draw_hands, load_shape, spheres, tube
-from handmap_qp.trackers.landmarks import HumanMotion
-from handmap_qp.trajectory import Trajectory
+from handmap_qp.hands.hand import Hand
+from handmap_qp.offline.trajectory import Trajectory
+from handmap_qp.trackers.recording import HumanMotion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,20 +45,39 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     size = (800, 672)
     instants = [0, len(motion.time) // 2, len(motion.time) - 1]
     human, robot = motion.human, trajectory.robot
-    human_way = np.array([human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)])
-    hands = [_placed(human, motion.q, motion.wrist, instants), _placed(robot, trajectory.q, trajectory.wrist, instants)]
+    human_way = np.array(
+        [human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)]
+    )
+    hands = [
+        _placed(human, motion.q, motion.wrist, instants),
+        _placed(robot, trajectory.q, trajectory.wrist, instants),
+    ]
     corners = np.concatenate([hand.vertices.reshape(-1, 3) for hand in hands])
     # The floor below the hands must be in the picture too, for their shadows.
     floor = corners * [1.0, 1.0, 0.0]
-    camera = Camera.framing(np.concatenate([corners, floor]), size, azimuth=-83.0, elevation=27.0, margin=0.03)
+    camera = Camera.framing(
+        np.concatenate([corners, floor]), size, azimuth=-83.0, elevation=27.0, margin=0.03
+    )
     # The titles stand above the arc: the scene moves down to make room for them.
     camera = replace(camera, centre=(camera.centre[0], camera.centre[1] + 34.0))
     titles = (
-        ("Human hand", f"{len(human.joint_names)} joints, driven along the first synergy", HUMAN_COLOUR, human_way),
-        ("Three-fingered robot hand", f"{len(robot.joint_names)} joints, mapped by T and the QP", ROBOT_COLOUR, trajectory.points),
+        (
+            "Human hand",
+            f"{len(human.joint_names)} joints, driven along the first synergy",
+            HUMAN_COLOUR,
+            human_way,
+        ),
+        (
+            "Three-fingered robot hand",
+            f"{len(robot.joint_names)} joints, mapped by T and the QP",
+            ROBOT_COLOUR,
+            trajectory.points,
+        ),
     )
     below = min(float(camera.project(floor)[:, 1].max()) + 26.0, size[1] - 16.0)
-    for column, (hand, (title, subtitle, colour, way)) in enumerate(zip(hands, titles, strict=True)):
+    for column, (hand, (title, subtitle, colour, way)) in enumerate(
+        zip(hands, titles, strict=True)
+    ):
         axes = figure.add_axes((0.5 * column, 0.0, 0.5, 1.0))
         balls = spheres(way[instants].reshape(-1, 3), 0.0065, colour)
         paths = [tube(way[:, point], 0.0011, colour) for point in range(way.shape[1])]
@@ -60,7 +86,14 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
         axes.text(36, 79, subtitle, fontsize=9, color=PALE)
         for instant, word in zip(instants, ("start", "middle", "end"), strict=True):
             x = camera.project(motion.wrist[instant, :3, 3] * [1.0, 1.0, 0.0])[0]
-            axes.text(x, below, f"{word}, {motion.time[instant]:.0f} s", fontsize=8, color=PALE, ha="center")
+            axes.text(
+                x,
+                below,
+                f"{word}, {motion.time[instant]:.0f} s",
+                fontsize=8,
+                color=PALE,
+                ha="center",
+            )
     return figure
 
 
@@ -72,8 +105,12 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     figure = Figure(figsize=(7.5, 5.6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0))
     time = trajectory.time
-    for point, (spec, colour) in enumerate(zip(trajectory.robot.reference_points, COLOURS, strict=False)):
-        axes[0].plot(time, 1e3 * trajectory.point_error[:, point], color=colour, label=words(spec.name))
+    for point, (spec, colour) in enumerate(
+        zip(trajectory.robot.reference_points, COLOURS, strict=False)
+    ):
+        axes[0].plot(
+            time, 1e3 * trajectory.point_error[:, point], color=colour, label=words(spec.name)
+        )
     axes[0].set_title("Reference points: distance from their targets")
     axes[0].set_ylabel("mm")
     axes[0].legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))

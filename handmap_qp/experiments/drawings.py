@@ -7,14 +7,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from handmap_qp.drawing.hands import (
+    HUMAN_COLOUR,
+    ROBOT_COLOUR,
+    draw_hands,
+    load_shape,
+    spheres,
+    tube,
+)
+from handmap_qp.drawing.raster import Camera, Triangles, merged
 from handmap_qp.experiments.artwork import Row
 from handmap_qp.experiments.held_object import InHandStep, object_poses
 from handmap_qp.experiments.section_four import Run, Scene
-from handmap_qp.experiments.style import COLOURS, INK, PALE, blank_axes, box_triangles, draw_arrow, draw_box_edges, styled
+from handmap_qp.experiments.style import (
+    COLOURS,
+    INK,
+    PALE,
+    blank_axes,
+    box_triangles,
+    draw_arrow,
+    draw_box_edges,
+    styled,
+)
 from handmap_qp.grasp import Grasp
-from handmap_qp.raster import Camera, Triangles, merged
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, draw_hands, load_shape, spheres, tube
-from handmap_qp.shapes import Box
+from handmap_qp.grasp.objects import Box
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,14 +48,26 @@ def draw_grasps(scene: Scene) -> Figure:
 
     figure = Figure(figsize=(10.0, 3.9))
     width, height = 533, 624
-    solids = [grasp_triangles(scene.human, scene.human.q), grasp_triangles(scene.robot, scene.robot.q)]
+    solids = [
+        grasp_triangles(scene.human, scene.human.q),
+        grasp_triangles(scene.robot, scene.robot.q),
+    ]
     titles = ("Human hand", "Three-fingered robot hand")
-    panels = zip(solids, (scene.human, scene.robot), titles, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
+    panels = zip(
+        solids, (scene.human, scene.robot), titles, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True
+    )
     for column, (solid, grasp, title, colour) in enumerate(panels):
         axes = figure.add_axes((column / 3.0, 0.0, 1.0 / 3.0, 0.88))
-        camera = Camera.framing(solid.vertices.reshape(-1, 3), (width, int(0.88 * height)), margin=0.045, **CAMERA)
+        camera = Camera.framing(
+            solid.vertices.reshape(-1, 3), (width, int(0.88 * height)), margin=0.045, **CAMERA
+        )
         draw_hands(axes, solid, camera, marks=spheres(grasp.points, _BALL, colour), supersampling=3)
-        heading(axes, camera, title, f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts")
+        heading(
+            axes,
+            camera,
+            title,
+            f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts",
+        )
     axes = figure.add_axes((2.0 / 3.0, 0.0, 1.0 / 3.0, 0.88))
     size = _box_size(scene.human)
     corners = box_triangles(scene.human.object_pose, size).vertices.reshape(-1, 3)
@@ -47,7 +75,14 @@ def draw_grasps(scene: Scene) -> Figure:
     blank_axes(axes, camera)
     draw_box_edges(axes, camera, scene.human.object_pose, size)
     for grasp, colour in ((scene.human, HUMAN_COLOUR), (scene.robot, ROBOT_COLOUR)):
-        axes.scatter(*camera.project(grasp.points).T[:2], s=46, color=colour, edgecolor="white", linewidth=0.8, zorder=3)
+        axes.scatter(
+            *camera.project(grasp.points).T[:2],
+            s=46,
+            color=colour,
+            edgecolor="white",
+            linewidth=0.8,
+            zorder=3,
+        )
     axes.scatter(*camera.project(scene.human.centre)[:2], s=46, color=INK, zorder=3)
     heading(axes, camera, "Contacts on the cube", "human blue, robot red, centre black")
     return figure
@@ -59,7 +94,8 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
 
     Args:
         run: The run to draw.
-        ways: By geometry and object model: the centre in the human's hand and in the robot's, shape (N + 1, 3) each.
+        ways: By geometry and object model: the centre in the human's hand and in the robot's, shape
+            (N + 1, 3) each.
 
     Returns:
         The picture.
@@ -71,12 +107,18 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
     instants = [0, steps // 2, steps]
     solids = [
         merged([grasp_triangles(grasp, motion.q[i], motion.wrist[i], held[i]) for i in instants])
-        for grasp, motion, held in ((run.scene.human, run.human, poses[0]), (run.scene.robot, run.robot, poses[1]))
+        for grasp, motion, held in (
+            (run.scene.human, run.human, poses[0]),
+            (run.scene.robot, run.robot, poses[1]),
+        )
     ]
     size = (800, 475)
     corners = np.concatenate([solid.vertices.reshape(-1, 3) for solid in solids])
     camera = Camera.framing(corners, size, azimuth=-103.0, elevation=20.0, margin=0.02)
-    blue, red = tube(poses[0][:, :3, 3], 0.0022, HUMAN_COLOUR), tube(poses[1][:, :3, 3], 0.0022, ROBOT_COLOUR)
+    blue, red = (
+        tube(poses[0][:, :3, 3], 0.0022, HUMAN_COLOUR),
+        tube(poses[1][:, :3, 3], 0.0022, ROBOT_COLOUR),
+    )
     panels = (
         ("a) Human hand", "blue: the object's centre", [blue]),
         ("b) Robot hand", "red: the object's centre; blue: the human's", [blue, red]),
@@ -90,8 +132,16 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
     for (geometry, model), (human, robot) in ways.items():
         colour = COLOURS[2] if model == "rigid" else COLOURS[3]
         style = "-" if geometry == "ours" else (0, (4, 2))
-        label = f"{model}, {'the hand as it is' if geometry == 'ours' else 'fingers as in the toolbox'}"
-        axes.plot(way, 1e3 * np.linalg.norm(human - robot, axis=1), color=colour, linestyle=style, label=label)
+        label = (
+            f"{model}, {'the hand as it is' if geometry == 'ours' else 'fingers as in the toolbox'}"
+        )
+        axes.plot(
+            way,
+            1e3 * np.linalg.norm(human - robot, axis=1),
+            color=colour,
+            linestyle=style,
+            label=label,
+        )
     axes.set_title("c) Distance between the two centres")
     axes.set_xlabel("share of the way")
     axes.set_ylabel("mm")
@@ -120,17 +170,34 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
     for column, (rigid, soft) in enumerate(zip(found["rigid"], found["quasi-static"], strict=True)):
         for row, title in enumerate((f"Synergy {column + 1}: object motion", "Force changes")):
             axes = figure.add_axes((column / 3.0, 0.505 - 0.465 * row, 1.0 / 3.0, 0.424))
-            corners = box_triangles(scene.human.object_pose, 1.25 * np.array(size)).vertices.reshape(-1, 3)
+            corners = box_triangles(
+                scene.human.object_pose, 1.25 * np.array(size)
+            ).vertices.reshape(-1, 3)
             camera = Camera.framing(corners, pixels, margin=0.1, **CAMERA)
             blank_axes(axes, camera)
             draw_box_edges(axes, camera, scene.human.object_pose, size)
             if row == 0:
                 for step, width in ((rigid, 2.2), (soft, 1.0)):
-                    for motion, colour in ((step.human_motion, HUMAN_COLOUR), (step.robot_motion, ROBOT_COLOUR)):
-                        draw_arrow(axes, camera, scene.human.centre, 0.035 * motion / np.linalg.norm(motion), colour, width=width)
+                    for motion, colour in (
+                        (step.human_motion, HUMAN_COLOUR),
+                        (step.robot_motion, ROBOT_COLOUR),
+                    ):
+                        draw_arrow(
+                            axes,
+                            camera,
+                            scene.human.centre,
+                            0.035 * motion / np.linalg.norm(motion),
+                            colour,
+                            width=width,
+                        )
                 axes.scatter(*camera.project(scene.human.centre)[:2], s=30, color=INK, zorder=3)
                 angles = np.degrees([rigid.angle, soft.angle])
-                heading(axes, camera, title, f"angle {angles[0]:.0f}° (rigid, thick), {angles[1]:.0f}° (quasi-static, thin)")
+                heading(
+                    axes,
+                    camera,
+                    title,
+                    f"angle {angles[0]:.0f}° (rigid, thick), {angles[1]:.0f}° (quasi-static, thin)",
+                )
             else:
                 for grasp, forces, colour in (
                     (scene.human, soft.human_forces, HUMAN_COLOUR),
@@ -140,10 +207,23 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
                     for point, force in zip(grasp.points, forces, strict=True):
                         draw_arrow(axes, camera, point, 0.03 * force / largest, colour)
                     axes.scatter(
-                        *camera.project(grasp.points).T[:2], s=26, color=colour, edgecolor="white", linewidth=0.6, zorder=3
+                        *camera.project(grasp.points).T[:2],
+                        s=26,
+                        color=colour,
+                        edgecolor="white",
+                        linewidth=0.6,
+                        zorder=3,
                     )
-                most = [1e3 * np.linalg.norm(forces, axis=1).max() for forces in (soft.human_forces, soft.robot_forces)]
-                heading(axes, camera, title, f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN")
+                most = [
+                    1e3 * np.linalg.norm(forces, axis=1).max()
+                    for forces in (soft.human_forces, soft.robot_forces)
+                ]
+                heading(
+                    axes,
+                    camera,
+                    title,
+                    f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN",
+                )
     note = "Blue: human; red: robot. Motions are all drawn at one length, forces of each hand to the scale of its largest."
     figure.text(0.013, 0.012, note, fontsize=8, color=PALE)
     return figure
@@ -161,7 +241,11 @@ def draw_sensitivity(rows: Sequence[Row]) -> Figure:
             axes = grid[row, column]
             for synergy in (1, 2, 3):
                 for geometry, style in (("toolbox", "-"), ("ours", (0, (3, 2)))):
-                    chosen = [r for r in rows if (r["geometry"], r["sweep"], r["synergy"]) == (geometry, sweep, synergy)]
+                    chosen = [
+                        r
+                        for r in rows
+                        if (r["geometry"], r["sweep"], r["synergy"]) == (geometry, sweep, synergy)
+                    ]
                     is_solid = geometry == "toolbox"
                     axes.plot(
                         [r[sweep] for r in chosen],
@@ -177,7 +261,9 @@ def draw_sensitivity(rows: Sequence[Row]) -> Figure:
             axes.set_ylim(bottom=0.0)
             if sweep == "steps":
                 axes.set_xscale("log")
-                axes.set_xticks([2, 5, 10, 20, 50, 100, 200], labels=["2", "5", "10", "20", "50", "100", "200"])
+                axes.set_xticks(
+                    [2, 5, 10, 20, 50, 100, 200], labels=["2", "5", "10", "20", "50", "100", "200"]
+                )
                 axes.minorticks_off()
     grid[0, 0].set_title("Object follows the contacts as a rigid body")
     grid[0, 1].set_title("Quasi-static, unit stiffness")
@@ -188,7 +274,10 @@ def draw_sensitivity(rows: Sequence[Row]) -> Figure:
 
 
 def grasp_triangles(
-    grasp: Grasp, q: np.ndarray, wrist_pose: np.ndarray | None = None, object_pose: np.ndarray | None = None
+    grasp: Grasp,
+    q: np.ndarray,
+    wrist_pose: np.ndarray | None = None,
+    object_pose: np.ndarray | None = None,
 ) -> Triangles:
     """A hand and the box that it holds, as triangles.
 
@@ -201,8 +290,17 @@ def grasp_triangles(
     Returns:
         Triangles in the world.
     """
-    hand = load_shape(grasp.hand).triangles(q, grasp.wrist_pose if wrist_pose is None else wrist_pose)
-    return merged([hand, box_triangles(grasp.object_pose if object_pose is None else object_pose, _box_size(grasp))])
+    hand = load_shape(grasp.hand).triangles(
+        q, grasp.wrist_pose if wrist_pose is None else wrist_pose
+    )
+    return merged(
+        [
+            hand,
+            box_triangles(
+                grasp.object_pose if object_pose is None else object_pose, _box_size(grasp)
+            ),
+        ]
+    )
 
 
 def _box_size(grasp: Grasp) -> tuple[float, float, float]:

@@ -6,11 +6,28 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from handmap_qp.estimation import estimate_motion
 from handmap_qp.experiments.artwork import Artwork, Row
-from handmap_qp.experiments.drawings import draw_first_step, draw_grasps, draw_sensitivity, draw_ways
-from handmap_qp.experiments.held_object import UNIT, Stiffnesses, in_hand_step, object_error, object_poses
-from handmap_qp.experiments.section_four import Setting, human_motion, paper_scene, rms, run_experiment
+from handmap_qp.experiments.drawings import (
+    draw_first_step,
+    draw_grasps,
+    draw_sensitivity,
+    draw_ways,
+)
+from handmap_qp.experiments.held_object import (
+    UNIT,
+    Stiffnesses,
+    in_hand_step,
+    object_error,
+    object_poses,
+)
+from handmap_qp.experiments.section_four import (
+    Setting,
+    human_motion,
+    paper_scene,
+    rms,
+    run_experiment,
+)
+from handmap_qp.mapping.estimation import estimate_motion
 
 GAMMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 """The paper's range of gamma."""
@@ -20,7 +37,10 @@ SYNERGIES = (1, 2, 3)
 GAMMA_STEPS = 20
 """Number of steps of the gamma sweep."""
 MODELS: dict[str, Stiffnesses | None] = {"rigid": None, "quasi-static": UNIT}
-"""How the fingers move the object: the rigid motion that follows the contacts best, or soft synergies at unit stiffness."""
+"""How the fingers move the object.
+
+The rigid motion that follows the contacts best, or soft synergies at unit stiffness.
+"""
 
 
 def figure_4() -> Artwork:
@@ -38,7 +58,9 @@ def figure_4() -> Artwork:
         "that toolbox takes fingers for lines; our fingers have thickness and are drawn reaching into the cube."
     )
     facts = {"human_contacts": counts[0], "robot_contacts": counts[1]}
-    return Artwork("figure_4", "Figure 4: both hands on the cube", draw_grasps(scene), rows, text, facts)
+    return Artwork(
+        "figure_4", "Figure 4: both hands on the cube", draw_grasps(scene), rows, text, facts
+    )
 
 
 def figure_5(steps: int = 50) -> Artwork:
@@ -63,22 +85,35 @@ def figure_5(steps: int = 50) -> Artwork:
         for k in range(steps + 1)
     ]
     length = 1e3 * float(np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum())
-    ends = {model: 1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1])) for model in MODELS}
+    ends = {
+        model: 1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1]))
+        for model in MODELS
+    }
     text = (
         f"The object's centre travels {length:.0f} mm in the human's hand. At the end the robot's is {ends['rigid']:.1f} mm "
         f"away from it where the object follows the contacts as a rigid body, and {ends['quasi-static']:.1f} mm by the "
         "quasi-static model at unit stiffness, in which the human's object hardly moves in the yielding hand, while T_rb "
         "carries the robot's wrist all the same."
     )
-    facts = {"way": length, "end_rigid": ends["rigid"], "end_quasistatic": ends["quasi-static"], "misfit": _misfits()}
-    return Artwork("figure_5", "Figure 5: the object's way", draw_ways(done["ours"], ways), rows, text, facts)
+    facts = {
+        "way": length,
+        "end_rigid": ends["rigid"],
+        "end_quasistatic": ends["quasi-static"],
+        "misfit": _misfits(),
+    }
+    return Artwork(
+        "figure_5", "Figure 5: the object's way", draw_ways(done["ours"], ways), rows, text, facts
+    )
 
 
 def figure_6(steps: int = 50) -> Artwork:
     """Direction of the object's motion by the synergy alone, and force variations, in the first step."""
     scene = paper_scene("ours")
     found = {
-        model: [in_hand_step(scene, Setting(synergy=s, steps=steps), is_rigid=stiffnesses is None) for s in SYNERGIES]
+        model: [
+            in_hand_step(scene, Setting(synergy=s, steps=steps), is_rigid=stiffnesses is None)
+            for s in SYNERGIES
+        ]
         for model, stiffnesses in MODELS.items()
     }
     rows: list[Row] = []
@@ -86,16 +121,42 @@ def figure_6(steps: int = 50) -> Artwork:
         for synergy, step in zip(SYNERGIES, by_synergy, strict=True):
             head = {"synergy": synergy, "model": model}
             for hand, motion in (("human", step.human_motion), ("robot", step.robot_motion)):
-                rows.append({"quantity": "object motion", "unit": "mm", **head, "hand": hand, "contact": 0, **_xyz(1e3 * motion)})
+                rows.append(
+                    {
+                        "quantity": "object motion",
+                        "unit": "mm",
+                        **head,
+                        "hand": hand,
+                        "contact": 0,
+                        **_xyz(1e3 * motion),
+                    }
+                )
             # Forces come from the quasi-static model whatever moves the object.
-            forces = (("human", step.human_forces), ("robot", step.robot_forces)) if model == "quasi-static" else ()
+            forces = (
+                (("human", step.human_forces), ("robot", step.robot_forces))
+                if model == "quasi-static"
+                else ()
+            )
             rows += [
-                {"quantity": "force change", "unit": "N", **head, "hand": hand, "contact": i, **_xyz(force)}
+                {
+                    "quantity": "force change",
+                    "unit": "N",
+                    **head,
+                    "hand": hand,
+                    "contact": i,
+                    **_xyz(force),
+                }
                 for hand, changes in forces
                 for i, force in enumerate(changes, 1)
             ]
-    angles = {model: [float(np.degrees(step.angle)) for step in by_synergy] for model, by_synergy in found.items()}
-    sizes = [float(np.linalg.norm(one.robot_motion) / np.linalg.norm(one.human_motion)) for one in found["quasi-static"]]
+    angles = {
+        model: [float(np.degrees(step.angle)) for step in by_synergy]
+        for model, by_synergy in found.items()
+    }
+    sizes = [
+        float(np.linalg.norm(one.robot_motion) / np.linalg.norm(one.human_motion))
+        for one in found["quasi-static"]
+    ]
     text = (
         "Without the wrist's own motion, the first step of synergies 1 to 3 moves the object's centre in directions that are "
         f"{listed(angles['rigid'], 0)} degrees apart in the two hands where the object follows the contacts as a rigid body, and "
@@ -104,27 +165,50 @@ def figure_6(steps: int = 50) -> Artwork:
         "which does not yield. Force changes are in balance on each hand; with 7 contacts on one and 3 on the other they cannot be "
         "compared one by one, as the paper says."
     )
-    changes = [forces for one in found["quasi-static"] for forces in (one.human_forces, one.robot_forces)]
-    balance = max(float(np.abs(forces.sum(axis=0)).max() / np.abs(forces).max()) for forces in changes)
-    facts = {"angles_rigid": angles["rigid"], "angles_quasistatic": angles["quasi-static"], "force_balance": balance}
-    return Artwork("figure_6", "Figure 6: the first step", draw_first_step(scene, found), rows, text, facts)
+    changes = [
+        forces for one in found["quasi-static"] for forces in (one.human_forces, one.robot_forces)
+    ]
+    balance = max(
+        float(np.abs(forces.sum(axis=0)).max() / np.abs(forces).max()) for forces in changes
+    )
+    facts = {
+        "angles_rigid": angles["rigid"],
+        "angles_quasistatic": angles["quasi-static"],
+        "force_balance": balance,
+    }
+    return Artwork(
+        "figure_6", "Figure 6: the first step", draw_first_step(scene, found), rows, text, facts
+    )
 
 
 def figure_7() -> Artwork:
     """The object-centre error against gamma and against the number of steps."""
-    cases = [("gamma", Setting(synergy=s, gamma=g, steps=GAMMA_STEPS)) for s in SYNERGIES for g in GAMMAS]
+    cases = [
+        ("gamma", Setting(synergy=s, gamma=g, steps=GAMMA_STEPS)) for s in SYNERGIES for g in GAMMAS
+    ]
     cases += [("steps", Setting(synergy=s, steps=n)) for s in SYNERGIES for n in STEPS]
     rows: list[Row] = []
     for geometry in ("toolbox", "ours"):
         for sweep, setting in cases:
             run = run_experiment(paper_scene(geometry), setting)
-            errors = {f"error_{model}_mm": 1e3 * object_error(run, stiffnesses) for model, stiffnesses in MODELS.items()}
-            row = {"sweep": sweep, "synergy": setting.synergy, "gamma": setting.gamma, "steps": setting.steps}
-            rows.append({"geometry": geometry, **row, **errors, "point_rms_mm": 1e3 * run.point_rms})
+            errors = {
+                f"error_{model}_mm": 1e3 * object_error(run, stiffnesses)
+                for model, stiffnesses in MODELS.items()
+            }
+            row = {
+                "sweep": sweep,
+                "synergy": setting.synergy,
+                "gamma": setting.gamma,
+                "steps": setting.steps,
+            }
+            rows.append(
+                {"geometry": geometry, **row, **errors, "point_rms_mm": 1e3 * run.point_rms}
+            )
     by_gamma = [_column(rows, "gamma", s, "error_rigid_mm") for s in SYNERGIES]
     growth = [values[-1] / values[0] for values in by_gamma]
     change, soft_change = (
-        [_variation(_column(rows, "steps", s, f"error_{model}_mm", at_least=5)) for s in SYNERGIES] for model in MODELS
+        [_variation(_column(rows, "steps", s, f"error_{model}_mm", at_least=5)) for s in SYNERGIES]
+        for model in MODELS
     )
     text = (
         f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "
@@ -137,11 +221,25 @@ def figure_7() -> Artwork:
         "growth": growth,
         "step_change": change,
         "step_change_quasistatic": soft_change,
-        "step_change_from_20": [_variation(_column(rows, "steps", s, "error_rigid_mm", at_least=20)) for s in SYNERGIES],
-        "ends_quasistatic": [_column(rows, "gamma", s, "error_quasi-static_mm")[-1] for s in SYNERGIES],
-        "point_rms": [1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="initial")).point_rms for s in SYNERGIES],
+        "step_change_from_20": [
+            _variation(_column(rows, "steps", s, "error_rigid_mm", at_least=20)) for s in SYNERGIES
+        ],
+        "ends_quasistatic": [
+            _column(rows, "gamma", s, "error_quasi-static_mm")[-1] for s in SYNERGIES
+        ],
+        "point_rms": [
+            1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="initial")).point_rms
+            for s in SYNERGIES
+        ],
     }
-    return Artwork("figure_7", "Figure 7: sensitivity to gamma and to the step", draw_sensitivity(rows), rows, text, facts)
+    return Artwork(
+        "figure_7",
+        "Figure 7: sensitivity to gamma and to the step",
+        draw_sensitivity(rows),
+        rows,
+        text,
+        facts,
+    )
 
 
 def listed(values: Iterable[float], digits: int = 1) -> str:
@@ -158,13 +256,19 @@ def _misfits() -> list[float]:
 
 
 def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:
-    return {f"{prefix}{axis}{suffix}": float(value) for axis, value in zip("xyz", vector, strict=True)}
+    return {
+        f"{prefix}{axis}{suffix}": float(value) for axis, value in zip("xyz", vector, strict=True)
+    }
 
 
 def _column(rows: list[Row], sweep: str, synergy: int, name: str, at_least: int = 0) -> list[float]:
     """One curve of the sensitivities, of the toolbox's geometry."""
     wanted = ("toolbox", sweep, synergy)
-    return [row[name] for row in rows if (row["geometry"], row["sweep"], row["synergy"]) == wanted and row["steps"] >= at_least]
+    return [
+        row[name]
+        for row in rows
+        if (row["geometry"], row["sweep"], row["synergy"]) == wanted and row["steps"] >= at_least
+    ]
 
 
 def _variation(values: list[float]) -> float:

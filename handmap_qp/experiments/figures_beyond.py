@@ -1,4 +1,7 @@
-"""What the paper names as open, as figures: joint limits, points and object, reference points, start, another hand, the origin."""
+"""What the paper names as open, as figures.
+
+Joint limits, points and object, reference points, start, another hand, the origin.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from handmap_qp.drawing.hands import ROBOT_COLOUR, draw_hands, spheres
+from handmap_qp.drawing.raster import Camera
 from handmap_qp.experiments import beyond
 from handmap_qp.experiments.artwork import Artwork, Row
 from handmap_qp.experiments.drawings import grasp_triangles, heading
 from handmap_qp.experiments.figures import GAMMAS, listed
 from handmap_qp.experiments.section_four import Scene
 from handmap_qp.experiments.style import COLOURS, INK, PALE, styled, words
-from handmap_qp.raster import Camera
-from handmap_qp.rendering import ROBOT_COLOUR, draw_hands, spheres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +54,12 @@ def limits_figure() -> Artwork:
     )
     table = [{"limits": "start +- margin_deg", **row} for row in rows]
     table += [
-        {"limits": f"{row['limits']}'s", "synergy": row["synergy"], "margin_deg": np.nan, **_without(row, "limits", "synergy")}
+        {
+            "limits": f"{row['limits']}'s",
+            "synergy": row["synergy"],
+            "margin_deg": np.nan,
+            **_without(row, "limits", "synergy"),
+        }
         for row in own
     ]
     return Artwork("beyond_1_limits", "The QP within joint limits", _draw_limits(rows), table, text)
@@ -61,7 +69,10 @@ def points_figure() -> Artwork:
     """The robot's points next to the object's centre."""
     rows = beyond.point_rows(GAMMAS)
     last = {
-        f: {m: [_mean(rows, m, fingers=f, gamma=1.0, synergy=s) for s in beyond.SYNERGIES] for m in _LABELS}
+        f: {
+            m: [_mean(rows, m, fingers=f, gamma=1.0, synergy=s) for s in beyond.SYNERGIES]
+            for m in _LABELS
+        }
         for f in ("pseudoinverse", "qp", "frozen")
     }
     text = (
@@ -72,15 +83,32 @@ def points_figure() -> Artwork:
         f"RMS distance of the robot's points from `T s` tells them apart: {listed(last['pseudoinverse'][_POINTS], 2)} mm by eq. "
         f"(8), {listed(last['qp'][_POINTS], 2)} mm by the QP, {listed(last['frozen'][_POINTS], 2)} mm frozen."
     )
-    return Artwork("beyond_2_points", "The robot's points next to the object's centre", _draw_points(rows), rows, text)
+    return Artwork(
+        "beyond_2_points",
+        "The robot's points next to the object's centre",
+        _draw_points(rows),
+        rows,
+        text,
+    )
 
 
 def reference_points_figure() -> Artwork:
     """Number and placement of reference points on both hands."""
     subsets, places = beyond.subset_rows(), beyond.placement_rows()
-    spread = {(n, r): _pick(subsets, _OBJECT, points=n, ridge=r) for n in beyond.COUNTS for r in (0.0, beyond.RIDGE)}
-    objects = {(h, r): _mean(places, _OBJECT, human_set=h, robot_set=r) for h in beyond.HUMAN_SETS for r in beyond.ROBOT_SETS}
-    best, worst = min(objects, key=lambda one: objects[one]), max(objects, key=lambda one: objects[one])
+    spread = {
+        (n, r): _pick(subsets, _OBJECT, points=n, ridge=r)
+        for n in beyond.COUNTS
+        for r in (0.0, beyond.RIDGE)
+    }
+    objects = {
+        (h, r): _mean(places, _OBJECT, human_set=h, robot_set=r)
+        for h in beyond.HUMAN_SETS
+        for r in beyond.ROBOT_SETS
+    }
+    best, worst = (
+        min(objects, key=lambda one: objects[one]),
+        max(objects, key=lambda one: objects[one]),
+    )
     text = (
         "All choices of three to seven of the human's contacts, three synergies each. By the paper's least squares (ridge 0) "
         f"four contacts put the objects {np.median(spread[4, 0.0]):.1f} mm apart in the median and {max(spread[4, 0.0]):.0f} mm "
@@ -94,28 +122,54 @@ def reference_points_figure() -> Artwork:
     )
     blank = {"human_set": "", "robot_set": "", "robot_points": 3}
     table: list[Row] = [
-        {"human_points": row["points"], "contacts": row["contacts"], "ridge": row["ridge"], **blank, **_measured(row)}
+        {
+            "human_points": row["points"],
+            "contacts": row["contacts"],
+            "ridge": row["ridge"],
+            **blank,
+            **_measured(row),
+        }
         for row in subsets
     ]
     sets = ("human_set", "robot_set", "robot_points")
     table += [
-        {"human_points": row["human_points"], "contacts": "", "ridge": beyond.RIDGE, **{s: row[s] for s in sets}, **_measured(row)}
+        {
+            "human_points": row["human_points"],
+            "contacts": "",
+            "ridge": beyond.RIDGE,
+            **{s: row[s] for s in sets},
+            **_measured(row),
+        }
         for row in places
     ]
     figure = _draw_reference_points(subsets, places)
-    return Artwork("beyond_3_reference_points", "Number and placement of reference points", figure, table, text)
+    return Artwork(
+        "beyond_3_reference_points", "Number and placement of reference points", figure, table, text
+    )
 
 
 def start_figure(plans: beyond.Plans) -> Artwork:
     """Other starting configurations, planned by seed."""
     rows = beyond.start_rows(plans)
     count = len({row["human_trial"] for row in rows})
-    medians = {(f, m): float(np.median(_pick(rows, m, fingers=f))) for f in ("pseudoinverse", "qp") for m in _LABELS}
+    medians = {
+        (f, m): float(np.median(_pick(rows, m, fingers=f)))
+        for f in ("pseudoinverse", "qp")
+        for m in _LABELS
+    }
     worst = {f: max(_pick(rows, _OBJECT, fingers=f)) for f in ("pseudoinverse", "qp")}
     at_reference = beyond.point_rows((1.0,))
-    reference = [_mean(at_reference, _OBJECT, fingers="pseudoinverse", synergy=s) for s in beyond.SYNERGIES]
+    reference = [
+        _mean(at_reference, _OBJECT, fingers="pseudoinverse", synergy=s) for s in beyond.SYNERGIES
+    ]
     better = 100.0 * float(
-        np.mean([row[_OBJECT] > reference[row["synergy"] - 1] for row in rows if row["fingers"] == "pseudoinverse"])
+        np.mean(
+            [
+                row[_OBJECT] > reference[row["synergy"] - 1]
+                for row in rows
+                if row["fingers"] == "pseudoinverse"
+            ]
+        )
     )
     text = (
         f"{count} pairs of force-closed grasps, planned with seed {beyond.SEED} and paired at random, three synergies each "
@@ -133,7 +187,10 @@ def allegro_figure(plans: beyond.Plans) -> Artwork:
     rows, scene = beyond.allegro_rows(plans, GAMMAS), beyond.allegro_scene(plans)
     barrett, allegro = (
         {
-            (f, m): [_mean(rows, m, robot=robot, fingers=f, gamma=1.0, synergy=s) for s in beyond.SYNERGIES]
+            (f, m): [
+                _mean(rows, m, robot=robot, fingers=f, gamma=1.0, synergy=s)
+                for s in beyond.SYNERGIES
+            ]
             for f in ("pseudoinverse", "qp", "frozen")
             for m in _LABELS
         }
@@ -158,9 +215,18 @@ def origin_figure() -> Artwork:
     """The scene away from the world's origin."""
     rows, nudged = beyond.origin_rows(), beyond.nudged_rows()
     far = max(beyond.DISTANCES)
-    at_origin = {s: _pick(rows, _OBJECT, pivot="origin", distance_m=far, synergy=s) for s in beyond.SYNERGIES}
-    calm = {pivot: [_mean(rows, _OBJECT, pivot=pivot, synergy=s) for s in beyond.SYNERGIES] for pivot in ("centroid", "palm")}
-    spread = max(float(np.ptp(_pick(rows, _OBJECT, pivot=p, synergy=s))) for p in calm for s in beyond.SYNERGIES)
+    at_origin = {
+        s: _pick(rows, _OBJECT, pivot="origin", distance_m=far, synergy=s) for s in beyond.SYNERGIES
+    }
+    calm = {
+        pivot: [_mean(rows, _OBJECT, pivot=pivot, synergy=s) for s in beyond.SYNERGIES]
+        for pivot in ("centroid", "palm")
+    }
+    spread = max(
+        float(np.ptp(_pick(rows, _OBJECT, pivot=p, synergy=s)))
+        for p in calm
+        for s in beyond.SYNERGIES
+    )
     text = (
         f"Eq. (2) read literally lets T_def act about the world's origin. With the scene {far:g} m away from it, in 14 "
         f"directions, the object's error is {listed([np.median(at_origin[s]) for s in beyond.SYNERGIES], 0)} mm in the median "
@@ -207,15 +273,38 @@ def _draw_reference_points(subsets: list[Row], places: list[Row]) -> Figure:
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
     spread = np.random.default_rng(0)
-    series = ((0.0, -0.17, COLOURS[0], "ridge 0 (the paper)"), (beyond.RIDGE, 0.17, COLOURS[2], f"ridge {beyond.RIDGE:g}"))
+    series = (
+        (0.0, -0.17, COLOURS[0], "ridge 0 (the paper)"),
+        (beyond.RIDGE, 0.17, COLOURS[2], f"ridge {beyond.RIDGE:g}"),
+    )
     for ridge, shift, colour, label in series:
         for count in beyond.COUNTS:
             values = _pick(subsets, _OBJECT, points=count, ridge=ridge)
             if not values:
-                left.text(count + shift, 2.0, "T unknown", rotation=90, ha="center", color=colour, fontsize=8)
+                left.text(
+                    count + shift,
+                    2.0,
+                    "T unknown",
+                    rotation=90,
+                    ha="center",
+                    color=colour,
+                    fontsize=8,
+                )
                 continue
-            left.scatter(count + shift + spread.uniform(-0.1, 0.1, len(values)), values, s=9, color=colour, alpha=0.45, linewidth=0)
-            left.plot([count + shift - 0.13, count + shift + 0.13], [np.median(values)] * 2, color=INK, linewidth=1.6)
+            left.scatter(
+                count + shift + spread.uniform(-0.1, 0.1, len(values)),
+                values,
+                s=9,
+                color=colour,
+                alpha=0.45,
+                linewidth=0,
+            )
+            left.plot(
+                [count + shift - 0.13, count + shift + 0.13],
+                [np.median(values)] * 2,
+                color=INK,
+                linewidth=1.6,
+            )
         left.scatter([], [], s=14, color=colour, label=label)
     left.plot([], [], color=INK, linewidth=1.6, label="median")
     left.set_yscale("log")
@@ -224,13 +313,25 @@ def _draw_reference_points(subsets: list[Row], places: list[Row]) -> Figure:
     left.set_ylabel(_LABELS[_OBJECT])
     left.set_title("Number: all choices of the seven contacts")
     left.legend(loc="upper right")
-    for axes, measure, title in ((middle, _OBJECT, "Placement: object [mm]"), (right, _POINTS, "Placement: points [mm]")):
-        means = np.array([[_mean(places, measure, human_set=h, robot_set=r) for r in beyond.ROBOT_SETS] for h in beyond.HUMAN_SETS])
+    for axes, measure, title in (
+        (middle, _OBJECT, "Placement: object [mm]"),
+        (right, _POINTS, "Placement: points [mm]"),
+    ):
+        means = np.array(
+            [
+                [_mean(places, measure, human_set=h, robot_set=r) for r in beyond.ROBOT_SETS]
+                for h in beyond.HUMAN_SETS
+            ]
+        )
         axes.imshow(means, cmap="Oranges", vmin=0.0, vmax=1.5 * means.max(), aspect="auto")
         for (i, j), value in np.ndenumerate(means):
             axes.text(j, i, f"{value:.1f}", ha="center", va="center")
-        axes.set_xticks(range(len(beyond.ROBOT_SETS)), labels=[_set_name(name) for name in beyond.ROBOT_SETS])
-        axes.set_yticks(range(len(beyond.HUMAN_SETS)), labels=[_set_name(name) for name in beyond.HUMAN_SETS])
+        axes.set_xticks(
+            range(len(beyond.ROBOT_SETS)), labels=[_set_name(name) for name in beyond.ROBOT_SETS]
+        )
+        axes.set_yticks(
+            range(len(beyond.HUMAN_SETS)), labels=[_set_name(name) for name in beyond.HUMAN_SETS]
+        )
         axes.set_xlabel("on the robot")
         axes.set_title(title)
         axes.grid(visible=False)
@@ -250,11 +351,36 @@ def _draw_start(rows: list[Row]) -> Figure:
     reference = beyond.point_rows((1.0,))
     for axes, fingers in zip(panels, ("pseudoinverse", "qp"), strict=True):
         for synergy, colour in zip(beyond.SYNERGIES, COLOURS, strict=False):
-            points, objects = (_pick(rows, measure, fingers=fingers, synergy=synergy) for measure in (_POINTS, _OBJECT))
-            axes.scatter(points, objects, s=16, color=colour, alpha=0.7, linewidth=0, label=f"synergy {synergy}")
-            star = [_mean(reference, measure, fingers=fingers, synergy=synergy) for measure in (_POINTS, _OBJECT)]
-            axes.scatter(*star, s=120, color=colour, marker="*", edgecolor=INK, linewidth=0.8, zorder=3)
-        axes.scatter([], [], s=90, color="white", marker="*", edgecolor=INK, linewidth=0.8, label="reference pair")
+            points, objects = (
+                _pick(rows, measure, fingers=fingers, synergy=synergy)
+                for measure in (_POINTS, _OBJECT)
+            )
+            axes.scatter(
+                points,
+                objects,
+                s=16,
+                color=colour,
+                alpha=0.7,
+                linewidth=0,
+                label=f"synergy {synergy}",
+            )
+            star = [
+                _mean(reference, measure, fingers=fingers, synergy=synergy)
+                for measure in (_POINTS, _OBJECT)
+            ]
+            axes.scatter(
+                *star, s=120, color=colour, marker="*", edgecolor=INK, linewidth=0.8, zorder=3
+            )
+        axes.scatter(
+            [],
+            [],
+            s=90,
+            color="white",
+            marker="*",
+            edgecolor=INK,
+            linewidth=0.8,
+            label="reference pair",
+        )
         axes.set_title(_FINGERS[fingers][0])
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -273,16 +399,36 @@ def _draw_allegro(rows: list[Row], scene: Scene) -> Figure:
     figure = Figure(figsize=(10.0, 4.4))
     axes = figure.add_axes((0.0, 0.0, 0.36, 0.88))
     solid = grasp_triangles(scene.robot, scene.robot.q)
-    camera = Camera.framing(solid.vertices.reshape(-1, 3), (576, 619), azimuth=-150.0, elevation=-20.0, margin=0.05)
-    draw_hands(axes, solid, camera, marks=spheres(scene.robot.points, 0.0035, ROBOT_COLOUR), supersampling=3)
-    heading(axes, camera, "Allegro hand", f"{len(scene.robot.hand.joint_names)} joints, {len(scene.robot.contacts)} contacts")
+    camera = Camera.framing(
+        solid.vertices.reshape(-1, 3), (576, 619), azimuth=-150.0, elevation=-20.0, margin=0.05
+    )
+    draw_hands(
+        axes,
+        solid,
+        camera,
+        marks=spheres(scene.robot.points, 0.0035, ROBOT_COLOUR),
+        supersampling=3,
+    )
+    heading(
+        axes,
+        camera,
+        "Allegro hand",
+        f"{len(scene.robot.hand.joint_names)} joints, {len(scene.robot.contacts)} contacts",
+    )
     for column, (measure, title) in enumerate(((_POINTS, "Points"), (_OBJECT, "Object"))):
         axes = figure.add_axes((0.43 + 0.30 * column, 0.12, 0.245, 0.76))
         for robot, style in (("three_finger", (0, (3, 2))), ("allegro_right", "-")):
             for synergy, colour in zip(beyond.SYNERGIES, COLOURS, strict=False):
                 values = _pick(rows, measure, robot=robot, fingers="qp", synergy=synergy)
                 label = f"synergy {synergy}" if style == "-" else None
-                axes.plot(GAMMAS, values, color=colour, linestyle=style, linewidth=1.8 if style == "-" else 1.2, label=label)
+                axes.plot(
+                    GAMMAS,
+                    values,
+                    color=colour,
+                    linestyle=style,
+                    linewidth=1.8 if style == "-" else 1.2,
+                    label=label,
+                )
         axes.plot([], [], color=PALE, linestyle="-", label="Allegro")
         axes.plot([], [], color=PALE, linestyle=(0, (3, 2)), label="three-fingered")
         axes.set_title(f"{title}, by the QP")
@@ -303,17 +449,37 @@ def _draw_origin(rows: list[Row]) -> Figure:
     for synergy, axes in zip(beyond.SYNERGIES, panels, strict=True):
         ranges = np.array(
             [
-                np.percentile(_pick(rows, _OBJECT, pivot="origin", synergy=synergy, distance_m=d), (0, 50, 100))
+                np.percentile(
+                    _pick(rows, _OBJECT, pivot="origin", synergy=synergy, distance_m=d),
+                    (0, 50, 100),
+                )
                 for d in beyond.DISTANCES
             ]
         )
-        axes.fill_between(beyond.DISTANCES, ranges[:, 0], ranges[:, 2], color=COLOURS[0], alpha=0.18, linewidth=0)
+        axes.fill_between(
+            beyond.DISTANCES, ranges[:, 0], ranges[:, 2], color=COLOURS[0], alpha=0.18, linewidth=0
+        )
         axes.plot(
-            beyond.DISTANCES, ranges[:, 1], color=COLOURS[0], marker="o", markersize=3.5, label="about the origin: median, range"
+            beyond.DISTANCES,
+            ranges[:, 1],
+            color=COLOURS[0],
+            marker="o",
+            markersize=3.5,
+            label="about the origin: median, range",
         )
         for pivot, colour in (("palm", COLOURS[3]), ("centroid", COLOURS[2])):
-            values = [_mean(rows, _OBJECT, pivot=pivot, synergy=synergy, distance_m=d) for d in beyond.DISTANCES]
-            axes.plot(beyond.DISTANCES, values, color=colour, marker="o", markersize=3.5, label=f"about the human's {pivot}")
+            values = [
+                _mean(rows, _OBJECT, pivot=pivot, synergy=synergy, distance_m=d)
+                for d in beyond.DISTANCES
+            ]
+            axes.plot(
+                beyond.DISTANCES,
+                values,
+                color=colour,
+                marker="o",
+                markersize=3.5,
+                label=f"about the human's {pivot}",
+            )
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xticks(beyond.DISTANCES, labels=[f"{d:g}" for d in beyond.DISTANCES])
@@ -345,7 +511,11 @@ def _finish(grid: Any, measures: Iterable[str]) -> None:
 
 
 def _set_name(name: str) -> str:
-    return {"fingertips_middle": "tips and\nmiddle", "fingertips": "tips", "joints": "all\njoints"}.get(name, name)
+    return {
+        "fingertips_middle": "tips and\nmiddle",
+        "fingertips": "tips",
+        "joints": "all\njoints",
+    }.get(name, name)
 
 
 def _matching(rows: list[Row], **wanted: Any) -> list[Row]:
@@ -369,4 +539,7 @@ def _without(row: Row, *keys: str) -> Row:
 
 
 def _measured(row: Row) -> Row:
-    return {key: row[key] for key in ("synergy", _OBJECT, _POINTS, "limit_excess_deg", "largest_stretch")}
+    return {
+        key: row[key]
+        for key in ("synergy", _OBJECT, _POINTS, "limit_excess_deg", "largest_stretch")
+    }

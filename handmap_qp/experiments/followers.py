@@ -1,14 +1,17 @@
-"""Ways in which the robot follows its targets: eq. (8) as the paper has it, or clipped, damped, as the QP, or not at all.
+"""Ways in which the robot follows its targets: eq.
+
+(8) as the paper has it, or clipped, damped, as the QP, or not at all.
 
 | fingers | what |
 |---|---|
-| `pseudoinverse` | eq. (8) with `xi = 0`: the wrist goes where T_rb takes it, `dq = J# (p_f - p_rb)`; limits are not looked at |
-| `clipped` | the same, every step clipped into the joints' position limits |
-| `damped` | `PseudoinverseIk`: wrist and fingers together, the QP's own cost without its limits, clipped into them afterwards |
-| `qp` | `PointIk`: the same cost within the limits |
-| `frozen` | the wrist alone |
+| `pseudoinverse` | eq. (8) with `xi = 0`: the wrist goes where T_rb takes it, `dq = J# (p_f -
+p_rb)`; limits are not looked at | | `clipped` | the same, every step clipped into the joints'
+position limits | | `damped` | `PseudoinverseIk`: wrist and fingers together, the QP's own cost
+without its limits, clipped into them afterwards | | `qp` | `PointIk`: the same cost within the
+limits | | `frozen` | the wrist alone |
 
-In `damped` and `qp` the null-space term is off too (`rest_weight = 0`), and so are speed limits, as a step has no duration.
+In `damped` and `qp` the null-space term is off too (`rest_weight = 0`), and so are speed limits, as
+a step has no duration.
 """
 
 from __future__ import annotations
@@ -17,15 +20,25 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
 
 Fingers = Literal["pseudoinverse", "clipped", "damped", "qp", "frozen"]
 
-IK = IkOptions(rest_weight=0.0, damping=0.01, error_damping=0.0, max_iterations=20, step_tolerance=1e-7, has_velocity_limits=False)
-"""Settings of the QP in the experiment: steps are solved to the end, and nothing pulls the joints anywhere."""
+IK = IkOptions(
+    rest_weight=0.0,
+    damping=0.01,
+    error_damping=0.0,
+    max_iterations=20,
+    step_tolerance=1e-7,
+    has_velocity_limits=False,
+)
+"""Settings of the QP in the experiment.
+
+Steps are solved to the end, and nothing pulls the joints anywhere.
+"""
 
 _STEP_TIME = 1.0
 
@@ -58,7 +71,9 @@ class Follower(Protocol):
         ...
 
 
-def make_follower(fingers: Fingers, hand: Hand, q: np.ndarray, wrist: np.ndarray | None) -> Follower:
+def make_follower(
+    fingers: Fingers, hand: Hand, q: np.ndarray, wrist: np.ndarray | None
+) -> Follower:
     """A robot at its start.
 
     Args:

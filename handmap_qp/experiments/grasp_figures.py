@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.style import INK, styled, words
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,13 +18,15 @@ if TYPE_CHECKING:
 
 @styled
 def contact_histogram_figure(
-    counts: Mapping[str, Mapping[int, int]], published: Mapping[str, Mapping[int, int]] | None = None
+    counts: Mapping[str, Mapping[int, int]],
+    published: Mapping[str, Mapping[int, int]] | None = None,
 ) -> Figure:
     """How many of each hand's grasps have so many contacts.
 
     Args:
         counts: By name of the hand, grasps by number of contacts (`contact_counts`).
-        published: The same to compare with (`ReferenceGrasp.published_counts`), for any of these hands; drawn as outlines.
+        published: The same to compare with (`ReferenceGrasp.published_counts`), for any of these
+            hands; drawn as outlines.
 
     Returns:
         The picture, one field per hand, in shares of each hand's grasps.
@@ -36,7 +38,9 @@ def contact_histogram_figure(
     from matplotlib.figure import Figure
 
     if not counts or not all(sum(one.values()) for one in counts.values()):
-        raise InvalidInputError("counts: expected at least one hand, and grasps of each", value=counts)
+        raise InvalidInputError(
+            "counts: expected at least one hand, and grasps of each", value=counts
+        )
     references = published or {}
     ranges = [sorted({*one, *references.get(name, {})}) for name, one in counts.items()]
     # Equal bars in all fields: a field is as wide as the numbers that it has to show.
@@ -49,7 +53,13 @@ def contact_histogram_figure(
     return figure
 
 
-def _draw(axes: Axes, name: str, numbers: list[int], counts: Mapping[int, int], published: Mapping[int, int] | None) -> None:
+def _draw(
+    axes: Axes,
+    name: str,
+    numbers: list[int],
+    counts: Mapping[int, int],
+    published: Mapping[int, int] | None,
+) -> None:
     colour = HUMAN_COLOUR if name.startswith("human") else ROBOT_COLOUR
     total = sum(counts.values())
     shares = {number: 100.0 * count / total for number, count in counts.items()}
@@ -57,15 +67,36 @@ def _draw(axes: Axes, name: str, numbers: list[int], counts: Mapping[int, int], 
     tints = [(*colour, 1.0 if number == most else 0.45) for number in shares]
     axes.bar(list(shares), list(shares.values()), width=0.72, color=tints)
     axes.fill_between([], [], color=colour, linewidth=0.0, label=f"here, {total} grasps")
-    theirs = {} if published is None else {number: 100.0 * count / sum(published.values()) for number, count in published.items()}
+    theirs = (
+        {}
+        if published is None
+        else {
+            number: 100.0 * count / sum(published.values()) for number, count in published.items()
+        }
+    )
     if published is not None:
         label = f"toolbox, {sum(published.values())} grasps"
-        axes.bar(list(theirs), list(theirs.values()), width=0.86, fill=False, edgecolor=INK, linewidth=1.0, label=label)
+        axes.bar(
+            list(theirs),
+            list(theirs.values()),
+            width=0.86,
+            fill=False,
+            edgecolor=INK,
+            linewidth=1.0,
+            label=label,
+        )
     for number, share in shares.items():
         outline = theirs.get(number, 0.0)
         # The label stands on its own bar, but not across an outline just above it.
         top = outline if share < outline < share + 10.0 else share
-        axes.annotate(f"{share:.0f} %", (number, top), (0, 3), textcoords="offset points", ha="center", fontsize=8)
+        axes.annotate(
+            f"{share:.0f} %",
+            (number, top),
+            (0, 3),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+        )
     axes.set_title(f"{words(name).capitalize()}: most often {most}", fontsize=11)
     axes.set_xlabel("contacts")
     axes.set_xticks(np.arange(numbers[0], numbers[-1] + 1))

@@ -1,8 +1,8 @@
 """Where a held object goes while hand and fingers move, and how contact forces change (Sec. IV).
 
-The wrist carries the object, and the fingers move it in the hand: either as the rigid body that follows the contacts best, or by
-the quasi-static model of the paper's [22], where contacts, joints and synergies yield. In both, the contacts of a step are those of
-its start, carried by the wrist.
+The wrist carries the object, and the fingers move it in the hand: either as the rigid body that
+follows the contacts best, or by the quasi-static model of the paper's [22], where contacts, joints
+and synergies yield. In both, the contacts of a step are those of its start, carried by the wrist.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.experiments.section_four import HandMotion, Run, Scene, Setting, run_experiment
 from handmap_qp.grasp import Grasp, QuasiStatic, grasp_matrix, quasistatic
-from handmap_qp.hand import Hand
-from handmap_qp.human import load_synergies
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import load_synergies
 from handmap_qp.transform import affine, inverse_pose, transform_points
 
 
@@ -24,8 +24,8 @@ from handmap_qp.transform import affine, inverse_pose, transform_points
 class Stiffnesses:
     """Stiffnesses of the quasi-static model.
 
-    The reference numbers are for unit stiffness in millimetres: 1 N/mm at the contacts, 1 N mm/rad at the joints, 1 N mm a unit of
-    a synergy. In SI those are 1e3, 1e-3 and 1e-3.
+    The reference numbers are for unit stiffness in millimetres: 1 N/mm at the contacts, 1 N mm/rad
+    at the joints, 1 N mm a unit of a synergy. In SI those are 1e3, 1e-3 and 1e-3.
 
     Attributes:
         contact: Of every contact, the same in all directions [N/m].
@@ -47,7 +47,8 @@ def object_poses(run: Run, stiffnesses: Stiffnesses | None = None) -> tuple[np.n
 
     Args:
         run: The run.
-        stiffnesses: Of the quasi-static model; the rigid motion that follows the contacts best if omitted.
+        stiffnesses: Of the quasi-static model; the rigid motion that follows the contacts best if
+            omitted.
 
     Returns:
         Two arrays of poses, shape (N + 1, 4, 4) each.
@@ -60,20 +61,26 @@ def object_poses(run: Run, stiffnesses: Stiffnesses | None = None) -> tuple[np.n
 
 
 def object_error(run: Run, stiffnesses: Stiffnesses | None = None) -> float:
-    """Distance between the object's centres at the end, the paper's "trajectory error" [m]; arguments as of `object_poses`."""
+    """Distance between the object's centres at the end, the paper's "trajectory error" [m].
+
+    Arguments as of `object_poses`.
+    """
     human, robot = object_poses(run, stiffnesses)
     return float(np.linalg.norm(human[-1, :3, 3] - robot[-1, :3, 3]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InHandStep:
-    """What the first step's synergy activation alone does, the human's wrist standing still (Fig. 6 of the paper).
+    """What the first step's synergy activation alone does, the human's wrist standing still (Fig.
+
+    6 of the paper).
 
     Attributes:
         human_motion: Displacement of the object's centre in the human's hand [m], shape (3,).
         robot_motion: In the robot's, by wrist and fingers together [m], shape (3,).
         robot_wrist_part: What of it the wrist does, carried by T_rb [m], shape (3,).
-        human_forces: Change of the forces on the object at the human's contacts [N], shape (n_c, 3).
+        human_forces: Change of the forces on the object at the human's contacts [N], shape (n_c,
+            3).
         robot_forces: The same at the robot's [N].
     """
 
@@ -89,14 +96,17 @@ class InHandStep:
         return angle_between(self.human_motion, self.robot_motion)
 
 
-def in_hand_step(scene: Scene, setting: Setting, stiffnesses: Stiffnesses = UNIT, *, is_rigid: bool = False) -> InHandStep:
+def in_hand_step(
+    scene: Scene, setting: Setting, stiffnesses: Stiffnesses = UNIT, *, is_rigid: bool = False
+) -> InHandStep:
     """The first step of an experiment without the wrist's motion.
 
     Args:
         scene: Both hands at the start.
         setting: The choices; the step is the first of `setting.steps`.
         stiffnesses: Of the quasi-static model, which always gives the forces.
-        is_rigid: Whether the motion is the rigid one that follows the contacts best instead of the quasi-static one.
+        is_rigid: Whether the motion is the rigid one that follows the contacts best instead of the
+            quasi-static one.
 
     Returns:
         Displacements and force changes of that step.
@@ -104,7 +114,9 @@ def in_hand_step(scene: Scene, setting: Setting, stiffnesses: Stiffnesses = UNIT
     share = setting.gamma / setting.steps
     synergy = load_synergies().matrix[:, [setting.synergy - 1]]
     q = np.array([scene.human.q, scene.human.q + share * synergy[:, 0]])
-    wrist = np.tile(np.eye(4) if scene.human.wrist_pose is None else scene.human.wrist_pose, (2, 1, 1))
+    wrist = np.tile(
+        np.eye(4) if scene.human.wrist_pose is None else scene.human.wrist_pose, (2, 1, 1)
+    )
     points = np.array([scene.human_points.points(*sample) for sample in zip(q, wrist, strict=True)])
     step = run_experiment(scene, setting, HandMotion(q, wrist, points))
     model = None if is_rigid else stiffnesses
@@ -114,8 +126,12 @@ def in_hand_step(scene: Scene, setting: Setting, stiffnesses: Stiffnesses = UNIT
     carried = step.robot.wrist[1] @ inverse_pose(step.robot.wrist[0])
     centre, carried_centre = scene.robot.centre, transform_points(carried, scene.robot.centre)
     hands = _contact_hand(scene.human), _contact_hand(scene.robot)
-    by_human = _answer(hands[0], q[0], wrist[0], scene.human.centre, synergy, stiffnesses, stiffnesses.synergy)
-    by_robot = _answer(hands[1], step.robot.q[0], step.robot.wrist[1], carried_centre, None, stiffnesses, np.inf)
+    by_human = _answer(
+        hands[0], q[0], wrist[0], scene.human.centre, synergy, stiffnesses, stiffnesses.synergy
+    )
+    by_robot = _answer(
+        hands[1], step.robot.q[0], step.robot.wrist[1], carried_centre, None, stiffnesses, np.inf
+    )
     return InHandStep(
         human_motion=human[1, :3, 3] - human[0, :3, 3],
         robot_motion=robot[1, :3, 3] - robot[0, :3, 3],
@@ -131,20 +147,37 @@ def angle_between(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def _carry(
-    grasp: Grasp, motion: HandMotion, stiffnesses: Stiffnesses | None, synergies: np.ndarray | None, activation: np.ndarray
+    grasp: Grasp,
+    motion: HandMotion,
+    stiffnesses: Stiffnesses | None,
+    synergies: np.ndarray | None,
+    activation: np.ndarray,
 ) -> np.ndarray:
-    """The object's poses; `activation` is by how much each step changes the references of the synergies, or else of the joints."""
+    """The object's poses.
+
+    `activation` is by how much each step changes the references of the synergies, or else of the
+    joints.
+    """
     hand, poses = _contact_hand(grasp), [grasp.object_pose]
     for k in range(len(motion.q) - 1):
         q, wrist = motion.q[k], motion.wrist[k + 1]
         pose = wrist @ inverse_pose(motion.wrist[k]) @ poses[-1]
         if stiffnesses is None:
             transposed = grasp_matrix(hand.points(q, wrist), pose[:3, 3]).T
-            twist = np.linalg.lstsq(transposed, hand.point_jacobian(q, wrist) @ (motion.q[k + 1] - q), rcond=None)[0]
+            twist = np.linalg.lstsq(
+                transposed, hand.point_jacobian(q, wrist) @ (motion.q[k + 1] - q), rcond=None
+            )[0]
         else:
             stiff = np.inf if synergies is None else stiffnesses.synergy
-            twist = _answer(hand, q, wrist, pose[:3, 3], synergies, stiffnesses, stiff).object_motion @ activation[k]
-        poses.append(affine(Rotation.from_rotvec(twist[3:]).as_matrix() @ pose[:3, :3], pose[:3, 3] + twist[:3]))
+            twist = (
+                _answer(hand, q, wrist, pose[:3, 3], synergies, stiffnesses, stiff).object_motion
+                @ activation[k]
+            )
+        poses.append(
+            affine(
+                Rotation.from_rotvec(twist[3:]).as_matrix() @ pose[:3, :3], pose[:3, 3] + twist[:3]
+            )
+        )
     return np.array(poses)
 
 
@@ -157,7 +190,10 @@ def _answer(
     stiffnesses: Stiffnesses,
     synergy_stiffness: float,
 ) -> QuasiStatic:
-    """The quasi-static answer of a grasp, per unit of each synergy; without synergies, per radian of each joint's reference."""
+    """The quasi-static answer of a grasp, per unit of each synergy.
+
+    Without synergies, per radian of each joint's reference.
+    """
     return quasistatic(
         hand.point_jacobian(q, wrist),
         grasp_matrix(hand.points(q, wrist), centre),

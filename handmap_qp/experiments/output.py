@@ -14,10 +14,13 @@ from handmap_qp.errors import InvalidInputError
 
 @contextmanager
 def output_folder(directory: Path) -> Iterator[Path]:
-    """A new folder beside `directory` to write into; what is in it takes its place there if the block succeeds.
+    """A new folder beside `directory` to write into.
+
+    What is in it takes its place there if the block succeeds.
 
     Args:
-        directory: Where the files shall be at the end; made if it does not exist, and files of the same names in it are replaced.
+        directory: Where the files shall be at the end; made if it does not exist, and files of the
+            same names in it are replaced.
 
     Yields:
         The folder to write to.
@@ -28,7 +31,10 @@ def output_folder(directory: Path) -> Iterator[Path]:
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
         if directory.exists() and not (directory.is_dir() and os.access(directory, os.W_OK)):
-            raise InvalidInputError(f"{directory}: expected a folder that can be written, or a new name", value=directory)
+            raise InvalidInputError(
+                f"{directory}: expected a folder that can be written, or a new name",
+                value=directory,
+            )
         temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=directory.parent))
         try:
             yield temporary
@@ -38,4 +44,6 @@ def output_folder(directory: Path) -> Iterator[Path]:
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
-        raise InvalidInputError(f"{directory}: cannot be written: {error.strerror or error}", value=directory) from error
+        raise InvalidInputError(
+            f"{directory}: cannot be written: {error.strerror or error}", value=directory
+        ) from error

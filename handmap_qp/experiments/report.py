@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.experiments import beyond, figures, figures_beyond
 from handmap_qp.experiments.artwork import Artwork, Row, markdown_table
 from handmap_qp.experiments.figures import listed
 from handmap_qp.experiments.grasp_figures import contact_histogram_figure
 from handmap_qp.experiments.output import output_folder
+from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.grasp.planning import contact_counts
-from handmap_qp.grasp.reference import REFERENCE_HANDS, reference_grasp
-from handmap_qp.library import load_hand
-from handmap_qp.rendering import require_matplotlib
+from handmap_qp.hands.library import load_hand
 
 PAPER_FIGURES = ("grasps", "figure_4", "figure_5", "figure_6", "figure_7")
 BEYOND_FIGURES = (
@@ -54,20 +54,23 @@ def run_figures(
 ) -> FiguresResult:
     """Redo the paper's numerical experiment and what it leaves open, and write figures, numbers and a report.
 
-    Writes NAME.png, NAME.svg and NAME.csv for every figure, `claims.csv`, `numbers.csv` and `report.md`: all of them, or none if
-    something fails.
+    Writes NAME.png, NAME.svg and NAME.csv for every figure, `claims.csv`, `numbers.csv` and
+    `report.md`: all of them, or none if something fails.
 
     Args:
-        directory: Folder to write to; made if it does not exist, and files of the same names in it are replaced.
+        directory: Folder to write to; made if it does not exist, and files of the same names in it
+            are replaced.
         has_beyond: Whether to make the figures that go beyond the paper.
-        progress: Called with what is being done, how many parts of the work are done and how many there are.
+        progress: Called with what is being done, how many parts of the work are done and how many
+            there are.
 
     Returns:
         The tables and the files.
 
     Raises:
         InvalidInputError: If the folder cannot be written.
-        MissingExtraError: If matplotlib, trimesh or, for what goes beyond the paper, the Allegro hand is not installed.
+        MissingExtraError: If matplotlib, trimesh or, for what goes beyond the paper, the Allegro
+            hand is not installed.
     """
     require_matplotlib()
     directory = Path(directory)
@@ -112,8 +115,15 @@ def claim_rows(made: list[Artwork]) -> list[Row]:
     facts: dict[str, Any] = {}
     for artwork in made:
         facts.update({f"{artwork.name}.{key}": value for key, value in artwork.facts.items()})
-    most, angles = facts["grasps.most"], facts["figure_6.angles_rigid"] + facts["figure_6.angles_quasistatic"]
-    growth, change, by_gamma = facts["figure_7.growth"], facts["figure_7.step_change"], facts["figure_7.by_gamma"]
+    most, angles = (
+        facts["grasps.most"],
+        facts["figure_6.angles_rigid"] + facts["figure_6.angles_quasistatic"],
+    )
+    growth, change, by_gamma = (
+        facts["figure_7.growth"],
+        facts["figure_7.step_change"],
+        facts["figure_7.by_gamma"],
+    )
     ends, points = [values[-1] for values in by_gamma], facts["figure_7.point_rms"]
     return [
         _claim(
@@ -173,17 +183,26 @@ def claim_rows(made: list[Artwork]) -> list[Row]:
 
 
 def number_rows(made: list[Artwork]) -> list[Row]:
-    """Final object-centre errors [mm]: against gamma with 20 steps, against the number of steps with gamma = 1."""
+    """Final object-centre errors [mm].
+
+    Against gamma with 20 steps, against the number of steps with gamma = 1.
+    """
     rows = next(artwork for artwork in made if artwork.name == "figure_7").rows
     table: list[Row] = []
     for geometry in ("toolbox", "ours"):
         for model in figures.MODELS:
             for synergy in figures.SYNERGIES:
-                chosen = [row for row in rows if (row["geometry"], row["synergy"]) == (geometry, synergy)]
-                errors = {(row["sweep"], row[row["sweep"]]): row[f"error_{model}_mm"] for row in chosen}
+                chosen = [
+                    row for row in rows if (row["geometry"], row["synergy"]) == (geometry, synergy)
+                ]
+                errors = {
+                    (row["sweep"], row[row["sweep"]]): row[f"error_{model}_mm"] for row in chosen
+                }
                 columns = {f"gamma {gamma:g}": errors["gamma", gamma] for gamma in (0.1, 0.5, 1.0)}
                 columns |= {f"{steps} steps": errors["steps", steps] for steps in (5, 50, 200)}
-                table.append({"robot hand": geometry, "object motion": model, "synergy": synergy, **columns})
+                table.append(
+                    {"robot hand": geometry, "object motion": model, "synergy": synergy, **columns}
+                )
     return table
 
 
@@ -206,8 +225,14 @@ def _grasps_figure(plans: beyond.Plans) -> Artwork:
         for hand in REFERENCE_HANDS
         for number, grasps in table[hand].items()
     ]
-    most = {hand: max(table, key=lambda number, table=table: table[number]) for hand, table in counts.items()}
-    theirs = {hand: max(table, key=lambda number, table=table: table[number]) for hand, table in published.items()}
+    most = {
+        hand: max(table, key=lambda number, table=table: table[number])
+        for hand, table in counts.items()
+    }
+    theirs = {
+        hand: max(table, key=lambda number, table=table: table[number])
+        for hand, table in published.items()
+    }
     text = (
         f"Of {beyond.PLANS} planned grasps each (seed {beyond.SEED}), the human hand most often has {most['human']} contacts "
         f"with the 50 mm cube and the three-fingered hand {most['three_finger']}; the toolbox's planner, whose fingers are "
@@ -218,7 +243,11 @@ def _grasps_figure(plans: beyond.Plans) -> Artwork:
 
 
 def _claim(claim: str, finding: str, holds: bool | None) -> Row:
-    return {"the paper claims": claim, "we find": finding, "holds": "assumed" if holds is None else "yes" if holds else "no"}
+    return {
+        "the paper claims": claim,
+        "we find": finding,
+        "holds": "assumed" if holds is None else "yes" if holds else "no",
+    }
 
 
 def _report(made: list[Artwork], claims: list[Row], numbers: list[Row]) -> str:

@@ -1,8 +1,11 @@
-"""The paper's numerical experiment (Sec. IV) as numbers: two hands round one cube, the human's wrist on an arc, a synergy on top.
+"""The paper's numerical experiment (Sec. IV) as numbers.
 
-Every step goes the paper's way (Fig. 3): T from the human's reference points at the step's start and end (eqs. 5-6), split about a
-pivot (eqs. 2-3), imposed on the robot's points (eq. 7), the wrist carried by T_rb and the fingers by eq. (8). What the paper leaves
-open is a field of `Setting`. Where the object goes is another matter: see `handmap_qp.experiments.held_object`.
+Two hands round one cube, the human's wrist on an arc, a synergy on top.
+
+Every step goes the paper's way (Fig. 3): T from the human's reference points at the step's start
+and end (eqs. 5-6), split about a pivot (eqs. 2-3), imposed on the robot's points (eq. 7), the wrist
+carried by T_rb and the fingers by eq. (8). What the paper leaves open is a field of `Setting`.
+Where the object goes is another matter: see `handmap_qp.experiments.held_object`.
 """
 
 from __future__ import annotations
@@ -15,15 +18,15 @@ from xml.etree import ElementTree as ET
 import msgspec
 import numpy as np
 
-from handmap_qp.decomposition import about, decompose
-from handmap_qp.estimation import estimate_motion, kabsch_rotation
 from handmap_qp.experiments.followers import Fingers, make_follower
 from handmap_qp.grasp import Contact, Grasp
-from handmap_qp.grasp.reference import read_cube_figures, reference_grasp
-from handmap_qp.hand import Hand
-from handmap_qp.human import load_synergies
+from handmap_qp.grasp.paper_cube import read_cube_figures, reference_grasp
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import load_synergies
+from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
+from handmap_qp.mapping.decomposition import about, decompose
+from handmap_qp.mapping.estimation import estimate_motion, kabsch_rotation
 from handmap_qp.transform import affine, transform_points
-from handmap_qp.urdf_text import get_numbers, parse_urdf, set_numbers
 
 ARC_LENGTH = 0.47
 """Length of the wrist's arc along x [m]."""
@@ -45,7 +48,8 @@ class Scene:
     Attributes:
         human: The hand that leads.
         robot: The hand that follows.
-        human_points: The same hand with the reference points that give T; the contacts in the paper.
+        human_points: The same hand with the reference points that give T; the contacts in the
+            paper.
         robot_points: The other one with those on which T is imposed.
     """
 
@@ -57,12 +61,19 @@ class Scene:
     @classmethod
     def at_contacts(cls, human: Grasp, robot: Grasp) -> Self:
         """The scene whose reference points are the contacts, as in the paper."""
-        return cls(human, robot, human.hand.with_points(human.point_specs), robot.hand.with_points(robot.point_specs))
+        return cls(
+            human,
+            robot,
+            human.hand.with_points(human.point_specs),
+            robot.hand.with_points(robot.point_specs),
+        )
 
     def moved(self, offset: np.ndarray) -> Self:
         """The same scene elsewhere: everything shifted by `offset` [m], shape (3,)."""
         motion = affine(np.eye(3), np.asarray(offset, dtype=float))
-        return type(self)(self.human.moved(motion), self.robot.moved(motion), self.human_points, self.robot_points)
+        return type(self)(
+            self.human.moved(motion), self.robot.moved(motion), self.human_points, self.robot_points
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +84,14 @@ class Setting:
         synergy: Which synergy is activated, counted from 1.
         gamma: How much of a unit of it the human's joints have changed by at the end.
         steps: Number of steps.
-        pivot: The point about which rotation and deformation act: the human points' `centroid`, one point for both hands (the
-            reference numbers); each hand's `own` centroid (`HandMapper`'s default); the human's `palm`; or the world's `origin`,
-            the paper's literal reading.
-        start: What T starts from: the `previous` step (Fig. 3 of the paper), or the `initial` configuration.
-        fingers: How the fingers follow; see `handmap_qp.experiments.followers`. Where they are `frozen`, T_rb is the rigid motion
-            that fits the human's points best (Kabsch), which leaves nothing to the fingers that a rigid hand could do.
+        pivot: The point about which rotation and deformation act: the human points' `centroid`, one
+            point for both hands (the reference numbers); each hand's `own` centroid (`HandMapper`'s
+            default); the human's `palm`; or the world's `origin`, the paper's literal reading.
+        start: What T starts from: the `previous` step (Fig. 3 of the paper), or the `initial`
+            configuration.
+        fingers: How the fingers follow; see `handmap_qp.experiments.followers`. Where they are
+            `frozen`, T_rb is the rigid motion that fits the human's points best (Kabsch), which
+            leaves nothing to the fingers that a rigid hand could do.
         ridge: Of eq. (6); 0 is the paper's.
     """
 
@@ -116,7 +129,8 @@ class Run:
         human: The human's motion.
         robot: The robot's.
         targets: Where each step wants the robot's points [m], shape (N, n_r, 3).
-        final_targets: Where T from the first to the last configuration takes the robot's first points, `T s` [m], shape (n_r, 3).
+        final_targets: Where T from the first to the last configuration takes the robot's first
+            points, `T s` [m], shape (n_r, 3).
         stretches: Stretch factors of each step's T, shape (N, 3).
     """
 
@@ -130,23 +144,31 @@ class Run:
 
     @property
     def point_rms(self) -> float:
-        """RMS distance of the robot's last points from `T s`: what the mapping asked for, all in all [m]."""
+        """RMS distance of the robot's last points from `T s`.
+
+        What the mapping asked for, all in all [m].
+        """
         return rms(self.robot.points[-1] - self.final_targets)
 
     @property
     def limit_excess(self) -> float:
         """How far the robot's joints were outside their limits at most [rad]."""
         hand = self.scene.robot_points
-        return max(0.0, float(np.maximum(hand.lower_limits - self.robot.q, self.robot.q - hand.upper_limits).max()))
+        return max(
+            0.0,
+            float(
+                np.maximum(hand.lower_limits - self.robot.q, self.robot.q - hand.upper_limits).max()
+            ),
+        )
 
 
 @cache
 def paper_scene(geometry: Geometry = "toolbox") -> Scene:
     """The paper's pair of grasps.
 
-    The toolbox's planner set the fingers of the three-fingered hand 50/3 mm farther out than the hand has them. Numbers computed
-    with the toolbox are of that hand, at the joint angles it gave; with `ours`, the hand as it is reaches the same contacts from
-    the same palm, at other angles.
+    The toolbox's planner set the fingers of the three-fingered hand 50/3 mm farther out than the
+    hand has them. Numbers computed with the toolbox are of that hand, at the joint angles it gave;
+    with `ours`, the hand as it is reaches the same contacts from the same palm, at other angles.
 
     Args:
         geometry: `toolbox` or `ours`.
@@ -159,17 +181,32 @@ def paper_scene(geometry: Geometry = "toolbox") -> Scene:
         return Scene.at_contacts(reference_grasp("human").grasp, robot.grasp)
     hand = toolbox_hand(robot.grasp.hand)
     # A contact's normal is fixed in the world, and the links stand otherwise here.
-    links = hand.link_poses([contact.link for contact in robot.grasp.contacts], robot.published_q, robot.grasp.wrist_pose)
+    links = hand.link_poses(
+        [contact.link for contact in robot.grasp.contacts],
+        robot.published_q,
+        robot.grasp.wrist_pose,
+    )
     contacts = tuple(
         Contact(contact.link, contact.xyz, tuple(normal @ pose[:3, :3]), contact.finger)
-        for contact, normal, pose in zip(robot.grasp.contacts, robot.grasp.normals, links, strict=True)
+        for contact, normal, pose in zip(
+            robot.grasp.contacts, robot.grasp.normals, links, strict=True
+        )
     )
-    grasp = Grasp(hand, robot.published_q, robot.grasp.object_pose, contacts, robot.grasp.wrist_pose, robot.grasp.shape)
+    grasp = Grasp(
+        hand,
+        robot.published_q,
+        robot.grasp.object_pose,
+        contacts,
+        robot.grasp.wrist_pose,
+        robot.grasp.shape,
+    )
     return Scene.at_contacts(reference_grasp("human").grasp, grasp)
 
 
 def toolbox_hand(hand: Hand) -> Hand:
-    """The three-fingered hand with its fingers where the toolbox's planner set them: 50/3 mm outwards in the palm's plane.
+    """The three-fingered hand with its fingers where the toolbox's planner set them.
+
+    50/3 mm outwards in the palm's plane.
 
     Args:
         hand: The three-fingered hand.
@@ -183,8 +220,15 @@ def toolbox_hand(hand: Hand) -> Hand:
         azimuth, origin = _AZIMUTHS.get(joint.get("name", "")), joint.find("origin")
         if azimuth is not None and origin is not None:
             x, y, z = get_numbers(origin, "xyz", 3)
-            set_numbers(origin, "xyz", [x + shift * np.cos(azimuth), y + shift * np.sin(azimuth), z])
-    return Hand(hand.spec, points="contacts", mount="floating", urdf_text=ET.tostring(robot, encoding="unicode"))
+            set_numbers(
+                origin, "xyz", [x + shift * np.cos(azimuth), y + shift * np.sin(azimuth), z]
+            )
+    return Hand(
+        hand.spec,
+        points="contacts",
+        mount="floating",
+        urdf_text=ET.tostring(robot, encoding="unicode"),
+    )
 
 
 def limited_hand(hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Hand:
@@ -208,11 +252,18 @@ def limited_hand(hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndar
             set_numbers(limit, "upper", [upper[i]])
     angles = {name: float(rest[i]) for name, i in index.items()}
     spec = msgspec.structs.replace(hand.spec, rest=angles, mirror=False)
-    return Hand(spec, points=hand.reference_points, mount=hand.mount, urdf_text=ET.tostring(robot, encoding="unicode"))
+    return Hand(
+        spec,
+        points=hand.reference_points,
+        mount=hand.mount,
+        urdf_text=ET.tostring(robot, encoding="unicode"),
+    )
 
 
 def wrist_arc(steps: int) -> np.ndarray:
-    """Where the wrist is relative to its start: the paper's arc, read as `z = 150 mm cos(pi (x / 470 mm - 1/2))`, x in even steps.
+    """Where the wrist is relative to its start.
+
+    The paper's arc, read as `z = 150 mm cos(pi (x / 470 mm - 1/2))`, x in even steps.
 
     Args:
         steps: Number of steps N.
@@ -222,17 +273,26 @@ def wrist_arc(steps: int) -> np.ndarray:
     """
     share = np.linspace(0.0, 1.0, steps + 1)
     # The same curve as a sine, which is exactly zero at the start.
-    return np.column_stack([ARC_LENGTH * share, np.zeros(steps + 1), ARC_HEIGHT * np.sin(np.pi * share)])
+    return np.column_stack(
+        [ARC_LENGTH * share, np.zeros(steps + 1), ARC_HEIGHT * np.sin(np.pi * share)]
+    )
 
 
 def human_motion(scene: Scene, setting: Setting) -> HandMotion:
-    """The human's motion: `q = q_i + gamma S dsigma` (Sec. IV), its wrist on the arc without turning."""
+    """The human's motion: `q = q_i + gamma S dsigma` (Sec.
+
+    IV), its wrist on the arc without turning.
+    """
     grasp, hand = scene.human, scene.human_points
     share = np.linspace(0.0, 1.0, setting.steps + 1)[:, None]
     q = grasp.q + setting.gamma * share * load_synergies().matrix[:, setting.synergy - 1]
-    wrist = np.tile(np.eye(4) if grasp.wrist_pose is None else grasp.wrist_pose, (setting.steps + 1, 1, 1))
+    wrist = np.tile(
+        np.eye(4) if grasp.wrist_pose is None else grasp.wrist_pose, (setting.steps + 1, 1, 1)
+    )
     wrist[:, :3, 3] += wrist_arc(setting.steps)
-    return HandMotion(q, wrist, np.array([hand.points(*sample) for sample in zip(q, wrist, strict=True)]))
+    return HandMotion(
+        q, wrist, np.array([hand.points(*sample) for sample in zip(q, wrist, strict=True)])
+    )
 
 
 def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = None) -> Run:
@@ -247,10 +307,13 @@ def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = No
         What both hands did.
 
     Raises:
-        DegeneratePointsError: If the human's reference points do not determine T: with ridge = 0, three of them never do.
+        DegeneratePointsError: If the human's reference points do not determine T: with ridge = 0,
+            three of them never do.
     """
     human = human or human_motion(scene, setting)
-    follower = make_follower(setting.fingers, scene.robot_points, scene.robot.q, scene.robot.wrist_pose)
+    follower = make_follower(
+        setting.fingers, scene.robot_points, scene.robot.q, scene.robot.wrist_pose
+    )
     q, wrist, points = [follower.q], [follower.wrist], [follower.points]
     targets, stretches = [], []
     for k in range(1, len(human.q)):
@@ -264,7 +327,15 @@ def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = No
         stretches.append(factors)
     whole = _step_motion(scene, setting, human, 0, len(human.q) - 1, points[0])[0]
     robot = HandMotion(np.array(q), np.array(wrist), np.array(points))
-    return Run(scene, setting, human, robot, np.array(targets), transform_points(whole, points[0]), np.array(stretches))
+    return Run(
+        scene,
+        setting,
+        human,
+        robot,
+        np.array(targets),
+        transform_points(whole, points[0]),
+        np.array(stretches),
+    )
 
 
 def rms(offsets: np.ndarray) -> float:
@@ -273,7 +344,12 @@ def rms(offsets: np.ndarray) -> float:
 
 
 def _step_motion(
-    scene: Scene, setting: Setting, human: HandMotion, start: int, end: int, robot_points: np.ndarray
+    scene: Scene,
+    setting: Setting,
+    human: HandMotion,
+    start: int,
+    end: int,
+    robot_points: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """T and T_rb between two samples, for the robot's points, and the stretch factors."""
     before, after = human.points[start], human.points[end]

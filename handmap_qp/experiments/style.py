@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
-from handmap_qp.raster import Camera, Triangles
-from handmap_qp.rendering import require_matplotlib
+from handmap_qp.drawing.hands import require_matplotlib
+from handmap_qp.drawing.raster import Camera, Triangles
 from handmap_qp.transform import transform_points
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ _Arguments = ParamSpec("_Arguments")
 # Corners of the unit cube, its faces as seen from outside, and its edges.
 _CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-_EDGES = [(i, j) for i, j in combinations(range(8), 2) if np.abs(_CORNERS[i] - _CORNERS[j]).sum() == 1.0]
+_EDGES = [
+    (i, j) for i, j in combinations(range(8), 2) if np.abs(_CORNERS[i] - _CORNERS[j]).sum() == 1.0
+]
 
 
 def styled(draw: Callable[_Arguments, Figure]) -> Callable[_Arguments, Figure]:
@@ -74,7 +76,9 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def box_triangles(pose: np.ndarray, size: Any, colour: tuple[float, float, float] = CUBE_COLOUR) -> Triangles:
+def box_triangles(
+    pose: np.ndarray, size: Any, colour: tuple[float, float, float] = CUBE_COLOUR
+) -> Triangles:
     """A box as triangles, to be drawn with hands.
 
     Args:
@@ -90,18 +94,30 @@ def box_triangles(pose: np.ndarray, size: Any, colour: tuple[float, float, float
     vertices = corners[np.array(faces)]
     normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Triangles(vertices, np.tile(colour, (len(vertices), 1)), np.repeat(normals[:, None], 3, axis=1))
+    return Triangles(
+        vertices, np.tile(colour, (len(vertices), 1)), np.repeat(normals[:, None], 3, axis=1)
+    )
 
 
 def draw_box_edges(axes: Axes, camera: Camera, pose: np.ndarray, size: Any, **line: Any) -> None:
-    """The edges of a box as lines in an axes whose coordinates are the camera's pixels; those behind it are thinner."""
+    """The edges of a box as lines in an axes whose coordinates are the camera's pixels.
+
+    Those behind it are thinner.
+    """
     corners = transform_points(pose, _CORNERS * np.asarray(size))
     depth = transform_points(camera.world_to_camera, corners)[:, 2]
     hidden = int(np.argmax(depth))
     for i, j in _EDGES:
         x, y = camera.project(corners[[i, j]]).T[:2]
         is_hidden = hidden in (i, j)
-        axes.plot(x, y, color=PALE, linewidth=0.8 if is_hidden else 1.3, linestyle=":" if is_hidden else "-", **line)
+        axes.plot(
+            x,
+            y,
+            color=PALE,
+            linewidth=0.8 if is_hidden else 1.3,
+            linestyle=":" if is_hidden else "-",
+            **line,
+        )
 
 
 def blank_axes(axes: Axes, camera: Camera) -> None:
@@ -113,9 +129,23 @@ def blank_axes(axes: Axes, camera: Camera) -> None:
     axes.set_axis_off()
 
 
-def draw_arrow(axes: Axes, camera: Camera, start: np.ndarray, vector: np.ndarray, colour: Any, *, width: float = 1.8) -> None:
+def draw_arrow(
+    axes: Axes,
+    camera: Camera,
+    start: np.ndarray,
+    vector: np.ndarray,
+    colour: Any,
+    *,
+    width: float = 1.8,
+) -> None:
     """An arrow in space, in an axes whose coordinates are the camera's pixels."""
     tail, head = camera.project(np.array([start, start + vector]))
-    style = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0.0, "shrinkB": 0.0}
+    style = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "linewidth": width,
+        "shrinkA": 0.0,
+        "shrinkB": 0.0,
+    }
     style["mutation_scale"] = 5.0 + 3.5 * width
     axes.annotate("", xy=(head[0], head[1]), xytext=(tail[0], tail[1]), arrowprops=style)

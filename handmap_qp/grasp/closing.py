@@ -1,7 +1,10 @@
-"""Closing a hand on an object by its collision shapes: `close_hand`, or `HandCloser` for many wrist poses.
+"""Closing a hand on an object by its collision shapes.
 
-Every finger closes on its own, all its closing joints at once. Where one of its links touches the object, the joints that carry
-that link stop, and the others go on, until each has stopped or is at its limit. Fingers do not see one another.
+`close_hand`, or `HandCloser` for many wrist poses.
+
+Every finger closes on its own, all its closing joints at once. Where one of its links touches the
+object, the joints that carry that link stop, and the others go on, until each has stopped or is at
+its limit. Fingers do not see one another.
 """
 
 from __future__ import annotations
@@ -13,26 +16,27 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from handmap_qp.collision_shapes import read_collision_shapes
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.contacts import Contact, Grasp
+from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.grasp.preshape import Closing, default_closing, finger_names
 from handmap_qp.grasp.statics import finite_array
-from handmap_qp.hand import Hand
-from handmap_qp.shapes import Box, Cylinder, Shape, Sphere
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import PoseLike, check_pose, inverse_pose, transform_points
 
 STEP = 0.02
 """Largest step of a closing joint between two looks at the object [rad]."""
 MARGIN = 1e-4
-"""A link touches the object when it is this near [m]: so near that it makes no difference, and still far enough for the direction
-from the one to the other to be well defined."""
+"""A link touches the object when it is this near [m]: so near that it makes no difference, and
+still far enough for the direction from the one to the other to be well defined."""
 
 # Coal's own tolerance, well below what a microradian moves a fingertip.
 _DISTANCE_TOLERANCE = 1e-8
 # Joint angles at which a link touches are found this exactly [rad].
 _ANGLE_TOLERANCE = 1e-6
-# Neighbouring links share the skin round the joint between them; contacts of the two that are this near are one [m].
+# Neighbouring links share the skin round the joint between them; contacts of the two that are this
+# near are one [m].
 _SAME_CONTACT = 1e-3
 
 
@@ -44,8 +48,8 @@ class HandCloser:
         shape: The object.
         object_pose: The object in the world; the identity if omitted.
         closing: How the hand closes; `default_closing` if omitted.
-        step: Largest step of a joint between two looks at the object [rad]; a link that would meet the object and leave it again
-            within one step may be missed.
+        step: Largest step of a joint between two looks at the object [rad]; a link that would meet
+            the object and leave it again within one step may be missed.
         margin: A link touches the object when it is this near [m].
 
     Attributes:
@@ -54,7 +58,8 @@ class HandCloser:
         links: The link of each collision shape, k of them.
 
     Raises:
-        InvalidInputError: On a closing that does not fit the hand, or a step or margin that is not > 0.
+        InvalidInputError: On a closing that does not fit the hand, or a step or margin that is not
+            > 0.
         HandError: If the hand has no collision shapes, or they cannot be read.
     """
 
@@ -75,13 +80,19 @@ class HandCloser:
         self.closing = closing or default_closing(hand)
         _check_closing(hand, self.closing)
         self._shape = shape
-        self._object_pose = np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
+        self._object_pose = (
+            np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
+        )
         self._step = step
         self._margin = margin
         self._end = np.where(self.closing.direction > 0.0, hand.upper_limits, hand.lower_limits)
         self._geometry = read_collision_shapes(hand)
         if self._geometry.ngeoms == 0:
-            raise hand.spec.error("the URDF has no collision shapes to close the hand by", key="urdf", value=hand.spec.urdf)
+            raise hand.spec.error(
+                "the URDF has no collision shapes to close the hand by",
+                key="urdf",
+                value=hand.spec.urdf,
+            )
         parts = list(self._geometry.geometryObjects)
         self.links = tuple(hand.model.frames[part.parentFrame].name for part in parts)
         self._carries = _carried_parts(hand, [part.parentJoint for part in parts])
@@ -95,13 +106,16 @@ class HandCloser:
             # Coal is about to rename this switch; until then it says so at every touch.
             warnings.simplefilter("ignore", DeprecationWarning)
             for request in self._geometry_data.distanceRequests:
-                # Without a warm start a distance depends on the posture alone, not on those looked at before.
+                # Without a warm start a distance depends on the posture alone, not on those looked
+                # at before.
                 request.enable_cached_gjk_guess = False
                 request.gjk_tolerance = request.epa_tolerance = _DISTANCE_TOLERANCE
         self._groups = _groups(np.flatnonzero(self.closing.direction).tolist(), self._carries)
 
     def distances(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
-        """Distance of each of the hand's collision shapes from the object; below 0 where it reaches in.
+        """Distance of each of the hand's collision shapes from the object.
+
+        Below 0 where it reaches in.
 
         Args:
             q: Joint angles [rad], shape (n,).
@@ -111,7 +125,9 @@ class HandCloser:
             Distances [m] in the order of `links`, shape (k,).
         """
         vector = self.hand.configuration_vector(q, wrist_pose)
-        pin.computeDistances(self.hand.model, self._data, self._geometry, self._geometry_data, vector)
+        pin.computeDistances(
+            self.hand.model, self._data, self._geometry, self._geometry_data, vector
+        )
         return np.array([result.min_distance for result in self._geometry_data.distanceResults])
 
     def starts_clear(self, wrist_pose: np.ndarray | None = None) -> bool:
@@ -122,24 +138,34 @@ class HandCloser:
         """Close the hand, its wrist standing still.
 
         Args:
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted, and for a fixed hand.
+            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted, and for a fixed
+                hand.
 
         Returns:
-            The grasp; its contacts are ordered by finger, and outwards on each. A hand that closed beside the object has none.
+            The grasp; its contacts are ordered by finger, and outwards on each. A hand that closed
+            beside the object has none.
 
         Raises:
-            InvalidInputError: If the open hand touches the object already, or the wrist pose cannot be used.
+            InvalidInputError: If the open hand touches the object already, or the wrist pose cannot
+                be used.
         """
         if wrist_pose is not None:
             wrist_pose = check_pose(wrist_pose, "wrist_pose")
         if not self.starts_clear(wrist_pose):
-            raise InvalidInputError(f"wrist_pose: the open {self.hand.name} hand touches the object there", value=wrist_pose)
+            raise InvalidInputError(
+                f"wrist_pose: the open {self.hand.name} hand touches the object there",
+                value=wrist_pose,
+            )
         q = self.closing.start.copy()
         for joints in self._groups:
             q = self._close_joints(q, joints, wrist_pose)
-        return Grasp(self.hand, q, self._object_pose, self._contacts(q, wrist_pose), wrist_pose, self._shape)
+        return Grasp(
+            self.hand, q, self._object_pose, self._contacts(q, wrist_pose), wrist_pose, self._shape
+        )
 
-    def _close_joints(self, q: np.ndarray, joints: list[int], wrist_pose: np.ndarray | None) -> np.ndarray:
+    def _close_joints(
+        self, q: np.ndarray, joints: list[int], wrist_pose: np.ndarray | None
+    ) -> np.ndarray:
         free = joints
         while free:
             ahead = q.copy()
@@ -155,7 +181,12 @@ class HandCloser:
         return q
 
     def _first_touch(
-        self, clear: np.ndarray, touch: np.ndarray, moving: np.ndarray, touching: np.ndarray, wrist_pose: np.ndarray | None
+        self,
+        clear: np.ndarray,
+        touch: np.ndarray,
+        moving: np.ndarray,
+        touching: np.ndarray,
+        wrist_pose: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where on the way between two postures the moving links begin to touch, and which do."""
         while np.abs(touch - clear).max() > _ANGLE_TOLERANCE:
@@ -184,7 +215,9 @@ class HandCloser:
             places.append(place)
             x, y, z = transform_points(inverse_pose(pose), place)
             a, b, c = np.array(results[part].normal) @ pose[:3, :3]
-            contacts.append(Contact(name, (x, y, z), (a, b, c), finger_of.get(parts[part].parentJoint)))
+            contacts.append(
+                Contact(name, (x, y, z), (a, b, c), finger_of.get(parts[part].parentJoint))
+            )
         return tuple(contacts)
 
 
@@ -199,7 +232,9 @@ def close_hand(
     margin: float = MARGIN,
 ) -> Grasp:
     """Close a hand on an object once; arguments as of `HandCloser` and `HandCloser.close`."""
-    return HandCloser(hand, shape, object_pose, closing=closing, step=step, margin=margin).close(wrist_pose)
+    return HandCloser(hand, shape, object_pose, closing=closing, step=step, margin=margin).close(
+        wrist_pose
+    )
 
 
 def _check_closing(hand: Hand, closing: Closing) -> None:
@@ -207,7 +242,10 @@ def _check_closing(hand: Hand, closing: Closing) -> None:
     start = finite_array(closing.start, (count,), "closing.start")
     direction = finite_array(closing.direction, (count,), "closing.direction")
     if not np.isin(direction, (-1.0, 0.0, 1.0)).all() or not direction.any():
-        raise InvalidInputError(f"closing.direction: expected -1, 0 and 1, and not 0 alone, got {direction}", value=direction)
+        raise InvalidInputError(
+            f"closing.direction: expected -1, 0 and 1, and not 0 alone, got {direction}",
+            value=direction,
+        )
     if not ((hand.lower_limits <= start) & (start <= hand.upper_limits)).all():
         raise InvalidInputError("closing.start: outside the hand's limits", value=start)
 
@@ -220,7 +258,9 @@ def _solid(shape: Shape) -> Any:
             return pin.coal.Sphere(radius)
         case Cylinder(radius, length):
             return pin.coal.Cylinder(radius, length)
-    raise InvalidInputError(f"shape: expected a Box, Sphere or Cylinder, got {shape!r}", value=shape)
+    raise InvalidInputError(
+        f"shape: expected a Box, Sphere or Cylinder, got {shape!r}", value=shape
+    )
 
 
 def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
@@ -229,13 +269,20 @@ def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
     here = hand.configuration_vector(hand.rest)
     for joint, row in enumerate(carried):
         there = hand.configuration_vector(hand.rest + np.eye(len(carried))[joint])
-        moved = {j for j in range(1, hand.model.njoints) if here[hand.model.joints[j].idx_q] != there[hand.model.joints[j].idx_q]}
+        moved = {
+            j
+            for j in range(1, hand.model.njoints)
+            if here[hand.model.joints[j].idx_q] != there[hand.model.joints[j].idx_q]
+        }
         row[:] = [not moved.isdisjoint(hand.model.supports[parent]) for parent in parents]
     return carried
 
 
 def _groups(joints: list[int], carries: np.ndarray) -> list[list[int]]:
-    """Closing joints put together where they move a shape in common: a finger each, or fingers that are coupled."""
+    """Closing joints put together where they move a shape in common.
+
+    A finger each, or fingers that are coupled.
+    """
     groups: list[list[int]] = []
     for joint in joints:
         coupled = [group for group in groups if (carries[group] & carries[joint]).any()]

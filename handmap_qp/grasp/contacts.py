@@ -1,7 +1,8 @@
 """Grasps: contacts on the links of a hand, and the grasp as a value (Sec. IV of the paper).
 
-`Grasp` knows its contacts in the world, its grasp matrix G and its contact Jacobian J, and answers to synergies by
-`handmap_qp.grasp.statics`, whose conventions hold here too: hard fingers, world axes, torques about the object's centre.
+`Grasp` knows its contacts in the world, its grasp matrix G and its contact Jacobian J, and answers
+to synergies by `handmap_qp.grasp.statics`, whose conventions hold here too: hard fingers, world
+axes, torques about the object's centre.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.statics import QuasiStatic, Stiffness, finite_array, grasp_matrix, quasistatic
-from handmap_qp.hand import Hand
-from handmap_qp.hand_spec import PointSpec, Vector
-from handmap_qp.shapes import Shape
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import PointSpec, Vector
 from handmap_qp.transform import check_pose, transform_points
 
 
@@ -45,7 +46,9 @@ class Contact:
         normal = finite_array(self.normal, (3,), "normal")
         length = float(np.linalg.norm(normal))
         if not length > 1e-9:
-            raise InvalidInputError(f"normal: expected a direction, got {self.normal}", value=self.normal)
+            raise InvalidInputError(
+                f"normal: expected a direction, got {self.normal}", value=self.normal
+            )
         x, y, z = map(float, xyz)
         object.__setattr__(self, "xyz", (x, y, z))
         x, y, z = map(float, normal / length)
@@ -61,11 +64,13 @@ class Grasp:
         q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
         object_pose: The object in the world, shape (4, 4); wrenches are about its origin.
         contacts: Where they touch; n_c of them.
-        wrist_pose: The wrist in the world, shape (4, 4); None is the identity, and all that a fixed hand takes.
+        wrist_pose: The wrist in the world, shape (4, 4); None is the identity, and all that a fixed
+            hand takes.
         shape: The object's shape, where it is known.
 
     Raises:
-        InvalidInputError: On a wrong shape, a pose that is none, or a link that the hand does not have.
+        InvalidInputError: On a wrong shape, a pose that is none, or a link that the hand does not
+            have.
     """
 
     hand: Hand
@@ -77,10 +82,18 @@ class Grasp:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", finite_array(self.q, (len(self.hand.joint_names),), "q"))
-        object.__setattr__(self, "object_pose", finite_array(check_pose(self.object_pose, "object_pose"), (4, 4), "object_pose"))
+        object.__setattr__(
+            self,
+            "object_pose",
+            finite_array(check_pose(self.object_pose, "object_pose"), (4, 4), "object_pose"),
+        )
         object.__setattr__(self, "contacts", tuple(self.contacts))
         if self.wrist_pose is not None:
-            object.__setattr__(self, "wrist_pose", finite_array(check_pose(self.wrist_pose, "wrist_pose"), (4, 4), "wrist_pose"))
+            object.__setattr__(
+                self,
+                "wrist_pose",
+                finite_array(check_pose(self.wrist_pose, "wrist_pose"), (4, 4), "wrist_pose"),
+            )
         self._link_poses()
 
     @property
@@ -111,7 +124,10 @@ class Grasp:
 
     @property
     def point_specs(self) -> tuple[PointSpec, ...]:
-        """The contacts as reference points, which is what the paper maps: `hand.with_points(grasp.point_specs)`."""
+        """The contacts as reference points, which is what the paper maps.
+
+        `hand.with_points(grasp.point_specs)`.
+        """
         return _point_specs(self.contacts)
 
     def moved(self, motion: npt.ArrayLike) -> Self:
@@ -130,7 +146,9 @@ class Grasp:
             raise InvalidInputError(f"{self.hand.name} has a fixed wrist and cannot be moved")
         rigid = check_pose(motion, "motion")
         wrist = np.eye(4) if self.wrist_pose is None else self.wrist_pose
-        return type(self)(self.hand, self.q, rigid @ self.object_pose, self.contacts, rigid @ wrist, self.shape)
+        return type(self)(
+            self.hand, self.q, rigid @ self.object_pose, self.contacts, rigid @ wrist, self.shape
+        )
 
     def quasistatic(
         self,
@@ -140,7 +158,10 @@ class Grasp:
         joint_stiffness: Stiffness,
         synergy_stiffness: Stiffness,
     ) -> QuasiStatic:
-        """How this grasp answers to synergies; see `quasistatic`, here in newtons, metres and radians."""
+        """How this grasp answers to synergies.
+
+        See `quasistatic`, here in newtons, metres and radians.
+        """
         return quasistatic(
             self.jacobian,
             self.matrix,
@@ -151,10 +172,17 @@ class Grasp:
         )
 
     def _link_poses(self) -> np.ndarray:
-        return self.hand.link_poses([contact.link for contact in self.contacts], self.q, self.wrist_pose)
+        return self.hand.link_poses(
+            [contact.link for contact in self.contacts], self.q, self.wrist_pose
+        )
 
 
-def contact_points(hand: Hand, contacts: tuple[Contact, ...], q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+def contact_points(
+    hand: Hand,
+    contacts: tuple[Contact, ...],
+    q: npt.ArrayLike,
+    wrist_pose: np.ndarray | None = None,
+) -> np.ndarray:
     """Where contacts are.
 
     Args:
@@ -171,13 +199,20 @@ def contact_points(hand: Hand, contacts: tuple[Contact, ...], q: npt.ArrayLike, 
     """
     poses = hand.link_poses([contact.link for contact in contacts], q, wrist_pose)
     placed = zip(poses, contacts, strict=True)
-    return np.array([transform_points(pose, np.array(contact.xyz)) for pose, contact in placed]).reshape(-1, 3)
+    return np.array(
+        [transform_points(pose, np.array(contact.xyz)) for pose, contact in placed]
+    ).reshape(-1, 3)
 
 
 def contact_jacobian(
-    hand: Hand, contacts: tuple[Contact, ...], q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
+    hand: Hand,
+    contacts: tuple[Contact, ...],
+    q: npt.ArrayLike,
+    wrist_pose: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The hand's Jacobian at the contacts: their velocities, as places on their links, per joint velocity.
+    """The hand's Jacobian at the contacts.
+
+    Their velocities, as places on their links, per joint velocity.
 
     Args:
         hand: The hand.
@@ -186,7 +221,8 @@ def contact_jacobian(
         wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted. It stands still.
 
     Returns:
-        J [m/rad], world axes, x, y, z of each contact in turn, columns in the order of `hand.joint_names`, shape (3 n_c, n).
+        J [m/rad], world axes, x, y, z of each contact in turn, columns in the order of
+        `hand.joint_names`, shape (3 n_c, n).
 
     Raises:
         InvalidInputError: On a wrong shape, or if there is no contact.
@@ -200,13 +236,21 @@ def contact_jacobian(
     rows = []
     for contact, place in zip(contacts, places, strict=True):
         frame = hand.model.getFrameId(contact.link, pin.FrameType.BODY)
-        velocity = pin.getFrameJacobian(hand.model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        velocity = pin.getFrameJacobian(
+            hand.model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
         # The link's own velocity, and what its rotation adds at the contact.
-        rows.append(velocity[:3] + np.cross(velocity[3:], place - data.oMf[frame].translation, axisa=0, axisc=0))
+        rows.append(
+            velocity[:3]
+            + np.cross(velocity[3:], place - data.oMf[frame].translation, axisa=0, axisc=0)
+        )
     J = np.vstack(rows)
     # Where joints follow others, what they add belongs to their leaders.
     return (J if hand.expansion is None else J @ hand.expansion.matrix)[:, hand.joint_columns]
 
 
 def _point_specs(contacts: tuple[Contact, ...]) -> tuple[PointSpec, ...]:
-    return tuple(PointSpec(f"contact_{i}", contact.link, contact.xyz, contact.finger) for i, contact in enumerate(contacts, 1))
+    return tuple(
+        PointSpec(f"contact_{i}", contact.link, contact.xyz, contact.finger)
+        for i, contact in enumerate(contacts, 1)
+    )

@@ -1,4 +1,7 @@
-"""Planning grasps: `plan_grasps` closes a hand from many palm poses round an object and ranks what it gets."""
+"""Planning grasps.
+
+`plan_grasps` closes a hand from many palm poses round an object and ranks what it gets.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,10 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.closing import MARGIN, STEP, HandCloser
 from handmap_qp.grasp.contacts import Grasp
+from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.preshape import Closing, palm_centre
 from handmap_qp.grasp.quality import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
-from handmap_qp.hand import Hand
-from handmap_qp.shapes import Shape
+from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import PoseLike, affine, check_pose, inverse_pose
 
 # A hand that would start in the object is moved back in steps of this length [m].
@@ -52,11 +55,12 @@ def plan_grasps(
 ) -> list[PlannedGrasp]:
     """Close a hand on an object from random palm poses, and rank the grasps.
 
-    The poses are drawn as the toolbox of the paper draws them: the palm looks at the object's centre, its middle (`palm_centre`) at
-    a distance of the radius of the sphere round the object plus `closing.clearance`, and its orientation is `Rx(a) Ry(b) Rz(c)`
-    with a, b, c uniform over the circle, +z out of the back of the hand. (This is not uniform over rotations.) There fingers are
-    lines and always start clear of the object; ours have thickness, and a hand that would touch the object when open is moved back,
-    out along the palm's +z, until it does not.
+    The poses are drawn as the toolbox of the paper draws them: the palm looks at the object's
+    centre, its middle (`palm_centre`) at a distance of the radius of the sphere round the object
+    plus `closing.clearance`, and its orientation is `Rx(a) Ry(b) Rz(c)` with a, b, c uniform over
+    the circle, +z out of the back of the hand. (This is not uniform over rotations.) There fingers
+    are lines and always start clear of the object; ours have thickness, and a hand that would touch
+    the object when open is moved back, out along the palm's +z, until it does not.
 
     Args:
         hand: The hand; its wrist must be free.
@@ -79,11 +83,15 @@ def plan_grasps(
         HandError: If the hand has no collision shapes.
     """
     if not hand.is_floating:
-        raise InvalidInputError(f"{hand.name} has a fixed wrist: its grasps cannot be planned (mount='floating' frees it)")
+        raise InvalidInputError(
+            f"{hand.name} has a fixed wrist: its grasps cannot be planned (mount='floating' frees it)"
+        )
     if samples < 1:
         raise InvalidInputError(f"samples: expected at least 1, got {samples}", value=samples)
     if quality not in QUALITIES:
-        raise InvalidInputError(f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}", value=quality)
+        raise InvalidInputError(
+            f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}", value=quality
+        )
     pose = np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
     closer = HandCloser(hand, shape, pose, closing=closing, step=step, margin=margin)
     distance = shape.circumradius + closer.closing.clearance
@@ -105,7 +113,9 @@ def plan_grasps(
     return sorted(planned, key=lambda one: (sign * one.quality, one.trial))
 
 
-def wrist_towards(hand: Hand, target: np.ndarray, distance: float, centre: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def wrist_towards(
+    hand: Hand, target: np.ndarray, distance: float, centre: np.ndarray, angles: np.ndarray
+) -> np.ndarray:
     """The wrist pose whose palm looks at a point.
 
     Args:

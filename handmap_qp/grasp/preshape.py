@@ -1,4 +1,7 @@
-"""How a hand closes: from which posture, by which joints, which way (`default_closing`); and where its palm and fingers are."""
+"""How a hand closes: from which posture, by which joints, which way (`default_closing`).
+
+And where its palm and fingers are.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp.reference import REFERENCE_HANDS, read_cube_figures
-from handmap_qp.hand import Hand
+from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, read_cube_figures
+from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import inverse_pose, transform_points
 
 # Joints whose axes are this parallel bend a finger in one plane.
@@ -24,8 +27,10 @@ class Closing:
 
     Attributes:
         start: Joint angles to begin with [rad], shape (n,).
-        direction: Sense in which each joint closes, 1 or -1; 0 for one that keeps its angle. Shape (n,).
-        clearance: Where a planner puts the hand first: gap between the middle of the palm and the sphere round the object [m].
+        direction: Sense in which each joint closes, 1 or -1; 0 for one that keeps its angle. Shape
+            (n,).
+        clearance: Where a planner puts the hand first: gap between the middle of the palm and the
+            sphere round the object [m].
     """
 
     start: np.ndarray
@@ -36,9 +41,11 @@ class Closing:
 def default_closing(hand: Hand) -> Closing:
     """How a hand closes unless the caller says otherwise.
 
-    The hands of the paper have the toolbox's preshape and closing joints (`grasp_cube50.json`), a left human hand the right one's.
-    For any other hand the geometry tells: the outermost joint of each finger closes, and so do the joints before it that turn about
-    the same direction; they start stretched and close towards the farther limit. All others (abduction, spread, opposition) rest.
+    The hands of the paper have the toolbox's preshape and closing joints (`grasp_cube50.json`), a
+    left human hand the right one's. For any other hand the geometry tells: the outermost joint of
+    each finger closes, and so do the joints before it that turn about the same direction; they
+    start stretched and close towards the farther limit. All others (abduction, spread, opposition)
+    rest.
 
     Args:
         hand: The hand.
@@ -58,7 +65,9 @@ def default_closing(hand: Hand) -> Closing:
         for joint in reversed(finger):
             if abs(axes[joint] @ axes[finger[-1]]) < _PARALLEL:
                 break
-            direction[joint] = 1.0 if hand.upper_limits[joint] + hand.lower_limits[joint] >= 0.0 else -1.0
+            direction[joint] = (
+                1.0 if hand.upper_limits[joint] + hand.lower_limits[joint] >= 0.0 else -1.0
+            )
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
     return Closing(np.where(direction == 0.0, hand.rest, stretched), direction, _CLEARANCE)
 
@@ -78,7 +87,10 @@ def palm_centre(hand: Hand, closing: Closing | None = None) -> np.ndarray:
     """
     how = closing or default_closing(hand)
     _, origins = _joint_axes(hand, how.start)
-    innermost = [next((joint for joint in finger if how.direction[joint]), None) for finger in finger_joints(hand)]
+    innermost = [
+        next((joint for joint in finger if how.direction[joint]), None)
+        for finger in finger_joints(hand)
+    ]
     places = np.array([origins[joint] for joint in innermost if joint is not None])
     if len(places) == 0:
         raise InvalidInputError(f"{hand.name}: no joint closes")
@@ -113,11 +125,14 @@ def finger_names(hand: Hand) -> dict[int, str]:
         hand: The hand.
 
     Returns:
-        Names by joint of the Pinocchio model, followers and locked ones included; joints of no named finger are left out.
+        Names by joint of the Pinocchio model, followers and locked ones included; joints of no
+        named finger are left out.
     """
     roots: dict[int, str] = {}
     for point in hand.spec.points:
-        parent = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)].parentJoint
+        parent = hand.model.frames[
+            hand.model.getFrameId(point.link, pin.FrameType.BODY)
+        ].parentJoint
         beyond = _beyond_palm(hand, parent)
         if point.finger is not None and beyond:
             roots[beyond[0]] = point.finger
@@ -126,7 +141,10 @@ def finger_names(hand: Hand) -> dict[int, str]:
 
 
 def _beyond_palm(hand: Hand, joint: int) -> list[int]:
-    """The model's joints from the palm to this one, outwards; none for the joints that carry the palm."""
+    """The model's joints from the palm to this one, outwards.
+
+    None for the joints that carry the palm.
+    """
     palm = hand.model.frames[hand.palm_frame_id].parentJoint
     chain = list(hand.model.supports[joint])
     return chain[chain.index(palm) + 1 :] if palm in chain else []
@@ -138,5 +156,8 @@ def _joint_axes(hand: Hand, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q))
     joints = [hand.model.getJointId(name) for name in hand.joint_names]
     frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    columns = [pin.getJointJacobian(hand.model, data, j, frame)[:, hand.model.joints[j].idx_v] for j in joints]
+    columns = [
+        pin.getJointJacobian(hand.model, data, j, frame)[:, hand.model.joints[j].idx_v]
+        for j in joints
+    ]
     return np.array(columns)[:, 3:], np.array([data.oMi[j].translation for j in joints])

@@ -1,11 +1,12 @@
 """How good a grasp is: `grasp_quality`, by the name of a measure.
 
-Forces and torques, translations and rotations are brought to one scale by a characteristic length L: lengths count in units of L.
+Forces and torques, translations and rotations are brought to one scale by a characteristic length
+L: lengths count in units of L.
 
 | name | what | better |
 |---|---|---|
-| `ferrari_canny` | radius of the largest ball of wrenches that contacts of unit normal force and friction resist | greater |
-| `msvg` | smallest singular value of G | greater |
+| `ferrari_canny` | radius of the largest ball of wrenches that contacts of unit normal force and
+friction resist | greater | | `msvg` | smallest singular value of G | greater |
 | `gii` | grasp isotropy index: smallest over largest singular value of G | greater |
 | `vew` | volume of the ellipsoid of wrenches: product of the singular values of G | greater |
 | `dtsc` | distance to singular configurations: smallest singular value of H | greater |
@@ -13,9 +14,10 @@ Forces and torques, translations and rotations are brought to one scale by a cha
 | `uot` | uniformity of transformation: largest over smallest singular value of H | smaller |
 | `centroid` | distance of the contacts' centroid from the object's centre [m] | smaller |
 
-G is the grasp matrix, `H = pinv(G^T) J` the twist of the object that moves with the joints. `ferrari_canny` is the measure of
-Ferrari and Canny, ICRA 1992, that Miller et al. (the paper's [23]) plan with, in its form for a bounded sum of normal forces; it is
-> 0 only for force closure. The others but the last are the toolbox's that the paper was computed with, where L is a millimetre.
+G is the grasp matrix, `H = pinv(G^T) J` the twist of the object that moves with the joints.
+`ferrari_canny` is the measure of Ferrari and Canny, ICRA 1992, that Miller et al. (the paper's
+[23]) plan with, in its form for a bounded sum of normal forces; it is > 0 only for force closure.
+The others but the last are the toolbox's that the paper was computed with, where L is a millimetre.
 """
 
 from __future__ import annotations
@@ -40,7 +42,11 @@ _EDGES = 8
 
 
 def grasp_quality(
-    grasp: Grasp, measure: str = "ferrari_canny", *, friction: float = FRICTION, length: float | None = None
+    grasp: Grasp,
+    measure: str = "ferrari_canny",
+    *,
+    friction: float = FRICTION,
+    length: float | None = None,
 ) -> float:
     """Rate a grasp.
 
@@ -48,19 +54,25 @@ def grasp_quality(
         grasp: The grasp.
         measure: Name of the measure; see the table above.
         friction: Coulomb's coefficient of friction; only `ferrari_canny` uses it.
-        length: Characteristic length L [m]; the distance of the farthest contact from the object's centre if omitted, which makes
-            the measures (but `centroid`) independent of the object's size.
+        length: Characteristic length L [m]; the distance of the farthest contact from the object's
+            centre if omitted, which makes the measures (but `centroid`) independent of the object's
+            size.
 
     Returns:
-        The measure. A grasp with no contact, or with too few, has 0 (`uot` and `centroid`: infinity, for none).
+        The measure. A grasp with no contact, or with too few, has 0 (`uot` and `centroid`:
+        infinity, for none).
 
     Raises:
         InvalidInputError: On an unknown name, friction < 0 or a length that is not > 0.
     """
     if measure not in QUALITIES:
-        raise InvalidInputError(f"measure: expected one of {', '.join(QUALITIES)}, got {measure!r}", value=measure)
+        raise InvalidInputError(
+            f"measure: expected one of {', '.join(QUALITIES)}, got {measure!r}", value=measure
+        )
     if length is not None and not (np.isfinite(length) and length > 0.0):
-        raise InvalidInputError(f"length: expected a length > 0 in metres, got {length}", value=length)
+        raise InvalidInputError(
+            f"length: expected a length > 0 in metres, got {length}", value=length
+        )
     if not grasp.contacts:
         return np.inf if measure in SMALLER_IS_BETTER else 0.0
     offsets = grasp.points - grasp.centre
@@ -85,11 +97,14 @@ def grasp_quality(
     return most / least if least > 0.0 else np.inf
 
 
-def ferrari_canny(points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES) -> float:
+def ferrari_canny(
+    points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES
+) -> float:
     """Radius of the largest ball round the origin inside the convex hull of the contacts' wrenches (Ferrari and Canny 1992).
 
     Args:
-        points: Contacts relative to the object's centre, in units of the characteristic length, shape (n_c, 3).
+        points: Contacts relative to the object's centre, in units of the characteristic length,
+            shape (n_c, 3).
         normals: Unit normals into the object, shape (n_c, 3).
         friction: Coulomb's coefficient of friction.
         edges: Edges of the pyramid in place of a friction cone.
@@ -111,7 +126,9 @@ def ferrari_canny(points: np.ndarray, normals: np.ndarray, friction: float, *, e
     return max(0.0, float(-hull.equations[:, -1].max()))
 
 
-def cone_wrenches(points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES) -> np.ndarray:
+def cone_wrenches(
+    points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES
+) -> np.ndarray:
     """Wrenches of forces along the edges of the friction cones, each with a unit normal part.
 
     Args:
@@ -128,7 +145,8 @@ def cone_wrenches(points: np.ndarray, normals: np.ndarray, friction: float, *, e
     """
     if not (np.isfinite(friction) and friction >= 0.0):
         raise InvalidInputError(f"friction: expected a number >= 0, got {friction}", value=friction)
-    # Any tangent will do to start from; the axis that the normal has least of is never parallel to it.
+    # Any tangent will do to start from; the axis that the normal has least of is never parallel to
+    # it.
     first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
@@ -140,6 +158,9 @@ def cone_wrenches(points: np.ndarray, normals: np.ndarray, friction: float, *, e
 
 
 def _singular_values(matrix: np.ndarray) -> np.ndarray:
-    """The six singular values of a matrix of six rows, largest first; those that it has too few columns for are 0."""
+    """The six singular values of a matrix of six rows, largest first.
+
+    Those that it has too few columns for are 0.
+    """
     values = np.linalg.svd(matrix, compute_uv=False)
     return np.concatenate([values, np.zeros(6 - len(values))])

@@ -1,10 +1,13 @@
-"""The statics of a grasp as matrices: the grasp matrix, and how object and contact forces answer to synergies (Sec. IV).
+"""The statics of a grasp as matrices.
 
-Contacts are hard fingers: they carry a force in any direction and no torque. A wrench or a twist is three translational numbers,
-then three rotational ones about the object's centre, in world axes. Any consistent units will do.
+The grasp matrix, and how object and contact forces answer to synergies (Sec. IV).
 
-Sources: Prattichizzo and Trinkle, Handbook of Robotics (2008), ch. 28 (G, J); Prattichizzo, Malvezzi, Gabiccini and Bicchi, IEEE
-T-RO 29 (2013) 1282, the paper's [22] (soft synergies).
+Contacts are hard fingers: they carry a force in any direction and no torque. A wrench or a twist is
+three translational numbers, then three rotational ones about the object's centre, in world axes.
+Any consistent units will do.
+
+Sources: Prattichizzo and Trinkle, Handbook of Robotics (2008), ch. 28 (G, J); Prattichizzo,
+Malvezzi, Gabiccini and Bicchi, IEEE T-RO 29 (2013) 1282, the paper's [22] (soft synergies).
 """
 
 from __future__ import annotations
@@ -33,11 +36,13 @@ class QuasiStatic:
     """What a unit of each synergy's reference does to a grasp at rest; columns are synergies.
 
     Attributes:
-        object_motion: Translation of the object's centre and rotation about it, world axes [m, rad], shape (6, n_z).
-        contact_forces: Change of the forces that the hand exerts on the object, world axes, x, y, z of each contact in turn [N],
-            shape (3 n_c, n_z).
+        object_motion: Translation of the object's centre and rotation about it, world axes [m,
+            rad], shape (6, n_z).
+        contact_forces: Change of the forces that the hand exerts on the object, world axes, x, y, z
+            of each contact in turn [N], shape (3 n_c, n_z).
         joint_motion: Change of the joint angles [rad], shape (n_q, n_z).
-        joint_torques: Change of the joint torques that balance the contact forces [N m], shape (n_q, n_z).
+        joint_torques: Change of the joint torques that balance the contact forces [N m], shape
+            (n_q, n_z).
         synergy_motion: Change of the synergies themselves, which yield too, shape (n_z, n_z).
     """
 
@@ -49,7 +54,9 @@ class QuasiStatic:
 
 
 def grasp_matrix(points: npt.ArrayLike, centre: npt.ArrayLike) -> np.ndarray:
-    """The grasp matrix of hard-finger contacts: forces on the object to its wrench; transposed, the object's twist to velocities.
+    """The grasp matrix of hard-finger contacts: forces on the object to its wrench.
+
+    Transposed, the object's twist to velocities.
 
     Args:
         points: Contacts [m], shape (n_c, 3).
@@ -83,15 +90,17 @@ def quasistatic(
 ) -> QuasiStatic:
     """Object motion and contact forces when synergies are activated on a hand that yields at contacts, joints and synergies.
 
-    The object is in balance before and after and no load acts on it. The unknown changes are those of the object's pose `du`, the
-    contact forces `dl`, the joint torques `dtau`, the joints `dq` and the synergies `dz`, for a reference `dz_ref`:
+    The object is in balance before and after and no load acts on it. The unknown changes are those
+    of the object's pose `du`, the contact forces `dl`, the joint torques `dtau`, the joints `dq`
+    and the synergies `dz`, for a reference `dz_ref`:
 
         G dl = 0        dtau = J^T dl        dl = K_c (J dq - G^T du)
         dtau = K_q (S dz - dq)        S^T dtau = K_z (dz_ref - dz)
 
-    Eliminating `dq` and `dz` leaves all springs in series at the contacts, `C dl = J S dz_ref - G^T du`, where
-    `C = K_c^-1 + J K_q^-1 J^T + J S K_z^-1 S^T J^T`; and from `G dl = 0`, `du = (G C^-1 G^T)^-1 G C^-1 J S dz_ref`.
-    This is the paper's [22] with its chain of matrices closed up; unlike there, a stiffness may be infinite.
+    Eliminating `dq` and `dz` leaves all springs in series at the contacts, `C dl = J S dz_ref - G^T
+    du`, where `C = K_c^-1 + J K_q^-1 J^T + J S K_z^-1 S^T J^T`; and from `G dl = 0`, `du = (G C^-1
+    G^T)^-1 G C^-1 J S dz_ref`. This is the paper's [22] with its chain of matrices closed up;
+    unlike there, a stiffness may be infinite.
 
     Args:
         jacobian: J, shape (3 n_c, n_q).
@@ -105,16 +114,25 @@ def quasistatic(
         The answer per unit of each synergy.
 
     Raises:
-        InvalidInputError: On a wrong shape, a stiffness that is not positive, contacts on one line (the object could turn about it
-            freely), or infinite stiffnesses that leave the contact forces undetermined.
+        InvalidInputError: On a wrong shape, a stiffness that is not positive, contacts on one line
+            (the object could turn about it freely), or infinite stiffnesses that leave the contact
+            forces undetermined.
     """
-    J, G, S = _matrix(jacobian, "jacobian"), _matrix(grasp_matrix, "grasp_matrix"), _matrix(synergies, "synergies")
+    J, G, S = (
+        _matrix(jacobian, "jacobian"),
+        _matrix(grasp_matrix, "grasp_matrix"),
+        _matrix(synergies, "synergies"),
+    )
     _check_sizes(J, G, S)
     joint_compliance = _compliance(joint_stiffness, J.shape[1], "joint_stiffness")
     synergy_compliance = _compliance(synergy_stiffness, S.shape[1], "synergy_stiffness")
     JS = J @ S
     factor = _series_factor(
-        J, JS, _compliance(contact_stiffness, len(J), "contact_stiffness"), joint_compliance, synergy_compliance
+        J,
+        JS,
+        _compliance(contact_stiffness, len(J), "contact_stiffness"),
+        joint_compliance,
+        synergy_compliance,
     )
     GC = scipy.linalg.cho_solve(factor, G.T).T
     stiffness = GC @ G.T
@@ -183,9 +201,13 @@ def _matrix(value: npt.ArrayLike, name: str) -> np.ndarray:
     return finite_array(matrix, matrix.shape, name)
 
 
-def _series_factor(J: np.ndarray, JS: np.ndarray, contact: np.ndarray, joint: np.ndarray, synergy: np.ndarray) -> Any:
+def _series_factor(
+    J: np.ndarray, JS: np.ndarray, contact: np.ndarray, joint: np.ndarray, synergy: np.ndarray
+) -> Any:
     """Cholesky factor of the compliances of contacts, joints and synergies in series, as seen at the contacts."""
-    problem = InvalidInputError("stiffnesses: with so much of the grasp rigid, the contact forces are not determined")
+    problem = InvalidInputError(
+        "stiffnesses: with so much of the grasp rigid, the contact forces are not determined"
+    )
     try:
         factor = scipy.linalg.cho_factor(contact + J @ joint @ J.T + JS @ synergy @ JS.T)
     except np.linalg.LinAlgError as error:
@@ -199,14 +221,21 @@ def _series_factor(J: np.ndarray, JS: np.ndarray, contact: np.ndarray, joint: np
 
 def _check_sizes(J: np.ndarray, G: np.ndarray, S: np.ndarray) -> None:
     if G.shape != (6, len(J)):
-        raise InvalidInputError(f"grasp_matrix: expected shape (6, {len(J)}), as the Jacobian has {len(J)} rows; got {G.shape}")
+        raise InvalidInputError(
+            f"grasp_matrix: expected shape (6, {len(J)}), as the Jacobian has {len(J)} rows; got {G.shape}"
+        )
     if len(S) != J.shape[1] or S.shape[1] == 0:
-        raise InvalidInputError(f"synergies: expected shape ({J.shape[1]}, n), as there are {J.shape[1]} joints; got {S.shape}")
-    # Torques are weighed against forces by the mean lever, so that the test does not depend on the unit of length.
+        raise InvalidInputError(
+            f"synergies: expected shape ({J.shape[1]}, n), as there are {J.shape[1]} joints; got {S.shape}"
+        )
+    # Torques are weighed against forces by the mean lever, so that the test does not depend on the
+    # unit of length.
     lever = max(float(np.linalg.norm(G[3:]) / np.linalg.norm(G[:3])), np.finfo(float).tiny)
     values = np.linalg.svd(np.vstack([G[:3], G[3:] / lever]), compute_uv=False)
     if len(values) < 6 or values[5] <= _RANK_TOLERANCE * values[0]:
-        raise InvalidInputError("grasp_matrix: its rank is below 6: at least three contacts that are not on one line are needed")
+        raise InvalidInputError(
+            "grasp_matrix: its rank is below 6: at least three contacts that are not on one line are needed"
+        )
 
 
 def _compliance(stiffness: Stiffness, size: int, name: str) -> np.ndarray:
@@ -214,7 +243,9 @@ def _compliance(stiffness: Stiffness, size: int, name: str) -> np.ndarray:
     value = as_floats(stiffness, name)
     if value.ndim == 0:
         if not value > 0.0:
-            raise InvalidInputError(f"{name}: expected a number > 0, got {stiffness}", value=stiffness)
+            raise InvalidInputError(
+                f"{name}: expected a number > 0, got {stiffness}", value=stiffness
+            )
         return np.eye(size) / value
     matrix = finite_array(value, (size, size), name)
     if np.abs(matrix - matrix.T).max() > 1e-9 * np.abs(matrix).max():

@@ -4,11 +4,12 @@ Meshes count as their convex hulls.
 
 For a pair of shapes a, b at the signed distance d, with the unit normal n from a to b,
 
-    d(q + dq) ~ d + n^T (J_b - J_a) dq >= margin    becomes    -n^T (J_b - J_a) dq <= gain (d - margin)
+    d(q + dq) ~ d + n^T (J_b - J_a) dq >= margin    becomes    -n^T (J_b - J_a) dq <= gain (d -
+    margin)
 
-with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench (n, p x n) of either does for
-both. The first order is an approximation: a shape that turns by an angle x at a radius r may come r x^2 / 2 closer than the row
-says, which is what the margin is for.
+with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
+(n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
+angle x at a radius r may come r x^2 / 2 closer than the row says, which is what the margin is for.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.collision_shapes import read_collision_shapes
-from handmap_qp.configuration import Configuration
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hand import Hand
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.hand import Hand
 
 
 class CollisionLimit:
@@ -42,7 +43,9 @@ class CollisionLimit:
     def __init__(self, hand: Hand, *, margin: float | None = None, gain: float = 0.85) -> None:
         spec = hand.spec.collision
         if spec is None:
-            raise InvalidOptionsError(f"{hand.name} names no links to keep apart: add collision.pairs to its hand.yaml")
+            raise InvalidOptionsError(
+                f"{hand.name} names no links to keep apart: add collision.pairs to its hand.yaml"
+            )
         self.margin = spec.margin if margin is None else margin
         if not 0.0 <= self.margin < np.inf:
             raise InvalidOptionsError(f"margin: expected a distance >= 0, got {margin}")
@@ -54,12 +57,14 @@ class CollisionLimit:
         self.pairs = _add_pairs(hand, spec.pairs, self._geometry)
         self._data = self._geometry.createData()
         for request in self._data.distanceRequests:
-            # Every search starts where the last one ended, so at the default of 1e-6 the same posture gave distances 1e-6 m apart.
+            # Every search starts where the last one ended, so at the default of 1e-6 the same
+            # posture gave distances 1e-6 m apart.
             request.gjk_tolerance = request.epa_tolerance = 1e-9
         count = len(self.pairs)
         self._relative_support = np.array(
             [
-                _support(hand.model, shapes[pair.second].parentJoint) - _support(hand.model, shapes[pair.first].parentJoint)
+                _support(hand.model, shapes[pair.second].parentJoint)
+                - _support(hand.model, shapes[pair.first].parentJoint)
                 for shapes in [self._geometry.geometryObjects]
                 for pair in self._geometry.collisionPairs
             ]
@@ -83,18 +88,24 @@ class CollisionLimit:
             configuration: Of the hand, updated to where it is.
 
         Returns:
-            G, shape (k, n) over the active coordinates; h [m], shape (k,), negative where a pair is nearer than the margin.
+            G, shape (k, n) over the active coordinates; h [m], shape (k,), negative where a pair is
+            nearer than the margin.
         """
         self._measure(configuration)
-        G = configuration.contracted(-(self._wrenches @ configuration.data.J) * self._relative_support)
+        G = configuration.contracted(
+            -(self._wrenches @ configuration.data.J) * self._relative_support
+        )
         return G, self._gain * (self._distances - self.margin)
 
-    def feasible_rows(self, configuration: Configuration, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def feasible_rows(
+        self, configuration: Configuration, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The same rows, loosened where they contradict each other or a box.
 
-        The displacement nearest to none inside the box always satisfies them: where a pair is nearer than the margin already,
-        it need not part at once, only not come closer than the limits make it. Where a displacement is found that parts all
-        those pairs without harm to the others, that is what they are held to.
+        The displacement nearest to none inside the box always satisfies them: where a pair is
+        nearer than the margin already, it need not part at once, only not come closer than the
+        limits make it. Where a displacement is found that parts all those pairs without harm to the
+        others, that is what they are held to.
 
         Args:
             configuration: Of the hand, updated to where it is.
@@ -126,7 +137,9 @@ class CollisionLimit:
         self._wrenches[:, 3:] = np.cross(self._wrenches[:, 3:], self._wrenches[:, :3])
 
 
-def _add_pairs(hand: Hand, pairs: tuple[tuple[str, str], ...], geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:
+def _add_pairs(
+    hand: Hand, pairs: tuple[tuple[str, str], ...], geometry: pin.GeometryModel
+) -> tuple[tuple[str, str], ...]:
     """Make pairs of links pairs of shapes, and return the links of each."""
     shapes: dict[str, list[int]] = {}
     for i, shape in enumerate(geometry.geometryObjects):
@@ -135,7 +148,11 @@ def _add_pairs(hand: Hand, pairs: tuple[tuple[str, str], ...], geometry: pin.Geo
     for i, pair in enumerate(pairs):
         for link in pair:
             if link not in shapes:
-                what = "has no collision shape" if hand.model.existFrame(link, pin.FrameType.BODY) else "is no link of the URDF"
+                what = (
+                    "has no collision shape"
+                    if hand.model.existFrame(link, pin.FrameType.BODY)
+                    else "is no link of the URDF"
+                )
                 raise hand.spec.error(f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link)
         for first in shapes[pair[0]]:
             for second in shapes[pair[1]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import ANGLE_UNIT, LENGTH_UNIT, IkOptions
 
 
@@ -15,4 +15,7 @@ def point_costs(hand: Hand, options: IkOptions) -> np.ndarray:
 
 def wrist_costs(options: IkOptions) -> tuple[float, float]:
     """Costs of the wrist's position [cost]/[m] and orientation [cost]/[rad]."""
-    return options.wrist_position_weight / LENGTH_UNIT, options.wrist_orientation_weight / ANGLE_UNIT
+    return (
+        options.wrist_position_weight / LENGTH_UNIT,
+        options.wrist_orientation_weight / ANGLE_UNIT,
+    )

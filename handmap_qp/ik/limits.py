@@ -2,17 +2,18 @@
 
     clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
 
-Clipping is monotone, so the lower bound never passes the upper one, also where `q` starts outside its limits: there both bounds
-meet at the speed limit and the joint comes back as fast as it may. The stacked position and speed rows of mink and pink are
-infeasible in that case.
+Clipping is monotone, so the lower bound never passes the upper one, also where `q` starts outside
+its limits: there both bounds meet at the speed limit and the joint comes back as fast as it may.
+The stacked position and speed rows of mink and pink are infeasible in that case.
 
-An acceleration limit is clipped into that box the same way, `clip(v_last dt -+ a dt^2, lower, upper)`: position and speed go
-before it. That they ever have to is made rare by letting a joint approach its limit only as fast as it can still brake,
+An acceleration limit is clipped into that box the same way, `clip(v_last dt -+ a dt^2, lower,
+upper)`: position and speed go before it. That they ever have to is made rare by letting a joint
+approach its limit only as fast as it can still brake,
 
     v dt + v^2 / (2 a) <= distance to the limit,
 
-which, once true, stays true from sample to sample whatever their length: a joint that starts at rest inside its limits never has
-to break either limit for the other.
+which, once true, stays true from sample to sample whatever their length: a joint that starts at
+rest inside its limits never has to break either limit for the other.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 
 
 class BoxLimits:
@@ -30,20 +31,27 @@ class BoxLimits:
     Args:
         hand: The hand.
         has_velocity_limits: Whether speed limits hold; position limits always do.
-        max_acceleration: Limit of every velocity coordinate's acceleration, shape (nv,) or one number for all [rad/s^2, and
-            m/s^2 for a floating wrist's translation]; none if omitted.
+        max_acceleration: Limit of every velocity coordinate's acceleration, shape (nv,) or one
+            number for all [rad/s^2, and m/s^2 for a floating wrist's translation]; none if omitted.
 
     Raises:
         InvalidOptionsError: If an acceleration limit is not > 0 or has another shape.
     """
 
-    def __init__(self, hand: Hand, *, has_velocity_limits: bool = True, max_acceleration: npt.ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        *,
+        has_velocity_limits: bool = True,
+        max_acceleration: npt.ArrayLike | None = None,
+    ) -> None:
         first_v = 6 if hand.is_floating else 0
         # The solver's order is the model's, not that of `joint_names`.
         order = np.argsort(hand.v_indices)
         self._q_indices = as_slice(hand.q_indices[order])
         self._joints = slice(first_v, None)
-        # Only joints have position limits; a free-flyer's are +-1.8e308 in Pinocchio and stay out of all arithmetic.
+        # Only joints have position limits; a free-flyer's are +-1.8e308 in Pinocchio and stay out
+        # of all arithmetic.
         self._lower, self._upper = hand.lower_limits[order], hand.upper_limits[order]
         self._speed = np.concatenate([np.zeros(first_v), hand.velocity_limits[order]])
         if hand.is_floating:
@@ -51,16 +59,22 @@ class BoxLimits:
             self._speed[3:6] = hand.spec.wrist.max_angular_speed
         if not has_velocity_limits:
             self._speed[:] = np.inf
-        self._acceleration = None if max_acceleration is None else _check_acceleration(max_acceleration, len(self._speed))
+        self._acceleration = (
+            None
+            if max_acceleration is None
+            else _check_acceleration(max_acceleration, len(self._speed))
+        )
 
-    def bounds(self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(
+        self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bound of the displacement from `q`.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
             dt: Time for the displacement [s].
-            previous_velocity: Displacement of the last sample divided by its time, shape (nv,); at rest if omitted. Matters only
-                to acceleration limits.
+            previous_velocity: Displacement of the last sample divided by its time, shape (nv,); at
+                rest if omitted. Matters only to acceleration limits.
 
         Returns:
             Two arrays of shape (nv,), `lower <= upper`.
@@ -73,7 +87,9 @@ class BoxLimits:
         lower[joints] = np.minimum(np.maximum(self._lower - angles, slowest), fastest)
         if self._acceleration is None:
             return lower, upper
-        return self._with_acceleration(self._acceleration, angles, dt, previous_velocity, lower, upper)
+        return self._with_acceleration(
+            self._acceleration, angles, dt, previous_velocity, lower, upper
+        )
 
     def _with_acceleration(
         self,
@@ -91,22 +107,31 @@ class BoxLimits:
         middle = 0.0 if previous_velocity is None else previous_velocity * dt
         lowest, highest = middle - change, middle + change
         least, most = lowest.copy(), highest.copy()
-        # Where a limit has been passed there is no distance left to brake in; the box will bring the joint back.
+        # Where a limit has been passed there is no distance left to brake in; the box will bring
+        # the joint back.
         to_upper = _braking_displacement(np.maximum(self._upper - angles, 0.0), change[joints])
         to_lower = _braking_displacement(np.maximum(angles - self._lower, 0.0), change[joints])
         most[joints] = np.minimum(np.maximum(to_upper, lowest[joints]), highest[joints])
         least[joints] = np.minimum(np.maximum(-to_lower, lowest[joints]), highest[joints])
-        return np.minimum(np.maximum(least, lower), upper), np.minimum(np.maximum(most, lower), upper)
+        return np.minimum(np.maximum(least, lower), upper), np.minimum(
+            np.maximum(most, lower), upper
+        )
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:
     """Consecutive indices as a slice, which is quicker and makes no copy."""
     first, count = int(indices[0]), len(indices)
-    return slice(first, first + count) if np.array_equal(indices, np.arange(first, first + count)) else indices
+    return (
+        slice(first, first + count)
+        if np.array_equal(indices, np.arange(first, first + count))
+        else indices
+    )
 
 
 def _braking_displacement(distance: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """The largest displacement x after which a joint can still stop within `distance`: x + x^2 / (2 a dt^2) = distance.
+    """The largest displacement x after which a joint can still stop within `distance`.
+
+    X + x^2 / (2 a dt^2) = distance.
 
     In a form that cancels nothing, however small the distance; `change` is a dt^2.
     """
@@ -118,5 +143,7 @@ def _check_acceleration(max_acceleration: npt.ArrayLike, nv: int) -> np.ndarray:
     if limit.ndim == 0:
         limit = np.full(nv, float(limit))
     if limit.shape != (nv,) or not (limit > 0.0).all():
-        raise InvalidOptionsError(f"max_acceleration: expected {nv} numbers > 0, or one for all, got {max_acceleration}")
+        raise InvalidOptionsError(
+            f"max_acceleration: expected {nv} numbers > 0, or one for all, got {max_acceleration}"
+        )
     return limit

@@ -15,25 +15,32 @@ ANGLE_UNIT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class IkOptions:
-    """Weights and settings of the QP. Weights are per unit of error: 10 mm, 0.1 rad of the wrist, 1 rad of a joint.
+    """Weights and settings of the QP. Weights are per unit of error.
+
+    10 mm, 0.1 rad of the wrist, 1 rad of a joint.
 
     Attributes:
-        point_weight: Of the reference points' positions; each is multiplied by the root of its point's own weight.
+        point_weight: Of the reference points' positions; each is multiplied by the root of its
+            point's own weight.
         wrist_position_weight: Of the wrist frame's position.
         wrist_orientation_weight: Of the wrist frame's orientation.
         rest_weight: Pull of every joint to its rest angle: the null-space term of eq. (8).
         damping: Cost of any motion; keeps the step short near singular postures.
-        error_damping: Further squared cost of every turning coordinate, per weighted error and per weighted lever (a
-            Levenberg-Marquardt term): calms a hand or an arm that stretches after points out of its reach. There the linearisation
-            leaves out a curvature of the error times the lever; half of that is the least that keeps the iterations from shaking.
+        error_damping: Further squared cost of every turning coordinate, per weighted error and per
+            weighted lever (a Levenberg-Marquardt term): calms a hand or an arm that stretches after
+            points out of its reach. There the linearisation leaves out a curvature of the error
+            times the lever; half of that is the least that keeps the iterations from shaking.
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: Linearisations per sample, at most.
-        step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm]. At 0.1 the linearisation is wrong
-            by about a tenth of a millimetre, which the next sample mends; only quick motions take a second iteration.
+        step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm]. At
+            0.1 the linearisation is wrong by about a tenth of a millimetre, which the next sample
+            mends; only quick motions take a second iteration.
         point_tolerance: Points nearer to their targets than this have arrived [m].
         has_velocity_limits: Whether speed limits hold; position limits always do.
-        max_acceleration: Limit of every coordinate's acceleration [rad/s^2, m/s^2]; none if omitted.
-        avoids_self_collision: Whether the pairs of links that the hand's `collision` names are kept apart.
+        max_acceleration: Limit of every coordinate's acceleration [rad/s^2, m/s^2]; none if
+            omitted.
+        avoids_self_collision: Whether the pairs of links that the hand's `collision` names are kept
+            apart.
     """
 
     point_weight: float = 1.0
@@ -58,13 +65,17 @@ class IkOptions:
         """
         for name in ("damping", "point_tolerance"):
             if not getattr(self, name) > 0.0:
-                raise InvalidOptionsError(f"{name}: expected a number > 0, got {getattr(self, name)}")
+                raise InvalidOptionsError(
+                    f"{name}: expected a number > 0, got {getattr(self, name)}"
+                )
         for name in _NUMBERS:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InvalidOptionsError(f"{name}: expected a finite number >= 0, got {value}")
         if self.max_iterations < 1:
-            raise InvalidOptionsError(f"max_iterations: expected at least 1, got {self.max_iterations}")
+            raise InvalidOptionsError(
+                f"max_iterations: expected at least 1, got {self.max_iterations}"
+            )
 
 
 _NUMBERS = (

@@ -1,14 +1,17 @@
 """Eq. (8) as it stands: `dq = J# e + N xi`, the baseline that the QP replaces.
 
-The paper leaves the pseudoinverse, `xi` and the handling of limits open. Here J# is weighted by the cost of the tasks and by the
-regularisation M of the QP (rest and damping weights), and `N xi` pulls to the rest posture:
+The paper leaves the pseudoinverse, `xi` and the handling of limits open. Here J# is weighted by the
+cost of the tasks and by the regularisation M of the QP (rest and damping weights), and `N xi` pulls
+to the rest posture:
 
-    A = W J M^(-1/2),   dq = M^(-1/2) (A# W e + (I - A# A) M^(1/2) xi),   xi = M^(-1) w_q^2 (q_rest - q)
+    A = W J M^(-1/2),   dq = M^(-1/2) (A# W e + (I - A# A) M^(1/2) xi),   xi = M^(-1) w_q^2 (q_rest
+    - q)
 
-With singular values `s` of A, `A#` has `s / (s^2 + damping^2)`: eq. (8) for `damping = 0`, which is the limit of the QP for slack
-limits and vanishing regularisation; damped least squares (Nakamura and Hanafusa 1986, Wampler 1986) for `damping > 0`. At
-`damping = 1` it is the QP without its limits. Limits are either not looked at, or the finished step is clipped into them, which
-bends its direction.
+With singular values `s` of A, `A#` has `s / (s^2 + damping^2)`: eq. (8) for `damping = 0`, which is
+the limit of the QP for slack limits and vanishing regularisation; damped least squares (Nakamura
+and Hanafusa 1986, Wampler 1986) for `damping > 0`. At `damping = 1` it is the QP without its
+limits. Limits are either not looked at, or the finished step is clipped into them, which bends its
+direction.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.options import IkOptions
@@ -37,8 +40,10 @@ class PseudoinverseIk:
     Args:
         hand: The hand.
         options: Weights and settings; `solver` and `error_damping` have no meaning here.
-        limits: `none` ignores position and speed limits, `clip` clips every finished step into them.
-        damping: 0 for the plain pseudoinverse, more for damped least squares; 1 is the regularisation of the QP.
+        limits: `none` ignores position and speed limits, `clip` clips every finished step into
+            them.
+        damping: 0 for the plain pseudoinverse, more for damped least squares; 1 is the
+            regularisation of the QP.
 
     Attributes:
         hand: The hand.
@@ -46,10 +51,18 @@ class PseudoinverseIk:
         configuration: The present posture; `place` puts the hand somewhere else.
 
     Raises:
-        InvalidOptionsError: If the damping is negative or no number, or the limit handling is unknown.
+        InvalidOptionsError: If the damping is negative or no number, or the limit handling is
+            unknown.
     """
 
-    def __init__(self, hand: Hand, options: IkOptions, *, limits: LimitHandling = "none", damping: float = 0.0) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        options: IkOptions,
+        *,
+        limits: LimitHandling = "none",
+        damping: float = 0.0,
+    ) -> None:
         if not 0.0 <= damping < np.inf:
             raise InvalidOptionsError(f"damping: expected a finite number >= 0, got {damping}")
         if limits not in ("none", "clip"):
@@ -58,10 +71,16 @@ class PseudoinverseIk:
         self.options = options
         self.configuration = hand.configuration()
         self._damping = damping
-        self._box = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits) if limits == "clip" else None
+        self._box = (
+            BoxLimits(hand, has_velocity_limits=options.has_velocity_limits)
+            if limits == "clip"
+            else None
+        )
         nv = self.configuration.nv
         position, orientation = wrist_costs(options)
-        self._costs = np.concatenate([np.repeat(point_costs(hand, options), 3), [position] * 3, [orientation] * 3])
+        self._costs = np.concatenate(
+            [np.repeat(point_costs(hand, options), 3), [position] * 3, [orientation] * 3]
+        )
         regularisation = np.full(nv, float(options.damping) ** 2)
         regularisation[hand.joint_columns] += options.rest_weight**2
         self._scale = 1.0 / np.sqrt(regularisation)
@@ -86,7 +105,8 @@ class PseudoinverseIk:
             Displacement before any clipping, shape (nv,).
 
         Raises:
-            numpy.linalg.LinAlgError: If the singular values cannot be found: the inputs hold infinities or NaN.
+            numpy.linalg.LinAlgError: If the singular values cannot be found: the inputs hold
+                infinities or NaN.
         """
         A, b = self._weighted_task(point_targets, wrist_target)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
@@ -96,13 +116,21 @@ class PseudoinverseIk:
             is_kept = s > RANK_TOLERANCE * s[0]
             inverse = np.divide(1.0, s, out=np.zeros_like(s), where=is_kept)
         homogeneous = np.zeros(A.shape[1])
-        homogeneous[self.hand.joint_columns] = self._rest_gain * (self.hand.rest - self.configuration.q[self.hand.q_indices])
-        # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside their span.
+        homogeneous[self.hand.joint_columns] = self._rest_gain * (
+            self.hand.rest - self.configuration.q[self.hand.q_indices]
+        )
+        # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside
+        # their span.
         along = Vt @ homogeneous
         return self._scale * (homogeneous + Vt.T @ (inverse * (U.T @ b) - inverse * s * along))
 
-    def solve(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> IkResult:
-        """Move the hand towards its targets for one sample; arguments and result as of `PointIk.solve`."""
+    def solve(
+        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+    ) -> IkResult:
+        """Move the hand towards its targets for one sample.
+
+        Arguments and result as of `PointIk.solve`.
+        """
         start, nv = self.configuration.q.copy(), self.configuration.nv
         lower, upper = self._bounds(start, dt)
         total, last_step, iterations = np.zeros(nv), np.inf, 0
@@ -121,7 +149,15 @@ class PseudoinverseIk:
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
         free = np.full(self.configuration.nv, np.inf)
-        return self._result("released", self.configuration.points, np.zeros(self.configuration.nv), -free, free, 0, 0.0)
+        return self._result(
+            "released",
+            self.configuration.points,
+            np.zeros(self.configuration.nv),
+            -free,
+            free,
+            0,
+            0.0,
+        )
 
     def _result(
         self,
@@ -147,7 +183,9 @@ class PseudoinverseIk:
             last_step=last_step,
         )
 
-    def _finite_step(self, point_targets: np.ndarray, wrist_target: np.ndarray | None) -> np.ndarray | None:
+    def _finite_step(
+        self, point_targets: np.ndarray, wrist_target: np.ndarray | None
+    ) -> np.ndarray | None:
         try:
             step = self.step(point_targets, wrist_target)
         except np.linalg.LinAlgError:
@@ -159,13 +197,20 @@ class PseudoinverseIk:
             return self._box.bounds(q, dt)
         return np.full(self.configuration.nv, -np.inf), np.full(self.configuration.nv, np.inf)
 
-    def _weighted_task(self, point_targets: np.ndarray, wrist_target: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def _weighted_task(
+        self, point_targets: np.ndarray, wrist_target: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """`W J M^(-1/2)`, shape (k, nv), and `W e`, shape (k,)."""
         configuration = self.configuration
-        error, jacobian = (point_targets - configuration.points).ravel(), configuration.point_jacobian()
+        error, jacobian = (
+            (point_targets - configuration.points).ravel(),
+            configuration.point_jacobian(),
+        )
         if wrist_target is not None:
             offset = configuration.wrist.actInv(pin.SE3(wrist_target))
             error = np.concatenate([error, pin.log6(offset).vector])
-            jacobian = np.vstack([jacobian, configuration.wrist_jacobian(pin.Jlog6(offset.inverse()))])
+            jacobian = np.vstack(
+                [jacobian, configuration.wrist_jacobian(pin.Jlog6(offset.inverse()))]
+            )
         costs = self._costs[: len(error)]
         return costs[:, None] * jacobian * self._scale, costs * error

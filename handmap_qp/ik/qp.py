@@ -1,11 +1,14 @@
-"""Inverse kinematics as one box-constrained QP per iteration: the product's replacement for eq. (8).
+"""Inverse kinematics as one box-constrained QP per iteration: the product's replacement for eq.
 
-    min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + w_q^2 |q + dq - q_rest|^2 + w_d^2 |dq|^2
-    s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
+(8).
 
-Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the squared error (Levenberg-Marquardt). The box can
-never contradict itself: where `q` starts outside its limits, the joint comes back as fast as its speed limit allows. Lengths are
-measured in units of 10 mm and angles of the wrist in units of 0.1 rad, which keeps the Hessian within a few orders of one, where
+    min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + w_q^2 |q + dq - q_rest|^2 + w_d^2
+    |dq|^2 s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
+
+Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the squared error
+(Levenberg-Marquardt). The box can never contradict itself: where `q` starts outside its limits, the
+joint comes back as fast as its speed limit allows. Lengths are measured in units of 10 mm and
+angles of the wrist in units of 0.1 rad, which keeps the Hessian within a few orders of one, where
 solvers are at their best.
 """
 
@@ -18,7 +21,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits, as_slice
@@ -28,8 +31,9 @@ from handmap_qp.ik.solvers import make_solver
 End = Literal["solved", "failed", "released"]
 # A hand whose last step is shorter than this stands still, for all that its status says [rad or m].
 _AT_REST = 1e-3
-# What is so near to a bound is at it, as a share of the room between both bounds, or of 1 rad or m where that is more: iterations
-# add up to a bound but for rounding, and solvers but for their tolerance (clarabel and piqp leave up to 1e-7).
+# What is so near to a bound is at it, as a share of the room between both bounds, or of 1 rad or m
+# where that is more: iterations add up to a bound but for rounding, and solvers but for their
+# tolerance (clarabel and piqp leave up to 1e-7).
 _AT_BOUND = 1e-7
 
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
@@ -40,16 +44,17 @@ class IkResult:
     """Where the iterations of one sample ended.
 
     Attributes:
-        end: `solved`; `failed`: the solver found no answer, and the hand stays where it was, or comes back into its limits;
-            `released`: nothing was asked of it.
+        end: `solved`; `failed`: the solver found no answer, and the hand stays where it was, or
+            comes back into its limits; `released`: nothing was asked of it.
         points: Reference points [m], shape (m, 3).
         errors: Target minus point [m], shape (m, 3).
         point_tolerance: Length of an error that counts as none [m].
-        displacement: From the sample before to this one, in the active coordinates (wrist, and joints that follow no other),
-            shape (k,).
+        displacement: From the sample before to this one, in the active coordinates (wrist, and
+            joints that follow no other), shape (k,).
         lower: Its lower bounds from position and speed limits, shape (k,).
         upper: Its upper bounds, shape (k,).
-        joint_columns: Where in those the hand's joints are, in the order of `Hand.joint_names`, shape (n,).
+        joint_columns: Where in those the hand's joints are, in the order of `Hand.joint_names`,
+            shape (n,).
         iterations: QPs solved.
         last_step: Euclidean norm of the last iteration's step [rad or m].
     """
@@ -69,14 +74,17 @@ class IkResult:
     def active(self) -> np.ndarray:
         """-1 at a lower bound, +1 at an upper one, 0 between, shape (k,)."""
         near = _AT_BOUND * np.minimum(self.upper - self.lower, 1.0)
-        return (self.upper - self.displacement <= near).astype(np.int8) - (self.displacement - self.lower <= near)
+        return (self.upper - self.displacement <= near).astype(np.int8) - (
+            self.displacement - self.lower <= near
+        )
 
     @property
     def status(self) -> Status:
         """How well the targets were met.
 
-        `converged`: all points have arrived; `limited`: joints or wrist at a limit keep some away; `unreachable`: no limit does
-        and the hand does not move any more; `unsettled`: it is still on its way; `failed` and `released` as in `end`.
+        `converged`: all points have arrived; `limited`: joints or wrist at a limit keep some away;
+        `unreachable`: no limit does and the hand does not move any more; `unsettled`: it is still
+        on its way; `failed` and `released` as in `end`.
         """
         if self.end != "solved":
             return self.end
@@ -107,17 +115,26 @@ class PointIk:
         nv = self.configuration.nv
         count = len(hand.reference_points)
         self._collisions = CollisionLimit(hand) if options.avoids_self_collision else None
-        self._solver = make_solver(options.solver, nv, len(self._collisions.pairs) if self._collisions else 0)
-        # In the order of the active coordinates, which is the model's and not that of `joint_names`.
+        self._solver = make_solver(
+            options.solver, nv, len(self._collisions.pairs) if self._collisions else 0
+        )
+        # In the order of the active coordinates, which is the model's and not that of
+        # `joint_names`.
         order = np.argsort(hand.joint_columns)
         first_joint = nv - len(order)
         self._joint_angles = as_slice(hand.q_indices[order])
         self._rest = hand.rest[order]
-        self._limits = BoxLimits(hand, has_velocity_limits=options.has_velocity_limits, max_acceleration=options.max_acceleration)
+        self._limits = BoxLimits(
+            hand,
+            has_velocity_limits=options.has_velocity_limits,
+            max_acceleration=options.max_acceleration,
+        )
         position, orientation = wrist_costs(options)
         self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
         self._mask = self.configuration.support * self._row_weights[:, None]
-        self._error = np.zeros(3 * count + 6)  # point minus target, and the twist from target to wrist
+        self._error = np.zeros(
+            3 * count + 6
+        )  # point minus target, and the twist from target to wrist
         self._weighted_error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
         self._rest_weight = options.rest_weight**2
@@ -147,16 +164,20 @@ class PointIk:
         self.configuration.update(before.configuration.q)
         self._velocity = before._velocity
 
-    def solve(self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float) -> IkResult:
+    def solve(
+        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+    ) -> IkResult:
         """Move the hand towards its targets for one sample.
 
         Args:
             point_targets: Where the reference points shall be, in the world [m], shape (m, 3).
-            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free, as it does on a fixed hand.
+            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free, as it
+                does on a fixed hand.
             dt: Time since the last sample [s]; bounds the displacement through the speed limits.
 
         Returns:
-            Where it got to. On `failed`, the configuration is the one before the call, but for joints outside their limits.
+            Where it got to. On `failed`, the configuration is the one before the call, but for
+            joints outside their limits.
         """
         configuration, options = self.configuration, self.options
         start = configuration.q.copy()
@@ -165,31 +186,64 @@ class PointIk:
         total, last_step, iterations, end = self._zero_step, np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target)
-            # Bounds hold for the whole displacement of the sample, so later iterations get what is left of them.
+            # Bounds hold for the whole displacement of the sample, so later iterations get what is
+            # left of them.
             box = (lower - total, upper - total) if iterations else (lower, upper)
-            rows = None if self._collisions is None else self._collisions.feasible_rows(configuration, *box)
+            rows = (
+                None
+                if self._collisions is None
+                else self._collisions.feasible_rows(configuration, *box)
+            )
             step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
             if step is None:
-                # Outside its limits a joint comes back all the same: zero is then no displacement that the box allows.
-                total, last_step, end = np.minimum(np.maximum(self._zero_step, lower), upper), 0.0, "failed"
+                # Outside its limits a joint comes back all the same: zero is then no displacement
+                # that the box allows.
+                total, last_step, end = (
+                    np.minimum(np.maximum(self._zero_step, lower), upper),
+                    0.0,
+                    "failed",
+                )
             else:
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
                 last_step = math.sqrt(step.dot(step))
-            # One displacement from the start, not a chain of steps: a floating wrist's twist then keeps its limits exactly.
+            # One displacement from the start, not a chain of steps: a floating wrist's twist then
+            # keeps its limits exactly.
             configuration.displace(start, total)
         self._velocity = total / dt
         points = configuration.points.copy()
         columns, tolerance = self.hand.joint_columns, options.point_tolerance
-        return IkResult(end, points, point_targets - points, tolerance, total, lower, upper, columns, iterations, last_step)
+        return IkResult(
+            end,
+            points,
+            point_targets - points,
+            tolerance,
+            total,
+            lower,
+            upper,
+            columns,
+            iterations,
+            last_step,
+        )
 
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
         self._velocity, configuration = self._zero_step, self.configuration
         points, free = configuration.points.copy(), np.full(configuration.nv, np.inf)
         columns, tolerance = self.hand.joint_columns, self.options.point_tolerance
-        return IkResult("released", points, np.zeros_like(points), tolerance, self._zero_step, -free, free, columns, 0, 0.0)
+        return IkResult(
+            "released",
+            points,
+            np.zeros_like(points),
+            tolerance,
+            self._zero_step,
+            -free,
+            free,
+            columns,
+            0,
+            0.0,
+        )
 
     def problem(
         self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
@@ -218,7 +272,8 @@ class PointIk:
         weighted = configuration.contracted(self._weighted_all)
         np.multiply(error, self._row_weights, out=weighted_error)
         np.dot(weighted.T, weighted, out=self._H)
-        # The linearisation leaves out a curvature of the error times the lever; the lever is what the diagonal's root tells.
+        # The linearisation leaves out a curvature of the error times the lever; the lever is what
+        # the diagonal's root tells.
         self._H_diagonal += self._diagonal + self._turning * (
             np.sqrt(self._H_diagonal) * math.sqrt(weighted_error.dot(weighted_error))
         )

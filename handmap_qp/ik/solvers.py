@@ -1,7 +1,7 @@
 """QP solvers behind one call: `min 1/2 x' H x + c' x  s.t.  lower <= x <= upper,  G x <= h`.
 
-DAQP and ProxQP are spoken to natively and keep their workspace and active set from call to call. Any other solver goes through
-`qpsolvers`, which is convenient and slower.
+DAQP and ProxQP are spoken to natively and keep their workspace and active set from call to call.
+Any other solver goes through `qpsolvers`, which is convenient and slower.
 """
 
 from __future__ import annotations
@@ -19,36 +19,51 @@ Rows = tuple[np.ndarray, np.ndarray]
 
 # At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
 _PRIMAL_TOLERANCE = 1e-9
-# Where DAQP is not through by then it goes round in circles, which scaling ends: of 90,000 hostile problems one took 450, and with
-# targets at 1e18 m it used up its default of 10,000, for 12 ms.
+# Where DAQP is not through by then it goes round in circles, which scaling ends: of 90,000 hostile
+# problems one took 450, and with targets at 1e18 m it used up its default of 10,000, for 12 ms.
 _MOST_ITERATIONS = 1000
-# What it takes for an answer nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6, and quadprog needs nothing.
-# Interior-point methods (clarabel, piqp) report failure when asked for more.
+# What it takes for an answer nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6, and
+# quadprog needs nothing. Interior-point methods (clarabel, piqp) report failure when asked for
+# more.
 EXACT: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
     "daqp": {"primal_tol": 1e-12},
     "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000, "raise_error": False},
-    "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "eps_duality_gap_abs": 1e-10, "eps_duality_gap_rel": 0.0},
+    "piqp": {
+        "eps_abs": 1e-10,
+        "eps_rel": 0.0,
+        "eps_duality_gap_abs": 1e-10,
+        "eps_duality_gap_rel": 0.0,
+    },
     "proxqp": {"eps_abs": 1e-11, "eps_rel": 0.0},
 }
 
 
 # OSQP asked for more has often used up its iterations before.
-_EXACT_ENOUGH: dict[str, dict[str, Any]] = {"osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False}}
+_EXACT_ENOUGH: dict[str, dict[str, Any]] = {
+    "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False}
+}
 
 
 class QpSolver(Protocol):
     """A solver of one size of problem, which may start from its last solution."""
 
     def solve(
-        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+        self,
+        H: np.ndarray,
+        c: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rows: Rows | None = None,
     ) -> np.ndarray | None:
         """The minimiser, shape (n,), or None where the solver found none."""
         ...
 
 
 class DaqpSolver:
-    """DAQP, a dual active-set method: exact, allocation-free, warm-started with the last active set.
+    """DAQP, a dual active-set method.
+
+    Exact, allocation-free, warm-started with the last active set.
 
     Args:
         size: Number of variables.
@@ -65,16 +80,26 @@ class DaqpSolver:
         self._is_set_up = False
 
     def solve(
-        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+        self,
+        H: np.ndarray,
+        c: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
         G = self._no_rows
         if rows is not None:
-            # DAQP takes the box first and the rows behind it. With rows and a Hessian of 1e11 (targets a thousand kilometres away)
-            # it takes feasible problems for infeasible ones; the solution does not depend on the cost's scale.
+            # DAQP takes the box first and the rows behind it. With rows and a Hessian of 1e11
+            # (targets a thousand kilometres away) it takes feasible problems for infeasible ones;
+            # the solution does not depend on the cost's scale.
             G, scale = rows[0], 1.0 / H.diagonal().max()
             H, c = scale * H, scale * c
-            self._lower[: self._size], self._upper[: self._size], self._upper[self._size :] = lower, upper, rows[1]
+            self._lower[: self._size], self._upper[: self._size], self._upper[self._size :] = (
+                lower,
+                upper,
+                rows[1],
+            )
             lower, upper = self._lower, self._upper
         if self._is_set_up:
             update = {"H": H, "f": c, "bupper": upper, "blower": lower}
@@ -82,7 +107,8 @@ class DaqpSolver:
                 x, _, flag, _ = self._model.solve()
                 if flag > 0:
                     return x
-        # The first problem, or one that could not be solved from the last one's active set: from scratch, at a Hessian near one.
+        # The first problem, or one that could not be solved from the last one's active set: from
+        # scratch, at a Hessian near one.
         scale = 1.0 / H.diagonal().max()
         self._model = daqp.Model()
         self._model.settings = {"primal_tol": _PRIMAL_TOLERANCE, "iter_limit": _MOST_ITERATIONS}
@@ -101,7 +127,8 @@ class ProxqpSolver:
     Args:
         size: Number of variables.
         row_count: Number of linear rows, the same in every call.
-        tolerance: Absolute accuracy; at 1e-6 a warm start can report a wrong active set as solved, at 1e-9 not.
+        tolerance: Absolute accuracy; at 1e-6 a warm start can report a wrong active set as solved,
+            at 1e-9 not.
     """
 
     def __init__(self, size: int, row_count: int = 0, tolerance: float = 1e-9) -> None:
@@ -115,7 +142,12 @@ class ProxqpSolver:
         self._is_initialised = False
 
     def solve(
-        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+        self,
+        H: np.ndarray,
+        c: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
         linear = {} if rows is None else {"C": rows[0], "l": self._unbounded, "u": rows[1]}
@@ -126,7 +158,9 @@ class ProxqpSolver:
         self._qp.solve()
         if not self._is_initialised:
             # Only now: ProxQP 0.8 crashes if it is told to start warm before its first solution.
-            self._qp.settings.initial_guess = self._proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+            self._qp.settings.initial_guess = (
+                self._proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+            )
             self._is_initialised = True
         if self._qp.results.info.status != self._proxqp.QPSolverOutput.PROXQP_SOLVED:
             return None
@@ -138,7 +172,8 @@ class QpsolversSolver:
 
     Args:
         name: Such as `osqp`, `quadprog`, `piqp`, `clarabel`.
-        **settings: The solver's own; its defaults if omitted, at which OSQP was 0.04 rad from the answer.
+        **settings: The solver's own; its defaults if omitted, at which OSQP was 0.04 rad from the
+            answer.
     """
 
     def __init__(self, name: str, **settings: Any) -> None:
@@ -149,21 +184,30 @@ class QpsolversSolver:
         self._settings = settings
 
     def solve(
-        self, H: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+        self,
+        H: np.ndarray,
+        c: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
         G, h = (None, None) if rows is None else rows
         with warnings.catch_warnings():
-            # OSQP calls its answers inaccurate where it has used up its iterations; the box holds all the same, by clipping.
+            # OSQP calls its answers inaccurate where it has used up its iterations; the box holds
+            # all the same, by clipping.
             warnings.simplefilter("ignore", UserWarning)
-            return self._qpsolvers.solve_qp(H, c, G, h, lb=lower, ub=upper, solver=self._name, **self._settings)
+            return self._qpsolvers.solve_qp(
+                H, c, G, h, lb=lower, ub=upper, solver=self._name, **self._settings
+            )
 
 
 def make_solver(name: str, size: int, row_count: int = 0) -> QpSolver:
     """A solver by name.
 
     Args:
-        name: `daqp` (default everywhere), `proxqp`, or any other that `qpsolvers` lists as available.
+        name: `daqp` (default everywhere), `proxqp`, or any other that `qpsolvers` lists as
+            available.
         size: Number of variables.
         row_count: Number of linear rows.
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handmap_qp.hand_spec import Side
-from handmap_qp.onboarding.closing import Closing
+from handmap_qp.hands.spec import Side
+from handmap_qp.onboarding.flexion import Closing
 
 FINGERS = ("index", "middle", "ring", "little")
 """The fingers from the thumb's side outwards; further ones are numbered."""
@@ -36,7 +36,13 @@ class Clue:
     @property
     def sureness(self) -> str:
         """The confidence as a word."""
-        return "certain" if self.confidence >= 0.9 else "likely" if self.confidence >= 0.6 else "a guess: check it"
+        return (
+            "certain"
+            if self.confidence >= 0.9
+            else "likely"
+            if self.confidence >= 0.6
+            else "a guess: check it"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,12 +64,19 @@ class Anatomy:
     clues: tuple[Clue, ...]
 
 
-def find_anatomy(closing: Closing, names: list[list[str]], hints: Iterable[str], side: Side | None, thumb: int | None) -> Anatomy:
+def find_anatomy(
+    closing: Closing,
+    names: list[list[str]],
+    hints: Iterable[str],
+    side: Side | None,
+    thumb: int | None,
+) -> Anatomy:
     """Name the fingers and find the palm's directions.
 
     Args:
         closing: How the fingers close.
-        names: Names of every finger's links and joints; they decide only what kinematics leaves open.
+        names: Names of every finger's links and joints; they decide only what kinematics leaves
+            open.
         hints: Names that may tell a side: of the robot, its file and its palm.
         side: The side, where it is known.
         thumb: Index of the thumb, where it is known.
@@ -77,9 +90,12 @@ def find_anatomy(closing: Closing, names: list[list[str]], hints: Iterable[str],
     distal, distal_clue = _find_distal(closing, rest)
     dorsal, dorsal_clue = _find_dorsal(closing, rest, thumb, distal)
     across = np.cross(distal, dorsal)
-    found, side_clue = _find_side(closing, across, rest, thumb, [*hints, *(name for group in names for name in group)], side)
+    found, side_clue = _find_side(
+        closing, across, rest, thumb, [*hints, *(name for group in names for name in group)], side
+    )
     radial = -across if found == "right" else across
-    # Fingers spread from each other towards their tips, and bases may stand one behind the other: both tell the order.
+    # Fingers spread from each other towards their tips, and bases may stand one behind the other:
+    # both tell the order.
     places = (closing.bases + 0.3 * (closing.tips_open - closing.bases)) @ radial
     order = sorted(rest, key=lambda i: -places[i])
     fingers = [""] * count
@@ -93,12 +109,22 @@ def find_anatomy(closing: Closing, names: list[list[str]], hints: Iterable[str],
         ", ".join(fingers[i] for i in ([] if thumb is None else [thumb]) + order),
         "numbered by their place across the palm, from the thumb's side"
         + (f"; neighbours are {1e3 * gaps.min():.0f} mm apart or more" if len(gaps) else ""),
-        min(side_clue.confidence, 0.95 if not len(gaps) or gaps.min() > 0.004 else 0.4) if len(rest) > 1 else 0.9,
+        min(side_clue.confidence, 0.95 if not len(gaps) or gaps.min() > 0.004 else 0.4)
+        if len(rest) > 1
+        else 0.9,
     )
-    return Anatomy(distal, dorsal, found, tuple(fingers), (thumb_clue, distal_clue, dorsal_clue, side_clue, order_clue))
+    return Anatomy(
+        distal,
+        dorsal,
+        found,
+        tuple(fingers),
+        (thumb_clue, distal_clue, dorsal_clue, side_clue, order_clue),
+    )
 
 
-def _find_thumb(closing: Closing, names: list[list[str]], given: int | None) -> tuple[int | None, Clue]:
+def _find_thumb(
+    closing: Closing, names: list[list[str]], given: int | None
+) -> tuple[int | None, Clue]:
     count = len(closing.bases)
     if given is not None:
         return given, Clue("thumb", names[given][-1], "as given", 1.0)
@@ -116,11 +142,20 @@ def _find_thumb(closing: Closing, names: list[list[str]], given: int | None) -> 
             confidence = min(confidence, 0.5)
         return best, Clue("thumb", names[best][-1], f"{how} (by {margin:.2f} of 1)", confidence)
     if len(named) == 1:
-        return named[0], Clue("thumb", names[named[0]][-1], "its kinematics leaves it open; the links' names say so", 0.6)
+        return named[0], Clue(
+            "thumb",
+            names[named[0]][-1],
+            "its kinematics leaves it open; the links' names say so",
+            0.6,
+        )
     how = (
-        "the fingers are alike, so the first one stands for it" if count > 2 else "of two alike fingers the first one stands for it"
+        "the fingers are alike, so the first one stands for it"
+        if count > 2
+        else "of two alike fingers the first one stands for it"
     )
-    return best if margin > 1e-6 else 0, Clue("thumb", names[best if margin > 1e-6 else 0][-1], how, 0.3)
+    return best if margin > 1e-6 else 0, Clue(
+        "thumb", names[best if margin > 1e-6 else 0][-1], how, 0.3
+    )
 
 
 def _strangeness(closing: Closing, names: list[list[str]]) -> np.ndarray:
@@ -131,7 +166,11 @@ def _strangeness(closing: Closing, names: list[list[str]]) -> np.ndarray:
         for j in range(count):
             along = directions[i] + directions[j]
             length = np.linalg.norm(along)
-            ahead = abs((closing.bases[i] - closing.bases[j]) @ along) / length if length > 1e-6 else 0.0
+            ahead = (
+                abs((closing.bases[i] - closing.bases[j]) @ along) / length
+                if length > 1e-6
+                else 0.0
+            )
             differences[i, j] = (
                 0.5 * (1.0 - directions[i] @ directions[j])
                 + 0.5 * (1.0 - closing.ways[i] @ closing.ways[j])
@@ -143,13 +182,16 @@ def _strangeness(closing: Closing, names: list[list[str]]) -> np.ndarray:
     for i in range(count):
         others = [j for j in range(count) if j != i]
         among = differences[np.ix_(others, others)]
-        scores[i] = differences[i, others].mean() - among.sum() / max(1, len(others) * (len(others) - 1))
+        scores[i] = differences[i, others].mean() - among.sum() / max(
+            1, len(others) * (len(others) - 1)
+        )
     return scores
 
 
 def _find_distal(closing: Closing, fingers: list[int]) -> tuple[np.ndarray, Clue]:
     directions = closing.directions[fingers]
-    # The jaws of a gripper lean in and out; where they lie between their bases and their middle they agree.
+    # The jaws of a gripper lean in and out; where they lie between their bases and their middle
+    # they agree.
     mean = directions.mean(axis=0)
     if len(closing.bases) == 2:
         mean = closing.directions.mean(axis=0)
@@ -158,10 +200,14 @@ def _find_distal(closing: Closing, fingers: list[int]) -> tuple[np.ndarray, Clue
         mean = closing.tips_closed.mean(axis=0) - closing.bases.mean(axis=0)
     mean = _snapped(mean / np.linalg.norm(mean))
     how = f"the mean direction of the stretched fingers, which agree to {agreement:.2f} of 1"
-    return mean, Clue("distal", _shown(mean), how, 0.95 if agreement > 0.85 else 0.7 if agreement > 0.6 else 0.4)
+    return mean, Clue(
+        "distal", _shown(mean), how, 0.95 if agreement > 0.85 else 0.7 if agreement > 0.6 else 0.4
+    )
 
 
-def _find_dorsal(closing: Closing, fingers: list[int], thumb: int | None, distal: np.ndarray) -> tuple[np.ndarray, Clue]:
+def _find_dorsal(
+    closing: Closing, fingers: list[int], thumb: int | None, distal: np.ndarray
+) -> tuple[np.ndarray, Clue]:
     palmar = closing.ways[fingers].mean(axis=0)
     agreement = float(np.linalg.norm(palmar))
     palmar = palmar - (palmar @ distal) * distal
@@ -170,7 +216,10 @@ def _find_dorsal(closing: Closing, fingers: list[int], thumb: int | None, distal
     if np.linalg.norm(palmar) < 0.2 and thumb is not None:
         palmar = closing.tips_open[thumb] - closing.tips_open[fingers].mean(axis=0)
         palmar = palmar - (palmar @ distal) * distal
-        how, sureness = "away from the thumb, since the other fingertips close in different directions", 0.5
+        how, sureness = (
+            "away from the thumb, since the other fingertips close in different directions",
+            0.5,
+        )
     if np.linalg.norm(palmar) < 1e-6:
         palmar = np.eye(3)[np.argmin(np.abs(distal))]
         palmar = palmar - (palmar @ distal) * distal
@@ -184,7 +233,12 @@ def _find_dorsal(closing: Closing, fingers: list[int], thumb: int | None, distal
 
 
 def _find_side(
-    closing: Closing, across: np.ndarray, fingers: list[int], thumb: int | None, names: list[str], given: Side | None
+    closing: Closing,
+    across: np.ndarray,
+    fingers: list[int],
+    thumb: int | None,
+    names: list[str],
+    given: Side | None,
 ) -> tuple[Side, Clue]:
     """A right hand seen from the back with its fingers up has the thumb on the left."""
     sides: tuple[Side, Side] = ("right", "left")
@@ -193,8 +247,14 @@ def _find_side(
     place = 0.0
     if thumb is not None:
         middle = closing.bases[fingers].mean(axis=0) @ across
-        width = max(float(np.ptp(closing.bases[fingers] @ across)) / 2.0, 0.25 * float(closing.reach[fingers].mean()))
-        place = float(((closing.bases[thumb] + closing.tips_open[thumb]) / 2.0) @ across - middle) / width
+        width = max(
+            float(np.ptp(closing.bases[fingers] @ across)) / 2.0,
+            0.25 * float(closing.reach[fingers].mean()),
+        )
+        place = (
+            float(((closing.bases[thumb] + closing.tips_open[thumb]) / 2.0) @ across - middle)
+            / width
+        )
     found: Side = "right" if place < 0.0 else "left"
     if abs(place) > _LIKELY and len(closing.bases) > 2:
         confidence = 0.95 if abs(place) > _CLEAR else 0.7
@@ -208,11 +268,16 @@ def _find_side(
         found, confidence, how = "right", 0.2, "nothing tells; by convention"
     if given is None or given == found:
         return found, Clue("side", found, how, 1.0 if given else confidence)
-    how = f"as given; {how.replace('; by convention', '')}, which would make it {found}" if confidence > 0.3 else "as given"
+    how = (
+        f"as given; {how.replace('; by convention', '')}, which would make it {found}"
+        if confidence > 0.3
+        else "as given"
+    )
     return given, Clue("side", given, how, 0.9 if confidence <= 0.7 else 0.5)
 
 
-# A lone letter counts only where a name begins or ends with it: `l3` is the third link more often than a left one.
+# A lone letter counts only where a name begins or ends with it: `l3` is the third link more often
+# than a left one.
 _SIDES = {
     "right": re.compile(r"[Rr]ight|RIGHT|(?:^|_)(?:rh|RH)(?:_|$)|^[rR]_|_[rR]$|^R(?=[A-Z][a-z])"),
     "left": re.compile(r"[Ll]eft|LEFT|(?:^|_)(?:lh|LH)(?:_|$)|^[lL]_|_[lL]$|^L(?=[A-Z][a-z])"),

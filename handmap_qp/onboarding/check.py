@@ -1,4 +1,7 @@
-"""Whether a `hand.yaml` says what its URDF shows: `check_hand`, with findings that say what to change."""
+"""Whether a `hand.yaml` says what its URDF shows.
+
+`check_hand`, with findings that say what to change.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,21 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, HandmapError
-from handmap_qp.hand import Hand
-from handmap_qp.library import load_hand
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.urdf.files import urdf_path
 from handmap_qp.onboarding.detect import Detection, detect_text
-from handmap_qp.onboarding.measure import FingerReach, MotionPart, Size, colliding_links, measure_reach, measure_size, try_motion
+from handmap_qp.onboarding.measure import (
+    FingerReach,
+    MotionPart,
+    Size,
+    colliding_links,
+    measure_reach,
+    measure_size,
+    try_motion,
+)
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.transform import transform_points
-from handmap_qp.urdf_files import urdf_path
 
 Level = Literal["error", "warning", "advice", "fine"]
 
@@ -34,7 +45,8 @@ class Finding:
     """One thing found out about a description.
 
     Attributes:
-        level: `error`: it cannot be used; `warning`: it will not do what it says; `advice`: it could be better; `fine`.
+        level: `error`: it cannot be used; `warning`: it will not do what it says; `advice`: it
+            could be better; `fine`.
         where: The key of the `hand.yaml`.
         what: What was found.
         change: What to change; empty for nothing.
@@ -78,12 +90,18 @@ class Report:
         """
         for finding in self.findings:
             if finding.level == "error":
-                raise HandError(f"{finding.what}; {finding.change}" if finding.change else finding.what, key=finding.where)
+                raise HandError(
+                    f"{finding.what}; {finding.change}" if finding.change else finding.what,
+                    key=finding.where,
+                )
 
     def tables(self) -> dict[str, list[dict[str, Any]]]:
         """Everything as tables for people: rows by title."""
         size = self.size
-        findings = [{"": f.level, "key": f.where, "found": f.what, "change": f.change} for f in self.findings]
+        findings = [
+            {"": f.level, "key": f.where, "found": f.what, "change": f.change}
+            for f in self.findings
+        ]
         tables: dict[str, list[dict[str, Any]]] = {f"{self.name}: findings": findings}
         if self.hand is not None:
             tables["Joints"] = _joint_rows(self.hand)
@@ -118,7 +136,10 @@ class Report:
     def document(self, picture: Path | None) -> dict[str, Any]:
         """Everything as JSON holds it."""
         tables = self.tables()
-        tables["findings"] = [{"level": f.level, "key": f.where, "found": f.what, "change": f.change} for f in self.findings]
+        tables["findings"] = [
+            {"level": f.level, "key": f.where, "found": f.what, "change": f.change}
+            for f in self.findings
+        ]
         tables.pop(f"{self.name}: findings")
         return {"name": self.name, **tables, "picture": None if picture is None else str(picture)}
 
@@ -154,7 +175,12 @@ def _check(hand: str | Path, has_motion: bool) -> Report:
     report.reach = _best_of_each_finger(measure_reach(built))
     for row in report.reach:
         if row.directions == 0:
-            report.add("warning", "points", f"no joint moves {row.point}", "put it on a link that moves, or leave it out")
+            report.add(
+                "warning",
+                "points",
+                f"no joint moves {row.point}",
+                "put it on a link that moves, or leave it out",
+            )
     tips = built.with_points("fingertips") if "fingertips" in built.spec.sets else built
     report.size = measure_size(tips)
     _check_size(report, report.size)
@@ -162,7 +188,9 @@ def _check(hand: str | Path, has_motion: bool) -> Report:
         _check_motion(report, built)
     if not any(finding.level in ("error", "warning") for finding in report.findings):
         report.add("fine", "", "description and URDF agree")
-    report.findings.sort(key=lambda finding: ("error", "warning", "advice", "fine").index(finding.level))
+    report.findings.sort(
+        key=lambda finding: ("error", "warning", "advice", "fine").index(finding.level)
+    )
     return report
 
 
@@ -183,23 +211,45 @@ def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
         is_set = i < len(hand.joint_names)
         limits = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]" if is_set else ""
         speed = f"{hand.velocity_limits[i]:.3g}" if is_set else ""
-        rows.append({"joint": joint, "role": role, "limits": limits, "speed": speed, "rest": float(rest[i])})
+        rows.append(
+            {"joint": joint, "role": role, "limits": limits, "speed": speed, "rest": float(rest[i])}
+        )
     return rows
 
 
 def _check_joints(report: Report, hand: Hand) -> None:
     for note in hand.notes:
-        report.add("warning", "mimic", note, "correct the URDF, or give the rule in `mimic` or the limits in `limits`")
+        report.add(
+            "warning",
+            "mimic",
+            note,
+            "correct the URDF, or give the rule in `mimic` or the limits in `limits`",
+        )
     width = hand.upper_limits - hand.lower_limits
     for i, joint in enumerate(hand.joint_names):
         edge = min(hand.rest[i] - hand.lower_limits[i], hand.upper_limits[i] - hand.rest[i])
         if edge < 0.01 * width[i]:
-            report.add("advice", f"rest.{joint}", "rests at its limit, so it can move one way only", "move it inwards")
+            report.add(
+                "advice",
+                f"rest.{joint}",
+                "rests at its limit, so it can move one way only",
+                "move it inwards",
+            )
         if width[i] < 0.002:
-            report.add("warning", "limits", f"{joint} has a range of {width[i]:.2g}", "give its true limits, or lock it")
+            report.add(
+                "warning",
+                "limits",
+                f"{joint} has a range of {width[i]:.2g}",
+                "give its true limits, or lock it",
+            )
         if hand.velocity_limits[i] > 60.0 or hand.velocity_limits[i] < 0.02:
             speed = hand.velocity_limits[i]
-            report.add("advice", f"limits.{joint}", f"a speed of {speed:.3g} per second is unusual", "check its unit")
+            report.add(
+                "advice",
+                f"limits.{joint}",
+                f"a speed of {speed:.3g} per second is unusual",
+                "check its unit",
+            )
     _check_followers(report, hand)
 
 
@@ -213,8 +263,16 @@ def _check_followers(report: Report, hand: Hand) -> None:
         lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
         if hand.lower_limits[i] > lower + 1e-9 or hand.upper_limits[i] < upper - 1e-9:
             now = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
-            report.add("fine", f"limits.{joint}", f"its followers narrow [{lower:.3g}, {upper:.3g}] to {now}")
-    report.add("fine", "mimic", f"{followers} joints follow others" + ("" if hand.notes else ", within their own limits"))
+            report.add(
+                "fine",
+                f"limits.{joint}",
+                f"its followers narrow [{lower:.3g}, {upper:.3g}] to {now}",
+            )
+    report.add(
+        "fine",
+        "mimic",
+        f"{followers} joints follow others" + ("" if hand.notes else ", within their own limits"),
+    )
 
 
 def _check_points(report: Report, hand: Hand) -> None:
@@ -222,17 +280,34 @@ def _check_points(report: Report, hand: Hand) -> None:
     for i, point in enumerate(hand.reference_points):
         if (point.partner or point.name) not in names:
             wanted = point.partner or point.name
-            report.add("advice", f"points.{point.name}", f"the human hand has no point {wanted!r}", "name a partner")
+            report.add(
+                "advice",
+                f"points.{point.name}",
+                f"the human hand has no point {wanted!r}",
+                "name a partner",
+            )
         for j in range(i):
             if np.linalg.norm(points[i] - points[j]) < 1e-3:
                 other = hand.reference_points[j].name
-                report.add("warning", f"points.{point.name}", f"lies on {other}", "one of them will do")
+                report.add(
+                    "warning", f"points.{point.name}", f"lies on {other}", "one of them will do"
+                )
     _check_places(report, hand)
     weights = hand.point_weights
     if weights.max() > 100.0 * weights.min():
-        report.add("advice", "points.weight", f"weights are {weights.max() / weights.min():.0f}-fold apart", "stay within 100")
+        report.add(
+            "advice",
+            "points.weight",
+            f"weights are {weights.max() / weights.min():.0f}-fold apart",
+            "stay within 100",
+        )
     if len(points) < 3:
-        report.add("advice", "sets", f"{len(points)} points leave some of the hand's motion open", "add points of the same links")
+        report.add(
+            "advice",
+            "sets",
+            f"{len(points)} points leave some of the hand's motion open",
+            "add points of the same links",
+        )
 
 
 def _check_places(report: Report, hand: Hand) -> None:
@@ -248,10 +323,17 @@ def _check_places(report: Report, hand: Hand) -> None:
         cloud = robot.body_surface(body)
         if len(cloud):
             place = transform_points(robot.pose_in(point.link, body), np.array(point.xyz))
-            outside = np.maximum(np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0)), 0.0)
+            outside = np.maximum(
+                np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0)), 0.0
+            )
             if (distance := float(np.linalg.norm(outside))) > _OFF_THE_LINK:
                 what = f"lies {1e3 * distance:.0f} mm outside the shape of {point.link}"
-                report.add("warning", f"points.{point.name}", what, "check its xyz, in metres in that link's frame")
+                report.add(
+                    "warning",
+                    f"points.{point.name}",
+                    what,
+                    "check its xyz, in metres in that link's frame",
+                )
 
 
 def _check_anatomy(report: Report, hand: Hand) -> None:
@@ -266,13 +348,22 @@ def _check_anatomy(report: Report, hand: Hand) -> None:
     for name in ("distal", "dorsal"):
         # The direction found, in the coordinates of the link that the description uses.
         other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
-        angle = float(np.degrees(np.arccos(np.clip(np.array(getattr(hand.spec.palm, name)) @ other, -1.0, 1.0))))
+        angle = float(
+            np.degrees(
+                np.arccos(np.clip(np.array(getattr(hand.spec.palm, name)) @ other, -1.0, 1.0))
+            )
+        )
         if angle > 40.0 and clues[name].confidence > _SURE:
             better = ", ".join(f"{value:.3f}" for value in other)
             what = f"is {angle:.0f} degrees from what the fingers say: {clues[name].how}"
             report.add("warning", f"palm.{name}", what, f"try [{better}]")
     if found.spec.side != hand.side and clues["side"].confidence > _SURE:
-        report.add("warning", "side", f"{clues['side'].how}: a {found.spec.side} hand", f"side: {found.spec.side}")
+        report.add(
+            "warning",
+            "side",
+            f"{clues['side'].how}: a {found.spec.side} hand",
+            f"side: {found.spec.side}",
+        )
     if clues["fingers"].confidence > _SURE and found.spec.side == hand.side:
         _check_fingers(report, hand, found)
 
@@ -285,7 +376,12 @@ def _check_fingers(report: Report, hand: Hand, found: Detection) -> None:
         owner = next((finger for finger, chain in found.chains.items() if mover in chain), None)
         if owner is not None and point.finger is not None and owner != point.finger:
             what = f"is on the finger that stands where the {owner} does, and says {point.finger}"
-            report.add("warning", f"points.{point.name}", what, f"finger: {owner}, and a name and partner to go with it")
+            report.add(
+                "warning",
+                f"points.{point.name}",
+                what,
+                f"finger: {owner}, and a name and partner to go with it",
+            )
 
 
 def _check_collisions(report: Report, hand: Hand) -> None:
@@ -295,8 +391,15 @@ def _check_collisions(report: Report, hand: Hand) -> None:
         report.add("advice", "urdf", f"self-collisions were not checked: {error}")
         return
     if pairs:
-        shown = ", ".join(f"{one} and {other}" for one, other in pairs[:4]) + (", ..." if len(pairs) > 4 else "")
-        report.add("warning", "rest", f"at rest {shown} overlap", "open the hand or spread its fingers a little more")
+        shown = ", ".join(f"{one} and {other}" for one, other in pairs[:4]) + (
+            ", ..." if len(pairs) > 4 else ""
+        )
+        report.add(
+            "warning",
+            "rest",
+            f"at rest {shown} overlap",
+            "open the hand or spread its fingers a little more",
+        )
     else:
         report.add("fine", "rest", "no two links overlap at rest, but those that meet in a joint")
 
@@ -304,7 +407,9 @@ def _check_collisions(report: Report, hand: Hand) -> None:
 def _check_size(report: Report, size: Size) -> None:
     if not 0.3 < size.ratio < 4.0:
         what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} human hands"
-        report.add("warning", "palm.xyz", what, "check the URDF's unit (metres) and the palm's origin")
+        report.add(
+            "warning", "palm.xyz", what, "check the URDF's unit (metres) and the palm's origin"
+        )
 
 
 def _check_motion(report: Report, hand: Hand) -> None:

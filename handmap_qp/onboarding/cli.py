@@ -9,23 +9,25 @@ from typing import Any
 
 import tyro
 
-from handmap_qp.hand_spec import Side
+from handmap_qp.hands.spec import Side
 
 
 @dataclass(frozen=True)
 class HandsInit:
     """Find a hand in a URDF and write its hand.yaml.
 
-    Palm, fingers, thumb, fingertips, side and a rest posture are found from the kinematics; each comes with how it was found and
-    how sure that is. Look at the result with `handmap hands check`.
+    Palm, fingers, thumb, fingertips, side and a rest posture are found from the kinematics; each
+    comes with how it was found and how sure that is. Look at the result with `handmap hands check`.
 
     Examples: `handmap hands init my_hand.urdf`, or
     `handmap hands init humanoid.urdf --root left_wrist_link --side left --out left_hand/hand.yaml`.
 
     Attributes:
         urdf: The URDF.
-        root: Link at which the hand, or the arm that ends in it, begins, in the URDF of a whole robot.
-        base: Link that stands still: the joints between it and the hand then move the wrist. The hand floats if omitted.
+        root: Link at which the hand, or the arm that ends in it, begins, in the URDF of a whole
+            robot.
+        base: Link that stands still: the joints between it and the hand then move the wrist. The
+            hand floats if omitted.
         side: Side of the hand, where it shall not be found.
         thumb: A link or joint of the thumb, where it shall not be found.
         name: Name of the hand; that of the robot if omitted.
@@ -46,16 +48,31 @@ class HandsInit:
 
     def run(self) -> None:
         """Find, write, load what was written, and say how each part was found."""
-        from handmap_qp.library import load_hand
+        from handmap_qp.hands.library import load_hand
         from handmap_qp.onboarding.detect import detect
         from handmap_qp.onboarding.write import write_hand
 
-        found = detect(self.urdf, root=self.root, base=self.base, side=self.side, thumb=self.thumb, name=self.name)
+        found = detect(
+            self.urdf,
+            root=self.root,
+            base=self.base,
+            side=self.side,
+            thumb=self.thumb,
+            name=self.name,
+        )
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
-        rows = [{"what": c.what, "found": c.answer, "sure": c.sureness, "how": c.how} for c in found.clues]
+        rows = [
+            {"what": c.what, "found": c.answer, "sure": c.sureness, "how": c.how}
+            for c in found.clues
+        ]
         if self.json:
-            document: dict[str, Any] = {"name": hand.name, "out": str(self.out), "found": rows, "notes": list(found.notes)}
+            document: dict[str, Any] = {
+                "name": hand.name,
+                "out": str(self.out),
+                "found": rows,
+                "notes": list(found.notes),
+            }
             print(json.dumps(document))
             return
         followers = hand.all_joint_roles.count("follower")
@@ -69,8 +86,9 @@ class HandsInit:
 class HandsCheck:
     """Check a hand.yaml against its URDF and draw the hand with its labels.
 
-    Frames, limits, mimic rules, reference points and weights; how far each finger reaches and how well it moves; the hand's size
-    beside a person's; self-collisions at rest; and which human motions will be out of reach. Findings say what to change.
+    Frames, limits, mimic rules, reference points and weights; how far each finger reaches and how
+    well it moves; the hand's size beside a person's; self-collisions at rest; and which human
+    motions will be out of reach. Findings say what to change.
 
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
@@ -112,9 +130,13 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
         return
     table = Table()
     for name, value in rows[0].items():
-        table.add_column(name, justify="right" if isinstance(value, int | float) else "left", overflow="fold")
+        table.add_column(
+            name, justify="right" if isinstance(value, int | float) else "left", overflow="fold"
+        )
     for row in rows:
-        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+        table.add_row(
+            *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
+        )
     console = Console()
     console.print(title, style="bold")
     console.print(table)

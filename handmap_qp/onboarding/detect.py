@@ -1,8 +1,8 @@
 """From a URDF to a hand's description: `detect`.
 
-Everything rests on how the robot moves: which chains branch from one body, where fingers are straight, which way their tips go
-when they close, where the thumb stands. Names decide only what that leaves open, and each answer says how it was found and how
-sure it is.
+Everything rests on how the robot moves: which chains branch from one body, where fingers are
+straight, which way their tips go when they close, where the thumb stands. Names decide only what
+that leaves open, and each answer says how it was found and how sure it is.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import HandError
-from handmap_qp.hand_spec import HandSpec, Mount, PalmSpec, PointSpec, Side, WristSpec
+from handmap_qp.hands.spec import HandSpec, Mount, PalmSpec, PointSpec, Side, WristSpec
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
-from handmap_qp.onboarding.closing import Closing, Fingers, find_closing
+from handmap_qp.onboarding.flexion import Closing, Fingers, find_closing
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.onboarding.structure import Chain, Structure, find_structure
 from handmap_qp.transform import transform_points
 
-# Half open is less than half way to the fist, and no joint need bend further than this for it [rad].
+# Half open is less than half way to the fist, and no joint need bend further than this for it
+# [rad].
 _REST_SHARE, _REST_MOST = 0.4, 0.75
 # A person's palm from wrist to knuckles, in lengths of the longest finger from knuckle to tip.
 _PALM_RATIO = (0.4, 1.4)
@@ -36,7 +37,8 @@ class Detection:
         spec: The description, ready to be written or loaded.
         clues: How each part of it was found.
         notes: What was assumed or left out.
-        chains: Joints that move every finger, its own and the leaders of those, by the finger's name.
+        chains: Joints that move every finger, its own and the leaders of those, by the finger's
+            name.
     """
 
     spec: HandSpec
@@ -58,9 +60,10 @@ def detect(
 
     Args:
         urdf: The file.
-        root: Link at which the hand, or the part of the robot that holds it, begins; the whole URDF if omitted.
-        base: Link that stands still, with an arm between it and the hand: the arm's joints then move the wrist. The hand floats if
-            omitted.
+        root: Link at which the hand, or the part of the robot that holds it, begins; the whole URDF
+            if omitted.
+        base: Link that stands still, with an arm between it and the hand: the arm's joints then
+            move the wrist. The hand floats if omitted.
         side: The hand's side, where kinematics shall not decide.
         thumb: A link or joint of the thumb, where kinematics shall not decide.
         name: The hand's name; that of the robot if omitted.
@@ -88,7 +91,10 @@ def detect_text(
     thumb: str | None = None,
     name: str | None = None,
 ) -> Detection:
-    """Find a hand in a URDF's text; `urdf` is where it came from, other arguments and errors as of `detect`."""
+    """Find a hand in a URDF's text.
+
+    `urdf` is where it came from, other arguments and errors as of `detect`.
+    """
     robot = Robot(text, urdf, root=root)
     structure = find_structure(robot)
     if root is None and (structure.above or structure.palm != robot.root):
@@ -96,7 +102,11 @@ def detect_text(
         structure = find_structure(robot)
     closing = find_closing(robot, structure)
     names = [[*chain.joints, *chain.links] for chain in structure.chains]
-    given = None if thumb is None else next((i for i, group in enumerate(names) if thumb in group), None)
+    given = (
+        None
+        if thumb is None
+        else next((i for i, group in enumerate(names) if thumb in group), None)
+    )
     if thumb is not None and given is None:
         raise HandError(f"no finger has a link or joint {thumb!r}", file=urdf, value=thumb)
     anatomy = find_anatomy(closing, names, (robot.name, urdf.stem, structure.palm), side, given)
@@ -126,13 +136,21 @@ def _describe(
     origin, origin_clue = _palm_origin(robot, structure, closing, anatomy)
     sets = {"fingertips": tips}
     if len(points) > len(tips):
-        sets["fingertips_middle"] = (*tips, *(point.name for point in points if point.name not in tips))
+        sets["fingertips_middle"] = (
+            *tips,
+            *(point.name for point in points if point.name not in tips),
+        )
     mount: Mount = "floating"
     spec = HandSpec(
         name=name,
         urdf=str(robot.file),
         side=anatomy.side,
-        palm=PalmSpec(structure.palm, _vector(anatomy.distal, 9), _vector(anatomy.dorsal, 9), _vector(origin, 4)),
+        palm=PalmSpec(
+            structure.palm,
+            _vector(anatomy.distal, 9),
+            _vector(anatomy.dorsal, 9),
+            _vector(origin, 4),
+        ),
         wrist=WristSpec(robot.root, mount),
         joints=joints,
         rest=rest,
@@ -168,7 +186,14 @@ def _in_order(anatomy: Anatomy, chains: tuple[Chain, ...]) -> list[tuple[str, Ch
     """Fingers with their chains, the thumb first."""
     known = ("thumb", "index", "middle", "ring", "little")
     pairs = list(zip(anatomy.fingers, chains, strict=True))
-    return sorted(pairs, key=lambda pair: (known.index(pair[0]) if pair[0] in known else len(known), len(pair[0]), pair[0]))
+    return sorted(
+        pairs,
+        key=lambda pair: (
+            known.index(pair[0]) if pair[0] in known else len(known),
+            len(pair[0]),
+            pair[0],
+        ),
+    )
 
 
 def _ordered_joints(robot: Robot, structure: Structure, anatomy: Anatomy) -> tuple[str, ...]:
@@ -183,7 +208,10 @@ def _ordered_joints(robot: Robot, structure: Structure, anatomy: Anatomy) -> tup
 
 
 def _rest(robot: Robot, closing: Closing, anatomy: Anatomy) -> np.ndarray:
-    """Half open: a share of the way to the fist; what does not flex is near zero, or in the middle of its range on the thumb."""
+    """Half open: a share of the way to the fist.
+
+    What does not flex is near zero, or in the middle of its range on the thumb.
+    """
     travel = closing.q_closed - closing.q_open
     slides = np.array([robot.kinds[name] == "prismatic" for name in robot.active])
     step = np.where(slides, 0.5 * travel, np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST))
@@ -209,18 +237,30 @@ def _points(
     for finger, chain in _in_order(anatomy, structure.chains):
         # A further finger has no human counterpart: it goes with the little one.
         partner = f"{finger}_tip" if not finger.startswith("finger") else "little_tip"
-        tip = PointSpec(f"{finger}_tip", chain.tip.link, _vector(chain.tip.xyz, 4), finger, 1.0, partner)
+        tip = PointSpec(
+            f"{finger}_tip", chain.tip.link, _vector(chain.tip.xyz, 4), finger, 1.0, partner
+        )
         tips.append(tip if partner != tip.name else msgspec.structs.replace(tip, partner=None))
         link = _middle_link(robot, chain)
         if link is not None:
             name = f"{finger}_ip" if finger == "thumb" else f"{finger}_pip"
-            middle = PointSpec(name, link, (0.0, 0.0, 0.0), finger, 1.0, None if not finger.startswith("finger") else "little_pip")
+            middle = PointSpec(
+                name,
+                link,
+                (0.0, 0.0, 0.0),
+                finger,
+                1.0,
+                None if not finger.startswith("finger") else "little_pip",
+            )
             middles.append(middle)
     return (*tips, *middles), tuple(point.name for point in tips)
 
 
 def _middle_link(robot: Robot, chain: Chain) -> str | None:
-    """The link whose joint is nearest to the middle of a finger, measured along it; None where no joint is near."""
+    """The link whose joint is nearest to the middle of a finger, measured along it.
+
+    None where no joint is near.
+    """
     robot.place(robot.zero)
     places = [robot.pose(link)[:3, 3] for link in chain.links]
     places.append(transform_points(robot.pose(chain.tip.link), chain.tip.xyz))
@@ -232,8 +272,13 @@ def _middle_link(robot: Robot, chain: Chain) -> str | None:
     return chain.links[nearest] if 0.2 < shares[nearest] < 0.85 else None
 
 
-def _palm_origin(robot: Robot, structure: Structure, closing: Closing, anatomy: Anatomy) -> tuple[np.ndarray, Clue]:
-    """Where a wrist would be: under the middle of the knuckles, at the near end of the palm's surface."""
+def _palm_origin(
+    robot: Robot, structure: Structure, closing: Closing, anatomy: Anatomy
+) -> tuple[np.ndarray, Clue]:
+    """Where a wrist would be.
+
+    Under the middle of the knuckles, at the near end of the palm's surface.
+    """
     robot.place(robot.zero)
     fingers = [i for i, finger in enumerate(anatomy.fingers) if finger != "thumb"] or [0]
     knuckles = closing.bases[fingers].mean(axis=0)
@@ -251,20 +296,29 @@ def _palm_origin(robot: Robot, structure: Structure, closing: Closing, anatomy: 
     confidence = 0.8
     if not low <= back <= high:
         back, confidence = float(np.clip(back, low, high)), 0.5
-        how = f"{how}; moved to {1e3 * back:.0f} mm behind the knuckles, in proportion to a person's"
+        how = (
+            f"{how}; moved to {1e3 * back:.0f} mm behind the knuckles, in proportion to a person's"
+        )
     origin = knuckles - back * anatomy.distal
     return origin, Clue("palm origin", f"{1e3 * back:.0f} mm behind the knuckles", how, confidence)
 
 
 def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec, tuple[str, ...]]:
-    """The same hand with the arm between `base` and itself; everything else that moves is locked."""
+    """The same hand with the arm between `base` and itself.
+
+    Everything else that moves is locked.
+    """
     robot = Robot(text, urdf, root=base)
     hand = spec.root or spec.wrist.link
     if hand not in robot.links:
-        raise HandError(f"the hand {hand!r} does not hang from the base {base!r}", file=urdf, value=base)
+        raise HandError(
+            f"the hand {hand!r} does not hang from the base {base!r}", file=urdf, value=base
+        )
     arm = tuple(joint for joint, _ in robot.chain(hand, robot.root) if joint in robot.active)
     if not arm:
-        raise HandError(f"no joint moves between {base!r} and the hand {hand!r}", file=urdf, value=base)
+        raise HandError(
+            f"no joint moves between {base!r} and the hand {hand!r}", file=urdf, value=base
+        )
     still = [joint for joint in robot.active if joint not in arm and joint not in spec.joints]
     middle = 0.5 * (robot.lower + robot.upper)
     # An arm stretched out is singular; in the middle of its ranges it seldom is.
@@ -274,10 +328,19 @@ def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec,
         "wrist": WristSpec(spec.wrist.link, "fixed"),
         "joints": (*arm, *spec.joints),
         "rest": {**rest, **spec.rest},
-        "locked": {**spec.locked, **{joint: float(robot.zero[robot.active.index(joint)]) for joint in still}},
-        "limits": {**{joint: limit for joint, limit in robot.assumed.items() if joint in arm}, **spec.limits},
+        "locked": {
+            **spec.locked,
+            **{joint: float(robot.zero[robot.active.index(joint)]) for joint in still},
+        },
+        "limits": {
+            **{joint: limit for joint, limit in robot.assumed.items() if joint in arm},
+            **spec.limits,
+        },
     }
-    notes = (f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}", f"{len(still)} joints beside it are locked")
+    notes = (
+        f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}",
+        f"{len(still)} joints beside it are locked",
+    )
     return msgspec.structs.replace(spec, **changes), notes
 
 

@@ -1,4 +1,7 @@
-"""What a hand can do, in numbers: how its fingers reach, its size beside a person's, self-collisions, a standard motion."""
+"""What a hand can do, in numbers.
+
+How its fingers reach, its size beside a person's, self-collisions, a standard motion.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hand import Hand
-from handmap_qp.library import load_hand
-from handmap_qp.mapping import HandMapper
-from handmap_qp.urdf_files import find_mesh, urdf_path
-from handmap_qp.urdf_text import parse_urdf
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.hands.urdf.files import find_mesh, urdf_path
+from handmap_qp.mapping.mapper import HandMapper
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
@@ -35,7 +38,8 @@ class FingerReach:
         span: Largest distance between two places that it reaches [m].
         directions: In how many directions it can move at rest, 0 to 3.
         slowest: The least of its motions at rest that is one [m/rad].
-        manipulability: Yoshikawa's measure at rest, the product of those motions [(m/rad)^directions].
+        manipulability: Yoshikawa's measure at rest, the product of those motions
+            [(m/rad)^directions].
     """
 
     point: str
@@ -51,7 +55,8 @@ class Size:
     """How large a hand is.
 
     Attributes:
-        length: From the palm's origin to the farthest fingertip, fingers straight or at rest, whichever is longer [m].
+        length: From the palm's origin to the farthest fingertip, fingers straight or at rest,
+            whichever is longer [m].
         cloud: Root mean square distance of the fingertips from their middle at rest [m].
         human_cloud: The same of a person's hand of usual length [m].
     """
@@ -95,8 +100,15 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     wrist = hand.v_indices if not hand.has_moving_wrist or hand.is_floating else None
     fingers = np.array([wrist is not None or not _moves_wrist(hand, v) for v in hand.v_indices])
     generator = np.random.default_rng(0)
-    shares = np.vstack([generator.random((_SAMPLES, len(hand.rest))), generator.integers(0, 2, (_SAMPLES, len(hand.rest)))])
-    postures = np.where(fingers, hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits), hand.rest)
+    shares = np.vstack(
+        [
+            generator.random((_SAMPLES, len(hand.rest))),
+            generator.integers(0, 2, (_SAMPLES, len(hand.rest))),
+        ]
+    )
+    postures = np.where(
+        fingers, hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits), hand.rest
+    )
     places = np.array([hand.points(q) for q in postures])
     jacobian = hand.point_jacobian(hand.rest)[:, fingers]
     rows = []
@@ -127,8 +139,13 @@ def measure_size(hand: Hand) -> Size:
     """
     human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
     postures = (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits))
-    lengths = [np.linalg.norm(hand.points(q) - hand.frame_pose("palm", q)[:3, 3], axis=1).max() for q in postures]
-    return Size(float(max(lengths)), _spread(hand.points(hand.rest)), _spread(human.points(human.rest)))
+    lengths = [
+        np.linalg.norm(hand.points(q) - hand.frame_pose("palm", q)[:3, 3], axis=1).max()
+        for q in postures
+    ]
+    return Size(
+        float(max(lengths)), _spread(hand.points(hand.rest)), _spread(human.points(human.rest))
+    )
 
 
 def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
@@ -148,7 +165,9 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str(find_mesh(mesh.get("filename", ""), folder).resolve()))
     try:
-        geometry = pin.buildGeomFromUrdfString(hand.model, ET.tostring(robot, encoding="unicode"), pin.GeometryType.COLLISION)
+        geometry = pin.buildGeomFromUrdfString(
+            hand.model, ET.tostring(robot, encoding="unicode"), pin.GeometryType.COLLISION
+        )
     except (RuntimeError, ValueError) as error:
         raise HandmapError(" ".join(str(error).split())) from error
     model, shapes = hand.model, geometry.geometryObjects
@@ -160,20 +179,29 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     data, posture = geometry.createData(), model.createData()
 
     def overlaps(angles: np.ndarray) -> np.ndarray:
-        pin.computeCollisions(model, posture, geometry, data, hand.configuration_vector(angles), False)
+        pin.computeCollisions(
+            model, posture, geometry, data, hand.configuration_vector(angles), False
+        )
         return np.array([result.isCollision() for result in data.collisionResults], dtype=bool)
 
     generator = np.random.default_rng(0)
-    others = [hand.lower_limits + generator.random(len(q)) * (hand.upper_limits - hand.lower_limits) for _ in range(8)]
+    others = [
+        hand.lower_limits + generator.random(len(q)) * (hand.upper_limits - hand.lower_limits)
+        for _ in range(8)
+    ]
     # Shapes that overlap nearly everywhere were drawn so; no joint parts them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
     frames = [(shapes[pair.first].parentFrame, shapes[pair.second].parentFrame) for pair in pairs]
-    return tuple(dict.fromkeys((model.frames[one].name, model.frames[other].name) for one, other in frames))
+    return tuple(
+        dict.fromkeys((model.frames[one].name, model.frames[other].name) for one, other in frames)
+    )
 
 
 def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
-    """Map a standard motion of a person's hand: flat, spread, fist, pointing, and pinches, from rest and back each time.
+    """Map a standard motion of a person's hand.
+
+    Flat, spread, fist, pointing, and pinches, from rest and back each time.
 
     Args:
         hand: The robot hand.
@@ -197,8 +225,14 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
         q = step.command.q
         room = 1e-4 * (hand.upper_limits - hand.lower_limits)
         at_limit = (q <= hand.lower_limits + room) | (q >= hand.upper_limits - room)
-        limited = tuple(joint for joint, is_at in zip(hand.joint_names, at_limit, strict=True) if is_at)
-        parts.append(MotionPart(name, float(step.point_error[worst]), hand.reference_points[worst].name, limited))
+        limited = tuple(
+            joint for joint, is_at in zip(hand.joint_names, at_limit, strict=True) if is_at
+        )
+        parts.append(
+            MotionPart(
+                name, float(step.point_error[worst]), hand.reference_points[worst].name, limited
+            )
+        )
     return tuple(parts)
 
 
@@ -211,7 +245,11 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
         for i, name in enumerate(names):
             finger, _, joint = name.partition("_")
             if finger in flexions and "flexion" in joint:
-                q[i] = flexions[finger] * (0.8 if "DIP" in joint else 1.0) * (-0.6 if joint == "IP_flexion" else 1.0)
+                q[i] = (
+                    flexions[finger]
+                    * (0.8 if "DIP" in joint else 1.0)
+                    * (-0.6 if joint == "IP_flexion" else 1.0)
+                )
             if "spread" in flexions and joint == "MCP_abduction":
                 q[i] = human.rest[i] * flexions["spread"]
         return np.clip(q, human.lower_limits, human.upper_limits)
@@ -230,7 +268,9 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
 def _moves_wrist(hand: Hand, v: int) -> bool:
     """Whether a joint of the model is one of an arm's."""
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
-    return any(hand.model.joints[joint].idx_v == v for joint in hand.model.supports[wrist] if joint > 0)
+    return any(
+        hand.model.joints[joint].idx_v == v for joint in hand.model.supports[wrist] if joint > 0
+    )
 
 
 def _spread(points: np.ndarray) -> float:
@@ -238,7 +278,10 @@ def _spread(points: np.ndarray) -> float:
 
 
 def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
-    """Whether two joints carry the same body or neighbours; bodies between them that are short or have no shape do not count."""
+    """Whether two joints carry the same body or neighbours.
+
+    Bodies between them that are short or have no shape do not count.
+    """
     if one == other:
         return True
     for near, far in ((one, other), (other, one)):
@@ -247,7 +290,10 @@ def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
             parent = model.parents[at]
             if parent == far:
                 return True
-            if parent in with_shape and np.linalg.norm(model.jointPlacements[at].translation) > _SHORT:
+            if (
+                parent in with_shape
+                and np.linalg.norm(model.jointPlacements[at].translation) > _SHORT
+            ):
                 break
             at = parent
     return False

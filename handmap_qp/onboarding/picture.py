@@ -1,4 +1,7 @@
-"""A picture of a hand with its fingers, palm axes and reference points labelled: what a description says, at a look."""
+"""A picture of a hand with its fingers, palm axes and reference points labelled.
+
+What a description says, at a look.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from handmap_qp.drawing.hands import (
+    HandShape,
+    draw_hands,
+    load_shape,
+    require_matplotlib,
+    spheres,
+    tube,
+)
+from handmap_qp.drawing.raster import Camera, Triangles, merged
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hand import Hand
-from handmap_qp.raster import Camera, Triangles, merged
-from handmap_qp.rendering import HandShape, draw_hands, load_shape, require_matplotlib, spheres, tube
+from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import transform_points
 
 _PANEL = (760, 820)
@@ -29,7 +39,10 @@ _VIEWS = (("the back of the hand", 90.0, 12.0), ("the palm, from the thumb's sid
 
 
 def picture_path(hand: str) -> Path | None:
-    """Where the picture of a `hand.yaml` goes: beside it, under its name; None for a hand given by name."""
+    """Where the picture of a `hand.yaml` goes: beside it, under its name.
+
+    None for a hand given by name.
+    """
     path = Path(hand)
     if path.suffix in (".yaml", ".yml"):
         return path.with_suffix(".png")
@@ -79,7 +92,8 @@ class _Scene:
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
         palm = hand.frame_pose("palm", hand.rest)
-        # x across stays, y distal goes up, z dorsal goes back: seen from +y is seen from the back of the hand.
+        # x across stays, y distal goes up, z dorsal goes back: seen from +y is seen from the back
+        # of the hand.
         upright = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
         self._to_picture = np.eye(4)
         self._to_picture[:3, :3] = upright @ palm[:3, :3].T
@@ -95,7 +109,9 @@ class _Scene:
         """Draw one view into a matplotlib axes."""
         around = [self.triangles.vertices.reshape(-1, 3), self.points, self.axes, np.zeros((1, 3))]
         # Room on both sides for the labels.
-        camera = Camera.framing(np.concatenate(around), _PANEL, azimuth=azimuth, elevation=elevation, margin=0.13)
+        camera = Camera.framing(
+            np.concatenate(around), _PANEL, azimuth=azimuth, elevation=elevation, margin=0.13
+        )
         draw_hands(axes, self.triangles, camera, marks=self.marks, supersampling=2)
         for tip, name, colour in zip(self.axes, _AXES, _AXIS_COLOURS, strict=True):
             x, y, _ = camera.project(1.25 * tip)
@@ -108,10 +124,15 @@ class _Scene:
         names = [point.name for point in self.hand.reference_points]
         for is_right in (False, True):
             chosen = [i for i in range(len(places)) if (places[i, 0] > middle) == is_right]
-            # Of points at one height the farthest from the edge is named on top, so that its line passes over the others.
+            # Of points at one height the farthest from the edge is named on top, so that its line
+            # passes over the others.
             towards = 1.0 if is_right else -1.0
-            chosen.sort(key=lambda i, towards=towards: (round(places[i, 1] / 20.0), towards * places[i, 0]))
-            heights = _spaced(np.array([places[i, 1] for i in chosen]), 24.0, 50.0, _PANEL[1] - 20.0)
+            chosen.sort(
+                key=lambda i, towards=towards: (round(places[i, 1] / 20.0), towards * places[i, 0])
+            )
+            heights = _spaced(
+                np.array([places[i, 1] for i in chosen]), 24.0, 50.0, _PANEL[1] - 20.0
+            )
             for i, height in zip(chosen, heights, strict=True):
                 colour = self._colour(i)
                 edge = _PANEL[0] - 8 if is_right else 8
@@ -124,21 +145,33 @@ class _Scene:
                     fontsize=10,
                     color=colour,
                     bbox=_box(),
-                    arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 3},
+                    arrowprops={
+                        "arrowstyle": "-",
+                        "color": colour,
+                        "linewidth": 0.8,
+                        "shrinkA": 0,
+                        "shrinkB": 3,
+                    },
                 )
 
     def _colour(self, i: int) -> tuple[float, float, float]:
         return _FINGER_COLOURS.get(self.hand.reference_points[i].finger or "", _OTHER_COLOUR)
 
     def _marks(self) -> Triangles:
-        parts = [spheres(self.points[i : i + 1], 0.022 * self.size, self._colour(i)) for i in range(len(self.points))]
+        parts = [
+            spheres(self.points[i : i + 1], 0.022 * self.size, self._colour(i))
+            for i in range(len(self.points))
+        ]
         for tip, colour in zip(self.axes, _AXIS_COLOURS, strict=True):
             parts.append(tube(np.array([np.zeros(3), tip]), 0.008 * self.size, colour))
             parts.append(spheres(tip, 0.016 * self.size, colour))
         return merged(parts)
 
     def _solid(self) -> Triangles:
-        """The hand's surface without its arm; sticks from joint to joint where no shape can be read."""
+        """The hand's surface without its arm.
+
+        Sticks from joint to joint where no shape can be read.
+        """
         hand, model = self.hand, self.hand.model
         shape = load_shape(hand)
         wrist = model.frames[hand.wrist_frame_id].parentJoint
@@ -147,7 +180,11 @@ class _Scene:
             vertices, colours, normals = HandShape(hand, tuple(own)).triangles(hand.rest)
         else:
             vertices, colours, normals = merged(self._sticks(wrist))
-        return Triangles(transform_points(self._to_picture, vertices), colours, normals @ self._to_picture[:3, :3].T)
+        return Triangles(
+            transform_points(self._to_picture, vertices),
+            colours,
+            normals @ self._to_picture[:3, :3].T,
+        )
 
     def _is_of_hand(self, link: str, wrist: int) -> bool:
         joint = self.hand.model.frames[self.hand.model.getFrameId(link)].parentJoint
@@ -158,12 +195,23 @@ class _Scene:
         workspace = hand.configuration()
         workspace.place(hand.configuration_vector(hand.rest))
         grey, thickness = (0.62, 0.64, 0.67), 0.015 * self.size
-        joints = [i for i in range(1, model.njoints) if wrist == 0 or (i != wrist and wrist in model.supports[i])]
-        ends = [(workspace.data.oMi[model.parents[i]].translation, workspace.data.oMi[i].translation) for i in joints]
+        joints = [
+            i
+            for i in range(1, model.njoints)
+            if wrist == 0 or (i != wrist and wrist in model.supports[i])
+        ]
+        ends = [
+            (workspace.data.oMi[model.parents[i]].translation, workspace.data.oMi[i].translation)
+            for i in joints
+        ]
         for i, point in enumerate(hand.reference_points):
             parent = model.frames[model.getFrameId(point.link)].parentJoint
             ends.append((workspace.data.oMi[parent].translation, hand.points(hand.rest)[i]))
-        return [tube(np.array(pair), thickness, grey) for pair in ends if np.linalg.norm(pair[1] - pair[0]) > 1e-4]
+        return [
+            tube(np.array(pair), thickness, grey)
+            for pair in ends
+            if np.linalg.norm(pair[1] - pair[0]) > 1e-4
+        ]
 
 
 def _spaced(heights: np.ndarray, gap: float, top: float, bottom: float) -> np.ndarray:

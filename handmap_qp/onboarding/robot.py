@@ -1,7 +1,10 @@
-"""A URDF as onboarding sees it: links, bodies, joints that are set, forward kinematics, and points on its surface.
+"""A URDF as onboarding sees it.
 
-A *body* is a set of links joined by fixed joints. What a URDF leaves out (limits, speeds) is replaced by an assumption that
-is kept, so that it can be written into the `hand.yaml` where its owner sees it.
+Links, bodies, joints that are set, forward kinematics, and points on its surface.
+
+A *body* is a set of links joined by fixed joints. What a URDF leaves out (limits, speeds) is
+replaced by an assumption that is kept, so that it can be written into the `hand.yaml` where its
+owner sees it.
 """
 
 from __future__ import annotations
@@ -18,16 +21,20 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hand_spec import LimitSpec, MimicSpec
-from handmap_qp.mimic import expansion_matrix, read_mimic_rules, tighten_model
-from handmap_qp.mounting import cut_subtree, prepare_urdf
+from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_model
+from handmap_qp.hands.spec import LimitSpec, MimicSpec
+from handmap_qp.hands.urdf.check import MOVABLE, check_tree, edges, link_names, root_links
+from handmap_qp.hands.urdf.compose import cut_subtree, prepare_urdf
+from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf
+from handmap_qp.hands.urdf.files import find_mesh
 from handmap_qp.transform import transform_points
-from handmap_qp.urdf_check import MOVABLE, check_tree, edges, link_names, root_links
-from handmap_qp.urdf_files import find_mesh
-from handmap_qp.urdf_text import get_numbers, parse_urdf
 
 # What joints are taken to reach and to do where a URDF does not say.
-_ASSUMED_RANGE = {"revolute": (-math.pi / 2, math.pi / 2), "continuous": (-math.pi, math.pi), "prismatic": (0.0, 0.04)}
+_ASSUMED_RANGE = {
+    "revolute": (-math.pi / 2, math.pi / 2),
+    "continuous": (-math.pi, math.pi),
+    "prismatic": (0.0, 0.04),
+}
 _ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
 _MOST_POINTS = 3000
 
@@ -55,14 +62,22 @@ class Robot:
         upper: Their upper limits, shape (n,).
         endless: Joints that turn without end in the file.
         assumed: Limits that the URDF lacks, by joint.
-        dropped_rules: Rules whose leader is not in this part of the robot; their joints count as joints of their own.
+        dropped_rules: Rules whose leader is not in this part of the robot; their joints count as
+            joints of their own.
         notes: What was assumed, a sentence each.
 
     Raises:
         HandError: If the URDF cannot be used, in one line.
     """
 
-    def __init__(self, text: str, file: Path, *, root: str | None = None, locked: dict[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        text: str,
+        file: Path,
+        *,
+        root: str | None = None,
+        locked: dict[str, float] | None = None,
+    ) -> None:
         self.file = file
         try:
             robot = parse_urdf(text)
@@ -74,23 +89,33 @@ class Robot:
                 raise HandError(f"nothing that moves hangs from the link {root!r}", value=root)
             self.name = robot.get("name", "") or file.stem
             self.notes: list[str] = []
-            self.endless = {joint.get("name", "") for joint in robot.iterfind("joint") if joint.get("type") == "continuous"}
+            self.endless = {
+                joint.get("name", "")
+                for joint in robot.iterfind("joint")
+                if joint.get("type") == "continuous"
+            }
             self.dropped_rules = self._drop_rules(robot)
             self.assumed = self._assume_limits(robot)
-            self.locked = prepare_urdf(robot, None, {}, {**self._immovable(robot), **(locked or {})}, self.assumed)
+            self.locked = prepare_urdf(
+                robot, None, {}, {**self._immovable(robot), **(locked or {})}, self.assumed
+            )
             self.rules = read_mimic_rules(robot)
         except HandError as error:
             raise HandError(str(error), file=file, value=error.value) from error
         (self.root,) = root_links(robot)
         self.links = link_names(robot)
-        self.kinds = {joint.get("name", ""): joint.get("type", "") for joint in robot.iterfind("joint")}
+        self.kinds = {
+            joint.get("name", ""): joint.get("type", "") for joint in robot.iterfind("joint")
+        }
         self.parent: dict[str, tuple[str, str]] = {}
         self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
         for joint, parent, child in edges(robot):
             self.parent[child] = (joint.get("name", ""), parent)
             self.children[parent].append((joint.get("name", ""), child))
         followers = {rule.follower for rule in self.rules}
-        self.active = [name for name, kind in self.kinds.items() if kind in MOVABLE and name not in followers]
+        self.active = [
+            name for name, kind in self.kinds.items() if kind in MOVABLE and name not in followers
+        ]
         self.urdf_text = ET.tostring(robot, encoding="unicode")
         self._build()
 
@@ -98,7 +123,9 @@ class Robot:
         try:
             self.model = pin.buildModelFromXML(self.urdf_text)
         except (RuntimeError, ValueError) as error:
-            raise HandError(f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", file=self.file) from error
+            raise HandError(
+                f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", file=self.file
+            ) from error
         self.notes += tighten_model(self.model, self.rules)
         names = list(self.model.names)[1:]
         columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in names]
@@ -106,12 +133,18 @@ class Robot:
         order = np.argsort(columns)
         self._matrix, self._offset = self._matrix[order], self._offset[order]
         at = [self.model.joints[self.model.getJointId(name)].idx_q for name in self.active]
-        self.lower, self.upper = self.model.lowerPositionLimit[at], self.model.upperPositionLimit[at]
+        self.lower, self.upper = (
+            self.model.lowerPositionLimit[at],
+            self.model.upperPositionLimit[at],
+        )
         self._data = self.model.createData()
-        self._frames = {link: self.model.getFrameId(link, pin.FrameType.BODY) for link in self.links}
+        self._frames = {
+            link: self.model.getFrameId(link, pin.FrameType.BODY) for link in self.links
+        }
         self.place(self.zero)
 
-    # -- structure ----------------------------------------------------------------------------------------------------
+    # -- structure
+    # ----------------------------------------------------------------------------------------------------
 
     def body(self, link: str) -> str:
         """The first link of the body that a link belongs to."""
@@ -123,12 +156,19 @@ class Robot:
         """All links of a body, from its first one outwards."""
         found = [body]
         for link in found:
-            found.extend(child for joint, child in self.children[link] if self.kinds[joint] == "fixed")
+            found.extend(
+                child for joint, child in self.children[link] if self.kinds[joint] == "fixed"
+            )
         return found
 
     def branches(self, body: str) -> list[tuple[str, str]]:
         """Joints that move against a body, each with its child link."""
-        return [pair for link in self.body_links(body) for pair in self.children[link] if self.kinds[pair[0]] != "fixed"]
+        return [
+            pair
+            for link in self.body_links(body)
+            for pair in self.children[link]
+            if self.kinds[pair[0]] != "fixed"
+        ]
 
     def leaves(self, body: str) -> list[str]:
         """Bodies at or outwards from a body that nothing more hangs from."""
@@ -149,7 +189,8 @@ class Robot:
         """The joint that is set to move a joint: itself, or its leader."""
         return next((rule.leader for rule in self.rules if rule.follower == joint), joint)
 
-    # -- kinematics ---------------------------------------------------------------------------------------------------
+    # -- kinematics
+    # ---------------------------------------------------------------------------------------------------
 
     @cached_property
     def zero(self) -> np.ndarray:
@@ -169,19 +210,27 @@ class Robot:
         frames = self._data.oMf
         return frames[self._frames[other]].actInv(frames[self._frames[link]]).homogeneous
 
-    # -- surface ------------------------------------------------------------------------------------------------------
+    # -- surface
+    # ------------------------------------------------------------------------------------------------------
 
     @cached_property
     def surfaces(self) -> dict[str, np.ndarray]:
-        """Points on the surface of every link that has one, in its own coordinates [m]: of visuals, or else of collisions."""
+        """Points on the surface of every link that has one, in its own coordinates [m].
+
+        Of visuals, or else of collisions.
+        """
         from yourdfpy import URDF
 
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                model = URDF.load(io.BytesIO(self.urdf_text.encode()), build_scene_graph=False, load_meshes=False).robot
+                model = URDF.load(
+                    io.BytesIO(self.urdf_text.encode()), build_scene_graph=False, load_meshes=False
+                ).robot
         except Exception as error:
-            self.notes.append(f"the shapes of the links cannot be read, and are left out ({type(error).__name__}: {error})")
+            self.notes.append(
+                f"the shapes of the links cannot be read, and are left out ({type(error).__name__}: {error})"
+            )
             return {}
         surfaces = {}
         for link in model.links:
@@ -211,9 +260,13 @@ class Robot:
         if geometry.box is not None:
             points = np.array(trimesh.creation.box(extents=geometry.box.size).vertices)
         elif geometry.sphere is not None:
-            points = np.array(trimesh.creation.icosphere(subdivisions=2, radius=geometry.sphere.radius).vertices)
+            points = np.array(
+                trimesh.creation.icosphere(subdivisions=2, radius=geometry.sphere.radius).vertices
+            )
         elif geometry.cylinder is not None:
-            solid = trimesh.creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length, sections=24)
+            solid = trimesh.creation.cylinder(
+                geometry.cylinder.radius, geometry.cylinder.length, sections=24
+            )
             points = np.array(solid.vertices)
         elif geometry.mesh is not None:
             try:
@@ -235,7 +288,8 @@ class Robot:
             return None
         return points if shape.origin is None else transform_points(shape.origin, points)
 
-    # -- what a URDF leaves out ---------------------------------------------------------------------------------------
+    # -- what a URDF leaves out
+    # ---------------------------------------------------------------------------------------
 
     def _drop_rules(self, robot: ET.Element) -> dict[str, MimicSpec | None]:
         joints = {joint.get("name"): joint for joint in robot.iterfind("joint")}
@@ -246,7 +300,9 @@ class Robot:
                 continue
             leader = joints.get(mimic.get("joint"))
             if leader is None or leader.get("type") not in MOVABLE:
-                self.notes.append(f"{name} mimics {mimic.get('joint')}, which does not move here: taken for a joint of its own")
+                self.notes.append(
+                    f"{name} mimics {mimic.get('joint')}, which does not move here: taken for a joint of its own"
+                )
                 joint.remove(mimic)
                 dropped[name] = None
         return dropped
@@ -254,27 +310,47 @@ class Robot:
     def _assume_limits(self, robot: ET.Element) -> dict[str, LimitSpec]:
         speeds: dict[str, list[float]] = {}
         for joint in robot.iterfind("joint"):
-            if (limit := joint.find("limit")) is not None and (speed := _number(limit, "velocity")) > 0.0 and math.isfinite(speed):
+            if (
+                (limit := joint.find("limit")) is not None
+                and (speed := _number(limit, "velocity")) > 0.0
+                and math.isfinite(speed)
+            ):
                 speeds.setdefault(joint.get("type", ""), []).append(speed)
         assumed = {}
         for joint in robot.iterfind("joint"):
             name, kind, limit = joint.get("name", ""), joint.get("type", ""), joint.find("limit")
             if kind not in MOVABLE or joint.find("mimic") is not None:
                 continue
-            lower, upper = (_number(limit, "lower"), _number(limit, "upper")) if limit is not None else (0.0, 0.0)
+            lower, upper = (
+                (_number(limit, "lower"), _number(limit, "upper"))
+                if limit is not None
+                else (0.0, 0.0)
+            )
             given = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
             changes: dict[str, float] = {}
-            if kind == "continuous" or not given or not (math.isfinite(lower) and math.isfinite(upper)):
+            if (
+                kind == "continuous"
+                or not given
+                or not (math.isfinite(lower) and math.isfinite(upper))
+            ):
                 changes["lower"], changes["upper"] = _ASSUMED_RANGE[kind]
                 what = "turns without end" if kind == "continuous" else "has no limits in the URDF"
-                self.notes.append(f"{name} {what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed")
+                self.notes.append(
+                    f"{name} {what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed"
+                )
             elif lower > upper:
                 changes["lower"], changes["upper"] = upper, lower
-                self.notes.append(f"{name} has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed")
+                self.notes.append(
+                    f"{name} has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed"
+                )
             speed = 0.0 if limit is None else _number(limit, "velocity")
             if not (math.isfinite(speed) and speed > 0.0):
-                changes["velocity"] = float(np.median(speeds[kind])) if kind in speeds else _ASSUMED_SPEED[kind]
-                self.notes.append(f"{name} has no speed limit in the URDF: {changes['velocity']:.4g} is assumed")
+                changes["velocity"] = (
+                    float(np.median(speeds[kind])) if kind in speeds else _ASSUMED_SPEED[kind]
+                )
+                self.notes.append(
+                    f"{name} has no speed limit in the URDF: {changes['velocity']:.4g} is assumed"
+                )
             if changes:
                 assumed[name] = LimitSpec(**changes)
         return assumed
@@ -284,7 +360,11 @@ class Robot:
         still = {}
         for joint in robot.iterfind("joint"):
             limit, name = joint.find("limit"), joint.get("name", "")
-            is_set = joint.get("type") in MOVABLE and joint.find("mimic") is None and name not in self.assumed
+            is_set = (
+                joint.get("type") in MOVABLE
+                and joint.find("mimic") is None
+                and name not in self.assumed
+            )
             if is_set and limit is not None and _number(limit, "lower") == _number(limit, "upper"):
                 still[name] = _number(limit, "lower")
                 self.notes.append(f"{name} has limits that leave it no room: it is locked")

@@ -7,10 +7,10 @@ import os
 from pathlib import Path
 
 from handmap_qp.errors import InvalidInputError, MissingExtraError
-from handmap_qp.hand_spec import HandSpec, LimitSpec, PointSpec
+from handmap_qp.hands.spec import HandSpec, LimitSpec, PointSpec
+from handmap_qp.hands.urdf.files import package_share
 from handmap_qp.onboarding.anatomy import Clue
 from handmap_qp.onboarding.detect import Detection
-from handmap_qp.urdf_files import package_share
 
 _WIDTH = 120
 _WORDS = ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
@@ -33,7 +33,9 @@ def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> 
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(hand_text(detection, path.parent), encoding="utf-8")
     except OSError as error:
-        raise InvalidInputError(f"--out {path}: cannot be written: {error.strerror or error}") from error
+        raise InvalidInputError(
+            f"--out {path}: cannot be written: {error.strerror or error}"
+        ) from error
 
 
 def hand_text(detection: Detection, folder: Path) -> str:
@@ -48,7 +50,10 @@ def hand_text(detection: Detection, folder: Path) -> str:
         f"urdf: {_quoted(_urdf_reference(Path(spec.urdf), folder))}",
     ]
     if spec.root is not None:
-        lines += ["# The hand is what hangs from this link; the rest of the robot is left away.", f"root: {_quoted(spec.root)}"]
+        lines += [
+            "# The hand is what hangs from this link; the rest of the robot is left away.",
+            f"root: {_quoted(spec.root)}",
+        ]
     lines += [*_comment(clues["side"]), f"side: {spec.side}"]
     lines += _palm(spec, clues)
     lines += _wrist(spec)
@@ -58,10 +63,16 @@ def hand_text(detection: Detection, folder: Path) -> str:
         lines += ["# Joints that hold still, and where [rad or m].", "locked:"]
         lines += [f"  {_quoted(joint)}: {_number(value)}" for joint, value in spec.locked.items()]
     if spec.limits:
-        lines += ["# Assumed, since the URDF does not say: put the true values here [rad or m, and per second].", "limits:"]
+        lines += [
+            "# Assumed, since the URDF does not say: put the true values here [rad or m, and per second].",
+            "limits:",
+        ]
         lines += [f"  {_quoted(joint)}: {_limit(limit)}" for joint, limit in spec.limits.items()]
     if spec.mimic:
-        lines += ["# Joints that mimic one outside this part of the robot, taken for joints of their own.", "mimic:"]
+        lines += [
+            "# Joints that mimic one outside this part of the robot, taken for joints of their own.",
+            "mimic:",
+        ]
         lines += [f"  {_quoted(joint)}: null" for joint in spec.mimic]
     lines += _points(spec, clues)
     return "\n".join(lines) + "\n"
@@ -84,7 +95,11 @@ def _palm(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
 
 def _wrist(spec: HandSpec) -> list[str]:
     wrist = spec.wrist
-    how = "six free coordinates" if wrist.mount == "floating" else "to the world, or to an arm among the joints below"
+    how = (
+        "six free coordinates"
+        if wrist.mount == "floating"
+        else "to the world, or to an arm among the joints below"
+    )
     lines = ["wrist:", f"  link: {_quoted(wrist.link)}", f"  mount: {wrist.mount}  # {how}"]
     if wrist.mount == "floating":
         lines += [
@@ -96,11 +111,18 @@ def _wrist(spec: HandSpec) -> list[str]:
 
 def _joints(detection: Detection) -> list[str]:
     """Joints with the finger that they belong to, where its first one stands."""
-    spec, lines = detection.spec, ["# The order of every q. Followers of other joints (mimic) are none of these.", "joints:"]
+    spec, lines = (
+        detection.spec,
+        ["# The order of every q. Followers of other joints (mimic) are none of these.", "joints:"],
+    )
     said = ""
     for joint in spec.joints:
         owners = [finger for finger, chain in detection.chains.items() if joint in chain]
-        owner = "all fingers" if len(owners) == len(detection.chains) > 1 else " and ".join(owners) or "arm"
+        owner = (
+            "all fingers"
+            if len(owners) == len(detection.chains) > 1
+            else " and ".join(owners) or "arm"
+        )
         lines.append(f"  - {_quoted(joint)}" + (f"  # {owner}" if owner != said else ""))
         said = owner
     return lines
@@ -115,7 +137,10 @@ def _rest(spec: HandSpec, clue: Clue) -> list[str]:
 
 
 def _points(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
-    lines = ["# Reference points: places on links [m]; `partner` is the human point whose misfit a point may take over.", "points:"]
+    lines = [
+        "# Reference points: places on links [m]; `partner` is the human point whose misfit a point may take over.",
+        "points:",
+    ]
     for point in spec.points:
         if point.name in clues:
             lines += _comment(clues[point.name], "", "  ")
@@ -123,7 +148,11 @@ def _points(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
     lines.append("sets:")
     for name, members in spec.sets.items():
         rows = _wrapped(f"[{', '.join(members)}]")
-        lines += [f"  {name}: {rows[0]}"] if len(rows) == 1 else [f"  {name}:", *(f"    {row}" for row in rows)]
+        lines += (
+            [f"  {name}: {rows[0]}"]
+            if len(rows) == 1
+            else [f"  {name}:", *(f"    {row}" for row in rows)]
+        )
     lines.append(f"reference: {spec.reference}")
     return lines
 
@@ -145,7 +174,10 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _urdf_reference(urdf: Path, folder: Path) -> str:
-    """How a `hand.yaml` in `folder` names a URDF: inside an installed package, relative, or from the root of the disk."""
+    """How a `hand.yaml` in `folder` names a URDF.
+
+    Inside an installed package, relative, or from the root of the disk.
+    """
     file = urdf.resolve()
     parts = file.parts
     if "cmeel.prefix" in parts:
@@ -172,7 +204,11 @@ def _point(point: PointSpec) -> str:
 
 def _limit(limit: LimitSpec) -> str:
     given = ((key, getattr(limit, key)) for key in ("lower", "upper", "velocity"))
-    return "{" + ", ".join(f"{key}: {_number(value)}" for key, value in given if value is not None) + "}"
+    return (
+        "{"
+        + ", ".join(f"{key}: {_number(value)}" for key, value in given if value is not None)
+        + "}"
+    )
 
 
 def _vector(values: tuple[float, float, float]) -> str:
@@ -189,6 +225,8 @@ def _quoted(text: str) -> str:
     """A string as YAML, in quotes where YAML would take it for something else."""
     plain = text.replace("_", "").replace(".", "").replace("/", "").replace("-", "")
     is_plain = (
-        plain.isalnum() and text[0].isalpha() and text.lower() not in ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
+        plain.isalnum()
+        and text[0].isalpha()
+        and text.lower() not in ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
     )
     return text if is_plain or text.startswith(("package://", "../", "./")) else json.dumps(text)

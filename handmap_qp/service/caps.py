@@ -21,7 +21,8 @@ class Caps:
         sessions: Sessions open at a time, 1 to 128.
         rate: Messages a second from one connection.
         opens: Sessions opened a second, once as many as there may be have been opened.
-        configures: Changes of options a second, in all sessions together: each takes about a millisecond.
+        configures: Changes of options a second, in all sessions together: each takes about a
+            millisecond.
         message_size: Length of a message [bytes].
         idle: A session that is not heard of for so long is closed [s].
         allows_client_time: Whether sessions may count time by the client's stamps (simulations).
@@ -42,10 +43,14 @@ class Caps:
             InvalidOptionsError: Naming the cap.
         """
         if not 1 <= self.sessions <= MOST_SESSIONS:
-            raise InvalidOptionsError(f"sessions: expected 1 to {MOST_SESSIONS}, got {self.sessions}")
+            raise InvalidOptionsError(
+                f"sessions: expected 1 to {MOST_SESSIONS}, got {self.sessions}"
+            )
         for name in ("rate", "opens", "configures", "message_size", "idle"):
             if not getattr(self, name) > 0.0:
-                raise InvalidOptionsError(f"{name}: expected a number > 0, got {getattr(self, name)}")
+                raise InvalidOptionsError(
+                    f"{name}: expected a number > 0, got {getattr(self, name)}"
+                )
 
 
 class Bucket:
@@ -83,7 +88,8 @@ class Bucket:
 class RateLimit:
     """A bucket for every connection; forgets those that were silent for the longest time.
 
-    There is none for all of them together: it would let a few that send too much shut out the others.
+    There is none for all of them together: it would let a few that send too much shut out the
+    others.
 
     Args:
         rate: Messages a second from one connection.

@@ -16,25 +16,30 @@ from handmap_qp.errors import InvalidInputError, MissingExtraError
 class Serve:
     """Offer the mapper to trackers and robots as a service, over ZeroMQ and WebSocket.
 
-    Listens on loopback, prints one line of JSON with its ports when it is ready, and logs JSON lines on stderr. The messages are
-    described by `handmap serve --schema`; `handmap_qp/client.py` is a client in one file, to be copied anywhere.
+    Listens on loopback, prints one line of JSON with its ports when it is ready, and logs JSON
+    lines on stderr. The messages are described by `handmap serve --schema`; `handmap_qp/client.py`
+    is a client in one file, to be copied anywhere.
 
     Attributes:
         host: Address to listen on; any but loopback needs --keys.
         port: Port of requests and samples; 0 lets the system choose, as below.
         stream_port: Port of the stream of commands.
         health_port: Port of /metrics and /health, on loopback; -1 for none.
-        keys: Folder that `handmap keys` made: connections are encrypted, and only its clients come in.
+        keys: Folder that `handmap keys` made: connections are encrypted, and only its clients come
+            in.
         web: Open the WebSocket door.
-        web_host: Its address; any but loopback needs --web-token-file, --web-certificate and --web-key.
+        web_host: Its address; any but loopback needs --web-token-file, --web-certificate and
+            --web-key.
         web_port: Its port.
-        web_token_file: File with the token that WebSocket clients must present: 16 to 256 letters, digits, - and _, readable for
-            you alone. They send it as the header `Authorization: Bearer TOKEN`; pages in browsers, which cannot set headers, offer
-            the subprotocols `["handmap.v1", "bearer.TOKEN"]`.
+        web_token_file: File with the token that WebSocket clients must present: 16 to 256 letters,
+            digits, - and _, readable for you alone. They send it as the header `Authorization:
+            Bearer TOKEN`; pages in browsers, which cannot set headers, offer the subprotocols
+            `["handmap.v1", "bearer.TOKEN"]`.
         web_certificate: PEM file of the TLS certificate.
         web_key: PEM file of its key.
         web_origin: Further origins of pages that may connect.
-        state: File that keeps the postures last commanded, for sessions that ask to be restored after a restart.
+        state: File that keeps the postures last commanded, for sessions that ask to be restored
+            after a restart.
         hand: Further robot hands that clients may open: paths of hand.yaml files.
         sessions: Sessions open at a time, 128 at most.
         rate: Messages a second from one connection.
@@ -88,7 +93,12 @@ class Serve:
         if self.web:
             token = None if self.web_token_file is None else read_token(self.web_token_file)
             web = WebSettings(
-                bare_host("--web-host", self.web_host), self.web_port, token, self.web_certificate, self.web_key, self.web_origin
+                bare_host("--web-host", self.web_host),
+                self.web_port,
+                token,
+                self.web_certificate,
+                self.web_key,
+                self.web_origin,
             )
         settings = Settings(
             host=bare_host("--host", self.host),
@@ -110,7 +120,11 @@ class Serve:
 
     def _check_web(self) -> None:
         """Refuse choices for a door that stays shut."""
-        choices = [item for item in fields(self) if item.name.startswith("web_") and getattr(self, item.name) != item.default]
+        choices = [
+            item
+            for item in fields(self)
+            if item.name.startswith("web_") and getattr(self, item.name) != item.default
+        ]
         if choices and not self.web:
             names = ", ".join("--" + item.name.replace("_", "-") for item in choices)
             raise InvalidInputError(f"{names}: expected --web too, which opens the WebSocket door")
@@ -120,9 +134,10 @@ class Serve:
 class Keys:
     """Make the keys that `handmap serve --keys` needs; keys that are there stay.
 
-    Give each client its NAME.key_secret and server.key. A running server takes new keys at once; delete clients/NAME.key, and that
-    client cannot connect any more, until the same command with its name admits it again. A connection that is open stays until it
-    ends, at the latest with the server.
+    Give each client its NAME.key_secret and server.key. A running server takes new keys at once;
+    delete clients/NAME.key, and that client cannot connect any more, until the same command with
+    its name admits it again. A connection that is open stays until it ends, at the latest with the
+    server.
 
     Attributes:
         folder: Where to put them.

@@ -7,9 +7,9 @@ import math
 import msgspec
 import numpy as np
 
-from handmap_qp.hand import Hand
-from handmap_qp.human import HumanLengths
-from handmap_qp.samples import MapStep
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.messages import Detail, Lengths, Pose
 from handmap_qp.transform import pose_from_xyz_quat
 
@@ -34,7 +34,8 @@ def to_pose(matrix: np.ndarray | None) -> Pose | None:
     if matrix is None:
         return None
     (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
-    # The largest of the four squares is divided by: never a small one (Shepperd 1978). In plain floats, for every command has one.
+    # The largest of the four squares is divided by: never a small one (Shepperd 1978). In plain
+    # floats, for every command has one.
     squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
     largest = max(squares)
     if largest == squares[3]:
@@ -58,12 +59,18 @@ def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
     """A measured hand as plain points."""
     if lengths is None:
         return None
-    return msgspec.convert({"bases": lengths.bases.tolist(), "segments": lengths.segments.tolist()}, Lengths)
+    return msgspec.convert(
+        {"bases": lengths.bases.tolist(), "segments": lengths.segments.tolist()}, Lengths
+    )
 
 
 def name_joints(robot: Hand, chosen: np.ndarray) -> tuple[str, ...]:
     """Names of the joints that a mask (n,) chooses."""
-    return tuple(name for name, is_chosen in zip(robot.joint_names, chosen.tolist(), strict=True) if is_chosen)
+    return tuple(
+        name
+        for name, is_chosen in zip(robot.joint_names, chosen.tolist(), strict=True)
+        if is_chosen
+    )
 
 
 def to_detail(step: MapStep, human_q: np.ndarray | None, human_wrist: np.ndarray | None) -> Detail:

@@ -1,7 +1,9 @@
-"""From messages to sessions and back: decoding, rate limits, repeated requests, answers. It knows no sockets.
+"""From messages to sessions and back: decoding, rate limits, repeated requests, answers.
 
-A transport hands every message to `receive` with a way to answer, and hears of all that goes into streams through
-`sessions.publish`.
+It knows no sockets.
+
+A transport hands every message to `receive` with a way to answer, and hears of all that goes into
+streams through `sessions.publish`.
 """
 
 from __future__ import annotations
@@ -101,7 +103,8 @@ class Dispatcher:
         Args:
             payload: What came over the wire.
             peer: The connection that it came from.
-            answer: Called with the answer, now or later; not at all for a streamed sample that can be used.
+            answer: Called with the answer, now or later; not at all for a streamed sample that can
+                be used.
             is_json: Whether message and answer are JSON.
             subscribe: How the connection takes streams; None where it does not.
 
@@ -113,7 +116,9 @@ class Dispatcher:
         if not self._rates.take(peer, now):
             self._metrics.refusals["rate"] += 1
             if self._rates.may_tell(peer, now):
-                answer(encode_reply(Error(code="rate", message="too many messages"), is_json=is_json))
+                answer(
+                    encode_reply(Error(code="rate", message="too many messages"), is_json=is_json)
+                )
             return False
         request = decode_request(payload, is_json=is_json)
         if isinstance(request, Error):
@@ -160,7 +165,9 @@ class Dispatcher:
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
             if now - session.last_request > self._caps.idle and not session.has_plans:
-                self.sessions.end(secret, "no_session", "closed, for nothing was heard of its client")
+                self.sessions.end(
+                    secret, "no_session", "closed, for nothing was heard of its client"
+                )
                 continue
             try:
                 trips = session.counts["watchdog"]
@@ -179,7 +186,8 @@ class Dispatcher:
         self.sessions.close()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    # -- requests -------------------------------------------------------------------------------------------------------
+    # -- requests
+    # -------------------------------------------------------------------------------------------------------
 
     def _answer(self, request: AnyRequest, payload: bytes, now: float, is_json: bool) -> bytes:
         """The answer to a request of an open session: a new one, or the last one again."""
@@ -190,7 +198,9 @@ class Dispatcher:
         if request.seq == entry.seq and payload == entry.payload:
             return entry.answer
         if request.seq <= entry.seq:
-            stale = RefusedError("stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq")
+            stale = RefusedError(
+                "stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq"
+            )
             return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
         entry.seq, entry.payload, entry.session.last_request = request.seq, payload, now
         reply = self._carry_out(entry.session, request, now)
@@ -206,7 +216,9 @@ class Dispatcher:
                 raise RefusedError("invalid", "give session or name, not both", field="name")
             session = self.sessions.named(name)
             if not (session.request.is_shared or isinstance(request, Status)):
-                raise RefusedError("denied", f"session {name!r} was not opened with is_shared", field="name")
+                raise RefusedError(
+                    "denied", f"session {name!r} was not opened with is_shared", field="name"
+                )
         except RefusedError as error:
             return self._refusal(request.seq, error)
         return self._carry_out(session, request, now)
@@ -224,7 +236,10 @@ class Dispatcher:
                 session.reset(request, now)
             elif isinstance(request, Configure):
                 if not self._configures.take(now):
-                    raise RefusedError("rate", f"more than {self._caps.configures:g} changes of options a second; try again later")
+                    raise RefusedError(
+                        "rate",
+                        f"more than {self._caps.configures:g} changes of options a second; try again later",
+                    )
                 session.configure(request)
             elif isinstance(request, Clutch):
                 session.clutch()
@@ -251,7 +266,12 @@ class Dispatcher:
             waiting[1].append(answer)
             return
         if waiting is not None or len(self._opening) >= self._caps.sessions:
-            answer(encode_reply(self._refusal(request.seq, RefusedError("busy", "too many at once")), is_json=is_json))
+            answer(
+                encode_reply(
+                    self._refusal(request.seq, RefusedError("busy", "too many at once")),
+                    is_json=is_json,
+                )
+            )
             return
         self._opening[request.session] = payload, [answer]
         task = asyncio.get_running_loop().create_task(self._open(request, payload, is_json))
@@ -281,7 +301,9 @@ class Dispatcher:
 
     def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> AnyReply:
         if subscribe is None:
-            error = RefusedError("invalid", "connect a SUB socket to the stream's port instead", field="type")
+            error = RefusedError(
+                "invalid", "connect a SUB socket to the stream's port instead", field="type"
+            )
             return self._refusal(request.seq, error)
         try:
             self.sessions.named(request.name)
@@ -301,7 +323,8 @@ class Dispatcher:
             stream_port=self.stream_port,
         )
 
-    # -- refusals ---------------------------------------------------------------------------------------------------------
+    # -- refusals
+    # ---------------------------------------------------------------------------------------------------------
 
     def _refusal(self, seq: int, error: RefusedError) -> Error:
         reply = Error(seq=seq, code=error.code, message=str(error), field=error.field)
@@ -311,10 +334,14 @@ class Dispatcher:
     def _bug(self, seq: int, error: Exception) -> Error:
         """An exception that nobody foresaw: the log gets it whole, the client that it happened."""
         self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
-        reply = Error(seq=seq, code="internal", message="the server failed at this request; see its log")
+        reply = Error(
+            seq=seq, code="internal", message="the server failed at this request; see its log"
+        )
         self._count(reply)
         return reply
 
     def _count(self, error: Error) -> None:
         self._metrics.refusals[error.code] += 1
-        self._refusals.report(INFO, "refused", code=error.code, field=error.field, message=error.message)
+        self._refusals.report(
+            INFO, "refused", code=error.code, field=error.field, message=error.message
+        )

@@ -1,4 +1,7 @@
-"""Who knocks at ZeroMQ's doors and is not let in: ZeroMQ itself says no word of it, neither to them nor here."""
+"""Who knocks at ZeroMQ's doors and is not let in.
+
+ZeroMQ itself says no word of it, neither to them nor here.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,9 @@ _FAILURES = (
 )
 
 
-async def report_handshakes(context: zmq.asyncio.Context, socket: zmq.Socket, metrics: Metrics) -> None:
+async def report_handshakes(
+    context: zmq.asyncio.Context, socket: zmq.Socket, metrics: Metrics
+) -> None:
     """Count and log the handshakes that fail on a socket, until cancelled.
 
     Args:
@@ -45,6 +50,9 @@ def _reason(event: int, value: int) -> str:
     """Why a handshake has failed, as far as can be told."""
     if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
         return "the client's key is not among the keys in clients/"
-    if event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC:
+    if (
+        event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
+        and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
+    ):
         return "the client's server.key is another server's"
     return "the client has keys and the server none, or the other way round; or it speaks no ZeroMQ"

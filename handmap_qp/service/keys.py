@@ -1,6 +1,7 @@
 """Secrets in files, for their owner alone: CURVE keys, and WebSocket's token.
 
-Keys are `server.key_secret`, `server.key`, and for each client a pair, its public half also in `clients/`.
+Keys are `server.key_secret`, `server.key`, and for each client a pair, its public half also in
+`clients/`.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ class ServerKeys:
 
 
 class ClientKeys:
-    """The keys of the clients that may come in, as they lie in a folder: pyzmq's authenticator asks it at every handshake.
+    """The keys of the clients that may come in, as they lie in a folder.
+
+    Pyzmq's authenticator asks it at every handshake.
 
     Args:
         folder: Where the public keys are, each in a file `*.key`.
@@ -87,7 +90,9 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
     """
     for name in clients:
         if not name.replace("-", "").replace("_", "").isalnum() or name == "server":
-            raise InvalidInputError(f"{name!r}: expected a name of letters, digits, - and _ that is not 'server'")
+            raise InvalidInputError(
+                f"{name!r}: expected a name of letters, digits, - and _ that is not 'server'"
+            )
     _check_folder(folder)
     written: list[Path] = []
     try:
@@ -132,7 +137,9 @@ def read_server_keys(folder: Path) -> ServerKeys:
         public, secret = b"", None
     if secret is None or not len(public) == len(secret) == _KEY_LENGTH:
         advice = f"delete it, and handmap keys {folder} makes a new pair, of which clients need server.key"
-        raise InvalidInputError(f"{file}: expected a server's secret key, got something else; {advice}")
+        raise InvalidInputError(
+            f"{file}: expected a server's secret key, got something else; {advice}"
+        )
     return ServerKeys(public, secret)
 
 
@@ -148,22 +155,31 @@ def read_token(file: Path) -> str:
     except OSError as error:
         raise InvalidInputError(f"{file}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise InvalidInputError(f"{file}: cannot be read: expected a token, got bytes that are no text") from error
+        raise InvalidInputError(
+            f"{file}: cannot be read: expected a token, got bytes that are no text"
+        ) from error
 
 
 def _check_private(file: Path) -> None:
     """Refuse a file with a secret that others can read."""
     if file.stat().st_mode & 0o077:
-        raise InvalidInputError(f"{file}: others can read it; chmod 600 it, and make a new secret if they may have")
+        raise InvalidInputError(
+            f"{file}: others can read it; chmod 600 it, and make a new secret if they may have"
+        )
 
 
 def _check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
-        raise InvalidInputError(f"{folder}: expected a folder of keys, as handmap keys FOLDER makes it; got a file")
+        raise InvalidInputError(
+            f"{folder}: expected a folder of keys, as handmap keys FOLDER makes it; got a file"
+        )
 
 
 def _read_public(file: Path) -> bytes | None:
-    """A client's public key; None, and a warning, where the file holds none: the other clients are not to suffer."""
+    """A client's public key; None, and a warning, where the file holds none.
+
+    The other clients are not to suffer.
+    """
     try:
         return load_certificate(file)[0]
     except (OSError, ValueError) as error:

@@ -1,4 +1,7 @@
-"""Logs as JSON lines: one object a line, with `time`, `level`, `event` and what belongs to the event."""
+"""Logs as JSON lines.
+
+One object a line, with `time`, `level`, `event` and what belongs to the event.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,11 @@ class JsonLines(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """The line."""
-        line = {"time": round(record.created, 6), "level": record.levelname.lower(), "event": record.getMessage()}
+        line = {
+            "time": round(record.created, 6),
+            "level": record.levelname.lower(),
+            "event": record.getMessage(),
+        }
         line.update(getattr(record, "data", {}))
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
@@ -50,7 +57,9 @@ class Throttle:
         self._next = 0.0
         self._swallowed = 0
 
-    def report(self, level: int, event: str, *, failure: BaseException | None = None, **data: Any) -> None:
+    def report(
+        self, level: int, event: str, *, failure: BaseException | None = None, **data: Any
+    ) -> None:
         """Log an event, with the traceback of a failure, or count it."""
         now = time.monotonic()
         if now < self._next:

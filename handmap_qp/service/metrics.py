@@ -56,13 +56,19 @@ class Metrics:
             full = f"handmap_{name}" + ("_total" if kind == "counter" else "")
             lines += [f"# HELP {full} {text}", f"# TYPE {full} {kind}"]
             if name == "refusals":
-                lines += [f'{full}{{code="{code}"}} {count}' for code, count in sorted(self.refusals.items())]
+                lines += [
+                    f'{full}{{code="{code}"}} {count}'
+                    for code, count in sorted(self.refusals.items())
+                ]
             elif kind == "counter":
                 lines.append(f"{full} {self.counts[name]}")
             elif name in self.gauges:
                 lines.append(f"{full} {self.gauges[name]():.9g}")
         full = "handmap_step_seconds"
-        lines += [f"# HELP {full} Time from a sample to its command [s].", f"# TYPE {full} histogram"]
+        lines += [
+            f"# HELP {full} Time from a sample to its command [s].",
+            f"# TYPE {full} histogram",
+        ]
         total = 0
         for edge, count in zip((*map(str, BUCKETS), "+Inf"), self._step_counts, strict=True):
             total += count
@@ -74,12 +80,19 @@ class Metrics:
 def resident_bytes() -> float:
     """Resident memory of this process, where the system tells; else its peak."""
     try:
-        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
+        return (
+            int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+            * resource.getpagesize()
+        )
     except (OSError, ValueError, IndexError):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+            1 if sys.platform == "darwin" else 1024
+        )
 
 
-async def serve_metrics(host: str, port: int, metrics: Metrics, health: Callable[[], dict[str, Any]]) -> asyncio.Server:
+async def serve_metrics(
+    host: str, port: int, metrics: Metrics, health: Callable[[], dict[str, Any]]
+) -> asyncio.Server:
     """Answer `GET /metrics` and `GET /health`.
 
     Args:
@@ -102,7 +115,12 @@ async def serve_metrics(host: str, port: int, metrics: Metrics, health: Callable
                     head = await reader.readuntil(b"\r\n\r\n")
                     writer.write(_response(head, metrics, health))
                     await writer.drain()
-        except (TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, ConnectionError):
+        except (
+            TimeoutError,
+            asyncio.IncompleteReadError,
+            asyncio.LimitOverrunError,
+            ConnectionError,
+        ):
             pass
         finally:
             clients -= 1
@@ -123,7 +141,11 @@ def _response(head: bytes, metrics: Metrics, health: Callable[[], dict[str, Any]
         return _page("200 OK", "text/plain; version=0.0.4; charset=utf-8", metrics.render())
     if path == b"/health":
         state = health()
-        return _page("200 OK" if state["status"] == "ok" else "503 Service Unavailable", "application/json", json.dumps(state))
+        return _page(
+            "200 OK" if state["status"] == "ok" else "503 Service Unavailable",
+            "application/json",
+            json.dumps(state),
+        )
     return _page("404 Not Found", "text/plain", "there are /metrics and /health\n")
 
 

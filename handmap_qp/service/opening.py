@@ -1,4 +1,7 @@
-"""From an `open` request to the hands and the mapper of a session; runs in a thread, for it takes some 10 ms."""
+"""From an `open` request to the hands and the mapper of a session.
+
+Runs in a thread, for it takes some 10 ms.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +18,21 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import HandError, HandmapError, InvalidInputError, RefusedError
-from handmap_qp.hand import Hand
-from handmap_qp.hand_spec import Mount, Side, read_hand_spec
-from handmap_qp.human import HumanLengths
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import HUMAN_HANDS, hand_names, load_hand
+from handmap_qp.hands.spec import Mount, Side, read_hand_spec
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.library import HUMAN_HANDS, hand_names, load_hand
-from handmap_qp.mapping import HandMapper
-from handmap_qp.options import MappingOptions
-from handmap_qp.recording import Recording
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.service.messages import Open
 from handmap_qp.trackers.landmarks import LandmarkFitter, check_length, human_name, measure_hand
+from handmap_qp.trackers.recording import Recording
 
 SOLVERS = ("daqp",)
-"""Solvers that a client may choose: the time of others is not bounded, and all sessions would wait. With a large weight ProxQP was
-seen to take 97 s for one sample."""
+"""Solvers that a client may choose: the time of others is not bounded, and all sessions would wait.
+With a large weight ProxQP was seen to take 97 s for one sample."""
 MOST_ITERATIONS = 20
 CALIBRATION_SAMPLES = 30
 """Landmark samples that the human hand is measured from."""
@@ -45,7 +48,8 @@ class Hands:
         mapper: From the human hand to the robot's.
         fitter: From landmarks to the human hand; None where samples are joint angles or points.
         lengths: The human hand, measured; None for the model's own.
-        needs_measuring: Whether the human hand is to be measured from the first landmarks, and is the model's own until then.
+        needs_measuring: Whether the human hand is to be measured from the first landmarks, and is
+            the model's own until then.
     """
 
     mapper: HandMapper
@@ -59,7 +63,9 @@ Defer = Callable[[Callable[[], Hands]], "Future[Hands]"]
 
 
 class HandShelf:
-    """The hands that clients may open, by name; loaded once and shared, since a `Hand` does not change.
+    """The hands that clients may open, by name.
+
+    Loaded once and shared, since a `Hand` does not change.
 
     Args:
         files: Further robot hands: paths of `hand.yaml` files. Clients never name paths.
@@ -69,11 +75,15 @@ class HandShelf:
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files: dict[str, Path | str] = {name: name for name in hand_names() if name not in HUMAN_HANDS}
+        self._files: dict[str, Path | str] = {
+            name: name for name in hand_names() if name not in HUMAN_HANDS
+        }
         for file in files:
             spec = read_hand_spec(file)
             if spec.name in self._files:
-                raise HandError(f"there is already a hand {spec.name!r}", file=file, key="name", value=spec.name)
+                raise HandError(
+                    f"there is already a hand {spec.name!r}", file=file, key="name", value=spec.name
+                )
             self._files[spec.name] = file
         self._cache: OrderedDict[Hashable, Hand] = OrderedDict()
         self._lock = threading.Lock()
@@ -90,9 +100,18 @@ class HandShelf:
             RefusedError: If there is none of this name, or it cannot be loaded so.
         """
         if name not in self._files:
-            raise RefusedError("invalid", f"no hand {name!r:.80}; there are {', '.join(self._files)}", field="robot")
+            raise RefusedError(
+                "invalid",
+                f"no hand {name!r:.80}; there are {', '.join(self._files)}",
+                field="robot",
+            )
         file = self._files[name]
-        return name_field("robot", lambda: self._cached((name, points, mount), lambda: load_hand(file, points=points, mount=mount)))
+        return name_field(
+            "robot",
+            lambda: self._cached(
+                (name, points, mount), lambda: load_hand(file, points=points, mount=mount)
+            ),
+        )
 
     def human(self, side: Side, points: str | None) -> Hand:
         """A human hand of the model's size."""
@@ -141,7 +160,9 @@ def prepare_hands(request: Open, shelf: HandShelf, lengths: HumanLengths | None 
         human = name_field("human_points", lambda: shelf.human(request.side, request.human_points))
     else:
         name = human_name(request.side)
-        human = name_field("human_points", lambda: load_hand(name, points=request.human_points, lengths=lengths))
+        human = name_field(
+            "human_points", lambda: load_hand(name, points=request.human_points, lengths=lengths)
+        )
     mapper = name_options(robot, ik, lambda: HandMapper(human, robot, mapping, ik=ik))
     return Hands(mapper, fitter, lengths, needs_measuring=fitter is not None and lengths is None)
 
@@ -172,8 +193,8 @@ class Calibration:
             The hands, once they are ready.
 
         Raises:
-            RefusedError: If the sample is of no hand, and then as if it had not come; or if the samples so far do not make a hand,
-                and the next ones are gathered anew.
+            RefusedError: If the sample is of no hand, and then as if it had not come; or if the
+                samples so far do not make a hand, and the next ones are gathered anew.
         """
         name_field("landmarks", lambda: check_length(landmarks[None]))
         if self._work is None:
@@ -189,7 +210,9 @@ class Calibration:
     def _make(self, landmarks: np.ndarray) -> Hands:
         count = len(landmarks)
         is_valid = np.ones(count, dtype=bool)
-        recording = Recording("calibration", np.arange(count, dtype=float), landmarks, is_valid, self._request.side)
+        recording = Recording(
+            "calibration", np.arange(count, dtype=float), landmarks, is_valid, self._request.side
+        )
         lengths = name_field("landmarks", lambda: measure_hand(recording))
         return prepare_hands(self._request, self._shelf, lengths)
 
@@ -208,7 +231,11 @@ def read_options(field: str, values: dict[str, Any], kind: type[_T]) -> _T:
     known = [item.name for item in fields(kind)]  # type: ignore[arg-type]
     for name in values:
         if name not in known:
-            raise RefusedError("invalid", f"no such option; there are {', '.join(known)}", field=f"{field}.{name:.64}")
+            raise RefusedError(
+                "invalid",
+                f"no such option; there are {', '.join(known)}",
+                field=f"{field}.{name:.64}",
+            )
     try:
         return msgspec.convert(values, kind, strict=True)
     except msgspec.ValidationError as error:
@@ -217,7 +244,9 @@ def read_options(field: str, values: dict[str, Any], kind: type[_T]) -> _T:
         if not name:
             head, _, rest = message.partition(":")
             name, message = (head, rest.strip()) if head in known else ("", message)
-        raise RefusedError("invalid", message, field=f"{field}.{name}" if name else field) from error
+        raise RefusedError(
+            "invalid", message, field=f"{field}.{name}" if name else field
+        ) from error
     except (TypeError, OverflowError) as error:
         raise RefusedError("invalid", str(error), field=field) from error
 
@@ -230,14 +259,24 @@ def read_ik(values: dict[str, Any]) -> IkOptions:
     """
     ik = read_options("ik", values, IkOptions)
     if ik.solver not in SOLVERS:
-        raise RefusedError("invalid", f"expected one of {', '.join(SOLVERS)}; got {ik.solver!r:.40}", field="ik.solver")
+        raise RefusedError(
+            "invalid",
+            f"expected one of {', '.join(SOLVERS)}; got {ik.solver!r:.40}",
+            field="ik.solver",
+        )
     if ik.max_iterations > MOST_ITERATIONS:
-        raise RefusedError("invalid", f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}", field="ik.max_iterations")
+        raise RefusedError(
+            "invalid",
+            f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}",
+            field="ik.max_iterations",
+        )
     return ik
 
 
 def name_options(robot: Hand, ik: IkOptions, make: Callable[[], _T]) -> _T:
-    """What `make` makes of options for mapping and QP; what it raises as a refusal of those that are at fault.
+    """What `make` makes of options for mapping and QP.
+
+    What it raises as a refusal of those that are at fault.
 
     Args:
         robot: The robot hand.
@@ -245,7 +284,8 @@ def name_options(robot: Hand, ik: IkOptions, make: Callable[[], _T]) -> _T:
         make: Makes or configures a mapper.
 
     Raises:
-        RefusedError: Naming the option, or else `ik` where the QP cannot be set up by itself, and `mapping` where it can.
+        RefusedError: Naming the option, or else `ik` where the QP cannot be set up by itself, and
+            `mapping` where it can.
     """
     try:
         return name_field("mapping", make)
@@ -255,13 +295,20 @@ def name_options(robot: Hand, ik: IkOptions, make: Callable[[], _T]) -> _T:
 
 
 def refused(error: HandmapError, field: str = "") -> RefusedError:
-    """An error of the library as a refusal: the field is the name that the message begins with, as clients call it."""
+    """An error of the library as a refusal.
+
+    The field is the name that the message begins with, as clients call it.
+    """
     if isinstance(error, RefusedError):
         return error
     # The server's paths are no business of its clients.
     message = " ".join(str(error).replace(f"{getattr(error, 'file', None)}: ", "", 1).split())
     head, colon, rest = message.partition(": ")
-    own = (f"{field}.{head}" if head in _OPTIONS.get(field, ()) else _FIELDS.get(head, "")) if colon else ""
+    own = (
+        (f"{field}.{head}" if head in _OPTIONS.get(field, ()) else _FIELDS.get(head, ""))
+        if colon
+        else ""
+    )
     return RefusedError("invalid", (rest if own else message)[:400], field=own or field)
 
 
@@ -292,7 +339,11 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     """The hand's lengths as the client knows them."""
     lengths = request.lengths
     if lengths is None:
-        return None if request.hand_length is None else HumanLengths.from_hand_length(request.hand_length)
+        return (
+            None
+            if request.hand_length is None
+            else HumanLengths.from_hand_length(request.hand_length)
+        )
     if not all(0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)):
         raise InvalidInputError("expected lengths between 0 and 1 m")
     return HumanLengths(np.array(lengths.bases), np.array(lengths.segments))

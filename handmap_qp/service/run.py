@@ -12,7 +12,8 @@ import sys
 from handmap_qp.service.logs import log_to_stderr
 from handmap_qp.service.server import Server, Settings
 
-# A thread that loads a hand gives way to one that answers after so long [s]; Python's own choice is ten times that.
+# A thread that loads a hand gives way to one that answers after so long [s]; Python's own choice is
+# ten times that.
 _SWITCH_INTERVAL = 5e-4
 # Connections that do nothing must not use up the descriptors that clients need.
 _MOST_FILES = 65536
@@ -45,7 +46,9 @@ async def _serve(settings: Settings) -> None:
         # What exists now stays: collections need not look at it again.
         gc.collect()
         gc.freeze()
-        hosts = {"host": settings.host} | ({} if settings.web is None else {"web_host": settings.web.host})
+        hosts = {"host": settings.host} | (
+            {} if settings.web is None else {"web_host": settings.web.host}
+        )
         print(json.dumps({"ready": True, **hosts, "ports": server.ports}), flush=True)
         await ended.wait()
     finally:

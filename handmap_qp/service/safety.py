@@ -1,8 +1,11 @@
-"""What stands between a mapping and a robot: no command goes faster than the robot's speed limits, whatever was asked.
+"""What stands between a mapping and a robot.
 
-A mapper keeps to its limits between its own steps. It does not know how much time has really passed, that it was reset, that the
-session before left the robot elsewhere, or that a client switched speed limits off. So every command passes a `SpeedGuard`, which
-alone owns the posture last commanded, and `StepClock` says how much time the next one may account for.
+No command goes faster than the robot's speed limits, whatever was asked.
+
+A mapper keeps to its limits between its own steps. It does not know how much time has really
+passed, that it was reset, that the session before left the robot elsewhere, or that a client
+switched speed limits off. So every command passes a `SpeedGuard`, which alone owns the posture last
+commanded, and `StepClock` says how much time the next one may account for.
 """
 
 from __future__ import annotations
@@ -13,27 +16,35 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Pose
 
 START_TOLERANCE = 0.1
-"""How far outside its limits a robot may say it is [rad]: encoders do not read exactly what was commanded."""
+"""How far outside its limits a robot may say it is [rad].
+
+Encoders do not read exactly what was commanded.
+"""
 SHORTEST_DT = 1e-6
-"""Time granted where none has passed [s]: the robot stands still, and the mapper wants a number > 0."""
+"""Time granted where none has passed [s].
+
+The robot stands still, and the mapper wants a number > 0.
+"""
 _ROUNDING = 1e-9
 
 
 class SpeedGuard:
     """The robot's last commanded posture.
 
-    Between two commands, no joint goes farther than its speed limit times the time granted, and a floating wrist's displacement
-    (its twist in body axes, as in the QP) keeps the limits of `hand.yaml`.
+    Between two commands, no joint goes farther than its speed limit times the time granted, and a
+    floating wrist's displacement (its twist in body axes, as in the QP) keeps the limits of
+    `hand.yaml`.
 
     Args:
         robot: The robot hand.
         q: Joint angles where it is now [rad], shape (n,).
-        wrist: Wrist pose there, shape (4, 4); None if it is not known yet. Ignored where the wrist is fixed.
+        wrist: Wrist pose there, shape (4, 4); None if it is not known yet. Ignored where the wrist
+            is fixed.
 
     Attributes:
         q: Joint angles last commanded [rad], shape (n,).
@@ -55,14 +66,19 @@ class SpeedGuard:
 
     @property
     def wrist(self) -> np.ndarray | None:
-        """Wrist pose last commanded, shape (4, 4); None if a floating wrist has not been placed yet."""
+        """Wrist pose last commanded, shape (4, 4).
+
+        None if a floating wrist has not been placed yet.
+        """
         if self._robot.is_floating:
             return self._wrist
         self._robot.write_configuration(self._last, self.q, np.eye(4))
         self._workspace.place(self._last)
         return self._workspace.wrist.homogeneous
 
-    def advance(self, q: np.ndarray, wrist: np.ndarray | None, dt: float, share: float = 1.0) -> bool:
+    def advance(
+        self, q: np.ndarray, wrist: np.ndarray | None, dt: float, share: float = 1.0
+    ) -> bool:
         """Go towards a posture as far as the limits allow.
 
         Args:
@@ -94,7 +110,9 @@ class SpeedGuard:
         allowed = np.clip(change, -limit, limit)
         if self._robot.is_floating:
             # The wrist keeps to its way: all six coordinates are slowed down alike.
-            allowed[:6] = change[:6] * (limit[:6] / np.maximum(np.abs(change[:6]), 1e-300)).min(initial=1.0)
+            allowed[:6] = change[:6] * (limit[:6] / np.maximum(np.abs(change[:6]), 1e-300)).min(
+                initial=1.0
+            )
         reached = pin.integrate(self._robot.model, self._last, allowed)
         self._is_written = False
         self.q = reached[self._robot.q_indices].copy()
@@ -107,9 +125,10 @@ class SpeedGuard:
 class StepClock:
     """How much time a command may account for.
 
-    With `time_from="server"` that is the time since the last command on the server's monotonic clock, and at most `max_dt`: time
-    stamps are looked at and never believed, so that neither a jump of the client's clock nor a burst of samples nor a pause makes
-    the robot go faster than it may, measured where commands leave. With `"client"`, for simulated time, the time stamps count.
+    With `time_from="server"` that is the time since the last command on the server's monotonic
+    clock, and at most `max_dt`: time stamps are looked at and never believed, so that neither a
+    jump of the client's clock nor a burst of samples nor a pause makes the robot go faster than it
+    may, measured where commands leave. With `"client"`, for simulated time, the time stamps count.
 
     Args:
         max_dt: Most time that one command may account for [s].
@@ -132,8 +151,10 @@ class StepClock:
             now: The present [s].
 
         Returns:
-            Time [s], and flags: `time_backwards`, the stamp is not later than the last one's; `time_jump`, the two clocks differ by
-            more than a second since the last sample; `dt_clamped`, more time has passed than is granted.
+            Time [s], and flags: `time_backwards`, the stamp is not later than the last one's;
+                `time_jump`, the two clocks differ by
+            more than a second since the last sample; `dt_clamped`, more time has passed than is
+            granted.
         """
         elapsed, since_sample = now - self._last, now - self._last_sample
         stamped = since_sample if self._stamp is None else stamp - self._stamp
@@ -163,7 +184,11 @@ def start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
     if robot_q is None:
         return robot.rest.copy()
     if len(robot_q) != len(robot.joint_names):
-        raise RefusedError("invalid", f"expected {len(robot.joint_names)} angles, got {len(robot_q)}", field="robot_q")
+        raise RefusedError(
+            "invalid",
+            f"expected {len(robot.joint_names)} angles, got {len(robot_q)}",
+            field="robot_q",
+        )
     q = np.array(robot_q)
     outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
     worst = int(np.argmax(outside))
@@ -181,5 +206,9 @@ def start_wrist(robot: Hand, robot_wrist: Pose | None) -> np.ndarray | None:
         RefusedError: If its wrist is fixed.
     """
     if robot_wrist is not None and not robot.is_floating:
-        raise RefusedError("invalid", f"{robot.name} has a fixed wrist, which stays where it is", field="robot_wrist")
+        raise RefusedError(
+            "invalid",
+            f"{robot.name} has a fixed wrist, which stays where it is",
+            field="robot_wrist",
+        )
     return to_matrix(robot_wrist)

@@ -11,10 +11,20 @@ import docstring_parser
 import msgspec
 
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.options import MappingOptions
+from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.service import messages
 from handmap_qp.service.caps import Caps
-from handmap_qp.service.messages import PROTOCOL, About, AnyReply, AnyRequest, Detail, Lengths, Pose, Reply, Request
+from handmap_qp.service.messages import (
+    PROTOCOL,
+    About,
+    AnyReply,
+    AnyRequest,
+    Detail,
+    Lengths,
+    Pose,
+    Reply,
+    Request,
+)
 from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 
 FLAGS = {
@@ -84,22 +94,35 @@ def schema_text() -> str:
 
 def json_schema() -> str:
     """All messages as JSON schema (2020-12)."""
-    (requests, replies), components = msgspec.json.schema_components([AnyRequest, AnyReply], ref_template="#/$defs/{name}")
-    return json.dumps({"title": f"handmap protocol {PROTOCOL}", "anyOf": [requests, replies], "$defs": components}, indent=2)
+    (requests, replies), components = msgspec.json.schema_components(
+        [AnyRequest, AnyReply], ref_template="#/$defs/{name}"
+    )
+    return json.dumps(
+        {
+            "title": f"handmap protocol {PROTOCOL}",
+            "anyOf": [requests, replies],
+            "$defs": components,
+        },
+        indent=2,
+    )
 
 
 def _table(kind: type[msgspec.Struct]) -> str:
     tag = kind.__struct_config__.tag
     title = f"`{tag}`" if tag else f"`{kind.__name__}`"
     hints = get_type_hints(kind, dict(vars(messages)), include_extras=True)
-    base = next((base for base in (Request, Reply) if issubclass(kind, base) and kind is not base), None)
+    base = next(
+        (base for base in (Request, Reply) if issubclass(kind, base) and kind is not base), None
+    )
     inherited = () if base is None else base.__struct_fields__
     rows = []
     for item in msgspec.structs.fields(kind):
         if item.name in inherited:
             continue
         default = "" if item.required else f"`{json.dumps(_default(item))}`"
-        rows.append(f"| `{item.name}` | {_type(hints[item.name])} | {default} | {_description(hints[item.name])} |")
+        rows.append(
+            f"| `{item.name}` | {_type(hints[item.name])} | {default} | {_description(hints[item.name])} |"
+        )
     head = ["", "| field | type | default | |", "|---|---|---|---|"] if rows else []
     return "\n".join([f"### {title}", "", " ".join((kind.__doc__ or "").split()), *head, *rows])
 
@@ -115,7 +138,9 @@ def _options_table(kind: type[MappingOptions | IkOptions]) -> str:
         for item in dataclasses.fields(kind)
     ]
     head = ["", "| field | type | default | |", "|---|---|---|---|"]
-    return "\n".join([f"### `{kind.__name__}`", "", described.short_description or "", *head, *rows])
+    return "\n".join(
+        [f"### `{kind.__name__}`", "", described.short_description or "", *head, *rows]
+    )
 
 
 def _default(item: msgspec.structs.FieldInfo) -> Any:
@@ -138,10 +163,21 @@ def _type(hint: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join("null" if part is type(None) else _type(part) for part in inner)
     if origin is tuple:
-        return f"[{_type(inner[0])}, ...]" if inner[1:] == (...,) else f"{len(inner)} x {_type(inner[0])}"
+        return (
+            f"[{_type(inner[0])}, ...]"
+            if inner[1:] == (...,)
+            else f"{len(inner)} x {_type(inner[0])}"
+        )
     if origin is dict:
         return "map"
-    names = {"str": "text", "float": "number", "int": "integer", "bool": "boolean", "Any": "any", "NoneType": "null"}
+    names = {
+        "str": "text",
+        "float": "number",
+        "int": "integer",
+        "bool": "boolean",
+        "Any": "any",
+        "NoneType": "null",
+    }
     return names.get(getattr(hint, "__name__", str(hint)), f"`{getattr(hint, '__name__', hint)}`")
 
 
@@ -151,7 +187,11 @@ def _bounds(metas: tuple[Any, ...]) -> str:
     for meta in metas:
         if isinstance(meta, msgspec.Meta):
             # 2^53 is merely where JSON's integers end.
-            found += [f"{sign} {getattr(meta, key):g}" for key, sign in signs.items() if getattr(meta, key) not in (None, 2**53)]
+            found += [
+                f"{sign} {getattr(meta, key):g}"
+                for key, sign in signs.items()
+                if getattr(meta, key) not in (None, 2**53)
+            ]
             if meta.max_length is not None:
                 found.append(f"at most {meta.max_length}")
             if meta.title is not None:

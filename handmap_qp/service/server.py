@@ -1,7 +1,10 @@
-"""`Server`: the mapping service on its sockets. ZeroMQ here; WebSocket and HTTP are started from here.
+"""`Server`: the mapping service on its sockets. ZeroMQ here.
+
+WebSocket and HTTP are started from here.
 
     ROUTER  requests, each answered; and samples, not answered, of which the newest counts
-    PUB     the stream: commands of every session under its name; a reader needs a SUB socket for each of its sessions
+    PUB     the stream: commands of every session under its name; a reader needs a SUB socket for
+    each of its sessions
 
 Off loopback, both speak CURVE and take only the clients whose public keys lie in the keys' folder.
 """
@@ -108,7 +111,11 @@ class Server:
         self._closing = contextlib.AsyncExitStack()
         shelf = HandShelf(settings.hands)
         # Last of what may fail: from here on the file is taken.
-        store = None if settings.state is None else self._closing.enter_context(PostureStore(settings.state))
+        store = (
+            None
+            if settings.state is None
+            else self._closing.enter_context(PostureStore(settings.state))
+        )
         self.dispatcher = Dispatcher(settings.caps, shelf, self.metrics, store=store)
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -128,11 +135,14 @@ class Server:
         if settings.keys is not None:
             self._keys = read_server_keys(settings.keys)
             self._authenticate(context, settings.keys / "clients")
-        # Plain sockets, read as soon as their descriptor stirs: a future for each message would cost as much as a third of a step.
+        # Plain sockets, read as soon as their descriptor stirs: a future for each message would
+        # cost as much as a third of a step.
         plain = zmq.Context.shadow(context.underlying)
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
         self.ports["requests"] = _bind(self._router, settings.host, settings.port)
-        self.ports["stream"] = self.dispatcher.stream_port = _bind(self._stream, settings.host, settings.stream_port)
+        self.ports["stream"] = self.dispatcher.stream_port = _bind(
+            self._stream, settings.host, settings.stream_port
+        )
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
         if settings.web is not None:
@@ -140,15 +150,22 @@ class Server:
             self.ports["web"] = await self._closing.enter_async_context(door)
         if settings.health_port is not None:
             try:
-                health = await serve_metrics("127.0.0.1", settings.health_port, self.metrics, self.health)
+                health = await serve_metrics(
+                    "127.0.0.1", settings.health_port, self.metrics, self.health
+                )
             except OSError as error:
-                raise InvalidInputError(f"health port {settings.health_port}: {error.strerror}") from error
+                raise InvalidInputError(
+                    f"health port {settings.health_port}: {error.strerror}"
+                ) from error
             self._closing.callback(health.close)
             self.ports["health"] = health.sockets[0].getsockname()[1]
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._router.FD, self._drain)
         self._closing.callback(self._loop.remove_reader, self._router.FD)
-        watches = [report_handshakes(context, socket, self.metrics) for socket in (self._router, self._stream)]
+        watches = [
+            report_handshakes(context, socket, self.metrics)
+            for socket in (self._router, self._stream)
+        ]
         self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
         report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
 
@@ -182,25 +199,34 @@ class Server:
         socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
         socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
         socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
-        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the newest for each reader's socket,
-        # whatever its topic.
+        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the
+        # newest for each reader's socket, whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
         if (keys := self._keys) is not None:
-            socket.curve_publickey, socket.curve_secretkey, socket.curve_server = keys.public, keys.secret, True
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_server = (
+                keys.public,
+                keys.secret,
+                True,
+            )
         return socket
 
     def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
         """Let in only clients whose public keys lie in the folder when they knock."""
         clients = ClientKeys(folder)
         if not clients.read():
-            raise InvalidInputError(f"{folder}: holds no client's key (*.key), so that nobody could come in")
+            raise InvalidInputError(
+                f"{folder}: holds no client's key (*.key), so that nobody could come in"
+            )
         authenticator = AsyncioAuthenticator(context)
         authenticator.start()
         self._closing.callback(authenticator.stop)
         authenticator.configure_curve_callback("*", credentials_provider=clients)
 
     def _drain(self) -> None:
-        """Take what has come, up to a batch; then samples that wait are mapped, and others get their turn."""
+        """Take what has come, up to a batch.
+
+        Then samples that wait are mapped, and others get their turn.
+        """
         if self._router.closed:
             return
         self._is_draining = True
@@ -265,6 +291,10 @@ def _bind(socket: zmq.Socket, host: str, port: int) -> int:
     except zmq.ZMQError as error:
         # ZeroMQ looks up no names where it listens.
         is_unknown = error.errno == errno.ENODEV
-        reason = "expected an IP address of this machine, or a network interface" if is_unknown else error.strerror
+        reason = (
+            "expected an IP address of this machine, or a network interface"
+            if is_unknown
+            else error.strerror
+        )
         raise InvalidInputError(f"{address}:{port}: {reason}") from error
     return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])

@@ -1,10 +1,14 @@
-"""One session: a human hand that leads and a robot hand that follows, without sockets or clocks of its own.
+"""One session.
+
+A human hand that leads and a robot hand that follows, without sockets or clocks of its own.
 
     waiting -> following <-> released     what the client asked for: by samples, `release`, `clutch`
-    hold -> returning -> hold             what the watchdog makes of it while samples stay away, until the next one
+    hold -> returning -> hold             what the watchdog makes of it while samples stay away,
+    until the next one
 
-Every posture that leaves goes through the `SpeedGuard`. Where mapper and guard come apart for good (a return to rest, a failure
-inside the mapper), the mapper is seated where the guard is before the next sample, which is then the reference.
+Every posture that leaves goes through the `SpeedGuard`. Where mapper and guard come apart for good
+(a return to rest, a failure inside the mapper), the mapper is seated where the guard is before the
+next sample, which is then the reference.
 """
 
 from __future__ import annotations
@@ -17,11 +21,25 @@ from typing import Any, Literal
 import numpy as np
 
 from handmap_qp.errors import HandmapError, RefusedError
-from handmap_qp.options import MappingOptions
-from handmap_qp.samples import MapStep
-from handmap_qp.service.convert import name_joints, to_detail, to_lengths, to_matrix, to_pose, to_row
+from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.service.convert import (
+    name_joints,
+    to_detail,
+    to_lengths,
+    to_matrix,
+    to_pose,
+    to_row,
+)
 from handmap_qp.service.messages import About, Command, Configure, Open, Opened, Reset, State, Step
-from handmap_qp.service.opening import Calibration, Hands, name_options, read_ik, read_options, refused
+from handmap_qp.service.opening import (
+    Calibration,
+    Hands,
+    name_options,
+    read_ik,
+    read_options,
+    refused,
+)
 from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start_wrist
 from handmap_qp.service.store import Record
 
@@ -75,7 +93,10 @@ class Session:
         self._hands = hands
         self._calibration = calibration if hands.needs_measuring else None
         self._has_detail = request.has_detail
-        start = start_angles(self.robot, request.robot_q), start_wrist(self.robot, request.robot_wrist)
+        start = (
+            start_angles(self.robot, request.robot_q),
+            start_wrist(self.robot, request.robot_wrist),
+        )
         q, wrist = start if former is None else former.posture
         self._guard = SpeedGuard(self.robot, q, wrist)
         self._clock = StepClock(request.max_dt, request.time_from, now)
@@ -100,7 +121,11 @@ class Session:
         """What the robot is doing."""
         if self._watch is not None:
             return self._watch
-        return "calibrating" if self._calibration is not None and self._engaged == "following" else self._engaged
+        return (
+            "calibrating"
+            if self._calibration is not None and self._engaged == "following"
+            else self._engaged
+        )
 
     @property
     def record(self) -> Record:
@@ -111,7 +136,10 @@ class Session:
 
     @property
     def is_attended(self) -> bool:
-        """Whether its client sends samples; one that never did may have given up waiting for the session to open."""
+        """Whether its client sends samples.
+
+        One that never did may have given up waiting for the session to open.
+        """
         return self._last_sample > self._opened_at and self._watch is None
 
     @property
@@ -176,7 +204,8 @@ class Session:
             The command.
 
         Raises:
-            RefusedError: If the sample cannot be used. For robot and watchdog it is then as if it had not come.
+            RefusedError: If the sample cannot be used. For robot and watchdog it is then as if it
+                had not come.
         """
         try:
             self._check_kind(sample)
@@ -188,7 +217,8 @@ class Session:
             self.counts["refused"] += 1
             raise refused(error) from error
         except Exception:
-            # A bug, or a number that no check foresaw: the robot stays where it is, and the mapper starts afresh from there.
+            # A bug, or a number that no check foresaw: the robot stays where it is, and the mapper
+            # starts afresh from there.
             self._is_apart = self._needs_reference = True
             raise
         flags = self._note(sample, now) + flags
@@ -225,10 +255,14 @@ class Session:
         # A heartbeat counts too: to a driver, the next motion starts there.
         self._last_output, self._dt = now, self._clock.grant_tick(now)
         if self._watch == "returning":
-            is_at_rest = self._guard.advance(self.robot.rest, None, self._dt, self.request.return_speed)
+            is_at_rest = self._guard.advance(
+                self.robot.rest, None, self._dt, self.request.return_speed
+            )
             # Also where the client has clutched meanwhile: the mapper's robot does not come along.
             self._is_apart = self._needs_reference = True
-        command = self._command(self._watch, ["watchdog", "at_rest"] if is_at_rest else ["watchdog"])
+        command = self._command(
+            self._watch, ["watchdog", "at_rest"] if is_at_rest else ["watchdog"]
+        )
         if is_at_rest:
             self._watch = "hold"
         return command
@@ -263,7 +297,8 @@ class Session:
         """Start anew.
 
         Args:
-            request: Where the robot is now; where it does not say, the robot goes from where it is to rest, within its limits.
+            request: Where the robot is now; where it does not say, the robot goes from where it is
+                to rest, within its limits.
             now: The present [s].
 
         Raises:
@@ -273,8 +308,16 @@ class Session:
             self._seat(self.robot.rest)
             self._is_apart = True
         else:
-            q = self._guard.q if request.robot_q is None else start_angles(self.robot, request.robot_q)
-            wrist = self._guard.wrist if request.robot_wrist is None else start_wrist(self.robot, request.robot_wrist)
+            q = (
+                self._guard.q
+                if request.robot_q is None
+                else start_angles(self.robot, request.robot_q)
+            )
+            wrist = (
+                self._guard.wrist
+                if request.robot_wrist is None
+                else start_wrist(self.robot, request.robot_wrist)
+            )
             self._guard = SpeedGuard(self.robot, q, wrist)
             self._seat()
             self._epoch = _new_epoch()
@@ -293,7 +336,8 @@ class Session:
     def _is_at_rest(self) -> bool:
         return bool((self._guard.q == self.robot.rest).all())
 
-    # -- the way of one sample ------------------------------------------------------------------------------------------
+    # -- the way of one sample
+    # ------------------------------------------------------------------------------------------
 
     def _check_kind(self, sample: Step) -> None:
         """Refuse samples of another kind than the session was opened for."""
@@ -301,18 +345,29 @@ class Session:
         for kind in ("q", "landmarks", "points"):
             is_given = getattr(sample, kind) is not None
             if is_given != (kind == wanted):
-                message = f"this session was opened for {wanted}" if is_given else "missing; this session was opened for it"
+                message = (
+                    f"this session was opened for {wanted}"
+                    if is_given
+                    else "missing; this session was opened for it"
+                )
                 raise RefusedError("invalid", message, field=kind)
         if wanted == "q" and sample.wrist is None:
             raise RefusedError("invalid", "missing; it must come with q", field="wrist")
         if wanted == "landmarks" and sample.wrist is not None:
-            raise RefusedError("invalid", "it follows from the landmarks; leave it out", field="wrist")
+            raise RefusedError(
+                "invalid", "it follows from the landmarks; leave it out", field="wrist"
+            )
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
-        """Gather landmarks until the human hand has been measured; the robot holds still meanwhile."""
+        """Gather landmarks until the human hand has been measured.
+
+        The robot holds still meanwhile.
+        """
         landmarks = np.array(sample.landmarks)
         if landmarks.shape != (21, 3):
-            raise RefusedError("invalid", f"expected 21 points, got {len(landmarks)}", field="landmarks")
+            raise RefusedError(
+                "invalid", f"expected 21 points, got {len(landmarks)}", field="landmarks"
+            )
         hands = calibration.add(landmarks)
         flags = self._note(sample, now)
         self._dt, _ = self._clock.grant(sample.time, now)
@@ -326,10 +381,18 @@ class Session:
         return command
 
     def _make_ready(self) -> None:
-        """Seat the mapper where it has to start anew: after a failure or a return to rest, or a hold if so asked."""
-        # A mapper that limits accelerations thinks that it still moves as before the hold, until it is seated anew.
-        wants_clutch = self.request.resume == "clutch" or self._hands.mapper.ik.max_acceleration is not None
-        if not self._is_released and (self._needs_reference or (wants_clutch and self._watch is not None)):
+        """Seat the mapper where it has to start anew.
+
+        After a failure or a return to rest, or a hold if so asked.
+        """
+        # A mapper that limits accelerations thinks that it still moves as before the hold, until it
+        # is seated anew.
+        wants_clutch = (
+            self.request.resume == "clutch" or self._hands.mapper.ik.max_acceleration is not None
+        )
+        if not self._is_released and (
+            self._needs_reference or (wants_clutch and self._watch is not None)
+        ):
             self._seat()
 
     def _map(self, sample: Step, now: float) -> tuple[MapStep, Posture, list[str]]:
@@ -355,10 +418,15 @@ class Session:
         return flags
 
     def _seat(self, q: np.ndarray | None = None) -> None:
-        """Put the mapper where the guard is (its joints elsewhere, if given); the next sample is the reference."""
+        """Put the mapper where the guard is (its joints elsewhere, if given).
+
+        The next sample is the reference.
+        """
         robot = self.robot
         angles = np.clip(self._guard.q if q is None else q, robot.lower_limits, robot.upper_limits)
-        self._hands.mapper.reset(robot_q=angles, robot_wrist=self._guard.wrist if robot.is_floating else None)
+        self._hands.mapper.reset(
+            robot_q=angles, robot_wrist=self._guard.wrist if robot.is_floating else None
+        )
         self._is_apart = self._needs_reference = False
 
     def _told(self, step: MapStep, human: Posture) -> dict[str, Any]:
@@ -370,7 +438,9 @@ class Session:
             "at_limit": name_joints(self.robot, step.at_limit),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": to_detail(step, human[0] if len(human[0]) else None, human[1]) if self._has_detail else None,
+            "detail": to_detail(step, human[0] if len(human[0]) else None, human[1])
+            if self._has_detail
+            else None,
         }
 
     def _command(self, status: str, flags: list[str], **told: Any) -> Command:
@@ -393,5 +463,8 @@ class Session:
 
 
 def _new_epoch() -> int:
-    """A number that no session has had, on this server or one before it: microseconds of the calendar."""
+    """A number that no session has had, on this server or one before it.
+
+    Microseconds of the calendar.
+    """
     return time.time_ns() // 1000

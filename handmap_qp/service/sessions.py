@@ -58,11 +58,25 @@ class Sessions:
         publish: Who hears of what goes into streams.
     """
 
-    def __init__(self, caps: Caps, shelf: HandShelf, metrics: Metrics, store: PostureStore, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        caps: Caps,
+        shelf: HandShelf,
+        metrics: Metrics,
+        store: PostureStore,
+        clock: Callable[[], float],
+    ) -> None:
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
-        self._caps, self._shelf, self._metrics, self._store, self._clock = caps, shelf, metrics, store, clock
-        # One thread: what is slow shall be slow for those who open sessions, and not take the processor from those who have one.
+        self._caps, self._shelf, self._metrics, self._store, self._clock = (
+            caps,
+            shelf,
+            metrics,
+            store,
+            clock,
+        )
+        # One thread: what is slow shall be slow for those who open sessions, and not take the
+        # processor from those who have one.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
         self._names_opening: set[str] = set()
@@ -78,13 +92,16 @@ class Sessions:
         """An open session.
 
         Raises:
-            RefusedError: `no_session` if there is none, `taken` if another client has taken it over.
+            RefusedError: `no_session` if there is none, `taken` if another client has taken it
+                over.
         """
         entry = self.entries.get(secret)
         if entry is not None:
             return entry
         if self._ended.get(secret) == "taken":
-            raise RefusedError("taken", "another client has taken this session over", field="session")
+            raise RefusedError(
+                "taken", "another client has taken this session over", field="session"
+            )
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -115,15 +132,26 @@ class Sessions:
             self._check_unattended(self._find_named(request.name))
             former = self._former(request, name, robot.name, len(robot.joint_names))
             calibration = Calibration(request, self._shelf, self._executor.submit)
-            session = Session(request, hands, name, self._clock(), calibration=calibration, former=former)
+            session = Session(
+                request, hands, name, self._clock(), calibration=calibration, former=former
+            )
         finally:
             self._names_opening.discard(name)
-        for secret in [secret for secret, entry in self.entries.items() if entry.session.name == name]:
+        for secret in [
+            secret for secret, entry in self.entries.items() if entry.session.name == name
+        ]:
             self.end(secret, "taken", "another client has taken this session over")
         self.entries[request.session] = Entry(session, request.seq, payload)
         self._store.note(session.record)
         self._metrics.counts["opened"] += 1
-        report(INFO, "opened", session=name, robot=robot.name, input=request.input, restored=former is not None)
+        report(
+            INFO,
+            "opened",
+            session=name,
+            robot=robot.name,
+            input=request.input,
+            restored=former is not None,
+        )
         return session
 
     def end(self, secret: str, code: str, reason: str) -> None:
@@ -155,33 +183,57 @@ class Sessions:
     def _check(self, request: Open) -> None:
         """Refuse what can be refused before hands are loaded."""
         if len(request.session) < _SHORTEST_SECRET:
-            raise RefusedError("invalid", f"expected at least {_SHORTEST_SECRET} random characters", field="session")
+            raise RefusedError(
+                "invalid",
+                f"expected at least {_SHORTEST_SECRET} random characters",
+                field="session",
+            )
         if request.session in self.entries:
-            raise RefusedError("invalid", "there is such a session already; choose another secret", field="session")
+            raise RefusedError(
+                "invalid", "there is such a session already; choose another secret", field="session"
+            )
         last = self._find_named(request.name)
         is_replacing = last is not None and request.restore
         if len(self.entries) + len(self._names_opening) - is_replacing >= self._caps.sessions:
             raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
         if not self._opens.take(self._clock()):
-            raise RefusedError("rate", f"more than {self._caps.opens:g} sessions opened a second; try again later")
+            raise RefusedError(
+                "rate", f"more than {self._caps.opens:g} sessions opened a second; try again later"
+            )
         if request.time_from == "client" and not self._caps.allows_client_time:
-            raise RefusedError("denied", "the server takes its own clock (see handmap serve --simulated-time)", field="time_from")
+            raise RefusedError(
+                "denied",
+                "the server takes its own clock (see handmap serve --simulated-time)",
+                field="time_from",
+            )
         if request.name in self._names_opening:
             raise RefusedError("busy", f"session {request.name!r} is being opened", field="name")
         if last is not None and not request.restore:
-            raise RefusedError("invalid", f"there is a session {request.name!r}; restore=true takes it over", field="name")
+            raise RefusedError(
+                "invalid",
+                f"there is a session {request.name!r}; restore=true takes it over",
+                field="name",
+            )
         self._check_unattended(last)
         if request.restore and request.name is None:
-            raise RefusedError("invalid", "missing; restore needs to know whose session", field="name")
+            raise RefusedError(
+                "invalid", "missing; restore needs to know whose session", field="name"
+            )
 
     def _find_named(self, name: str | None) -> Session | None:
         """The open session of a name, if there is one."""
-        return next((entry.session for entry in self.entries.values() if entry.session.name == name), None)
+        return next(
+            (entry.session for entry in self.entries.values() if entry.session.name == name), None
+        )
 
     def _check_unattended(self, session: Session | None) -> None:
         """Refuse to take a session over while its client sends samples."""
         if session is not None and session.is_attended:
-            raise RefusedError("busy", f"session {session.name!r} is in use: its client sends samples", field="name")
+            raise RefusedError(
+                "busy",
+                f"session {session.name!r} is in use: its client sends samples",
+                field="name",
+            )
 
     def _former(self, request: Open, name: str, robot: str, joints: int) -> Record | None:
         """Where the session of this name left the robot, if the request asks for it."""

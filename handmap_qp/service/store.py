@@ -1,9 +1,12 @@
-"""Where sessions left their robots, for those that ask to be restored: in memory, and in a file that outlives the server.
+"""Where sessions left their robots, for those that ask to be restored.
 
-The file is mapped into memory, so that noting a command costs microseconds and survives a kill of the process (a power cut may
-lose the last ones). Each session has a slot with two copies, written in turn, each with a checksum: a kill in the middle of a
-write leaves the copy before it whole. All of the file is reserved at the start: a disk that fills up later would otherwise kill the
-server at its next write to memory.
+In memory, and in a file that outlives the server.
+
+The file is mapped into memory, so that noting a command costs microseconds and survives a kill of
+the process (a power cut may lose the last ones). Each session has a slot with two copies, written
+in turn, each with a checksum: a kill in the middle of a write leaves the copy before it whole. All
+of the file is reserved at the start: a disk that fills up later would otherwise kill the server at
+its next write to memory.
 """
 
 from __future__ import annotations
@@ -87,12 +90,17 @@ class PostureStore:
             self._memory = mmap.mmap(self._file, _SIZE)
         except OSError as error:
             os.close(self._file)
-            reason = "another server uses it" if isinstance(error, BlockingIOError) else error.strerror
+            reason = (
+                "another server uses it" if isinstance(error, BlockingIOError) else error.strerror
+            )
             raise InvalidInputError(f"{path}: {reason}") from error
         except InvalidInputError:
             os.close(self._file)
             raise
-        self._encode, self._decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Record).decode
+        self._encode, self._decode = (
+            msgspec.msgpack.Encoder().encode,
+            msgspec.msgpack.Decoder(Record).decode,
+        )
         self._slots: dict[str, int] = {}
         self._written = [0] * _SLOTS
         self._writes = 0
@@ -106,21 +114,29 @@ class PostureStore:
         self.close()
 
     def _reserve(self, path: Path) -> None:
-        """Make a new file one of postures, and give it all the room that it will need; other files are left as they are."""
+        """Make a new file one of postures, and give it all the room that it will need.
+
+        Other files are left as they are.
+        """
         size = os.fstat(self._file).st_size
         if size and os.pread(self._file, len(_MAGIC), 0) != _MAGIC:
-            raise InvalidInputError(f"{path}: expected a state file of handmap ({_MAGIC.decode().strip()!r}), got another file")
+            raise InvalidInputError(
+                f"{path}: expected a state file of handmap ({_MAGIC.decode().strip()!r}), got another file"
+            )
         try:
             # In this order a kill in between leaves a file that is taken the next time.
             os.pwrite(self._file, _MAGIC, 0)
             os.posix_fallocate(self._file, 0, _SIZE)
         except OSError as error:
             os.ftruncate(self._file, size)
-            raise InvalidInputError(f"{path}: expected room for {_SIZE} bytes: {error.strerror}") from error
+            raise InvalidInputError(
+                f"{path}: expected room for {_SIZE} bytes: {error.strerror}"
+            ) from error
 
     def note(self, record: Record) -> None:
         """Note where a session's robot is."""
-        # In the order of the last news, so that the name not heard of for the longest time comes first.
+        # In the order of the last news, so that the name not heard of for the longest time comes
+        # first.
         self._records.pop(record.name, None)
         self._records[record.name] = record
         if self._memory is not None:
@@ -153,7 +169,11 @@ class PostureStore:
         if record is None:
             return None
         if record.robot != robot or len(record.q) != joints:
-            raise RefusedError("invalid", f"the last session {name!r} moved {record.robot}, not {robot}", field="restore")
+            raise RefusedError(
+                "invalid",
+                f"the last session {name!r} moved {record.robot}, not {robot}",
+                field="restore",
+            )
         return record
 
     def close(self) -> None:
@@ -172,7 +192,9 @@ class PostureStore:
         return slot
 
     def _load(self, memory: mmap.mmap) -> int:
-        """Read the file: of each slot the newest copy that is whole, and of each name the newest slot.
+        """Read the file.
+
+        Of each slot the newest copy that is whole, and of each name the newest slot.
 
         Returns:
             The number of slots that were written to and hold nothing whole.
@@ -185,12 +207,21 @@ class PostureStore:
         return sum(read is None for read in found.values())
 
     def _read(self, memory: mmap.mmap, slot: int) -> tuple[int, Record] | None:
-        """The number of the last write to a slot, and what was written; None if it holds nothing whole."""
+        """The number of the last write to a slot, and what was written.
+
+        None if it holds nothing whole.
+        """
         newest = None
         for copy in _copies(slot):
             length, checksum, write = _HEAD.unpack_from(memory, copy)
-            payload = memory[copy + _HEAD.size : copy + _HEAD.size + min(length, _COPY - _HEAD.size)]
-            if length == 0 or zlib.crc32(payload) != checksum or (newest is not None and write <= newest[0]):
+            payload = memory[
+                copy + _HEAD.size : copy + _HEAD.size + min(length, _COPY - _HEAD.size)
+            ]
+            if (
+                length == 0
+                or zlib.crc32(payload) != checksum
+                or (newest is not None and write <= newest[0])
+            ):
                 continue
             with contextlib.suppress(msgspec.MsgspecError):
                 newest = write, self._decode(payload)

@@ -1,7 +1,10 @@
-"""The second door: the same messages over WebSocket, for browsers and headsets. Binary frames are msgpack, text frames JSON.
+"""The second door: the same messages over WebSocket, for browsers and headsets.
 
-A page that some web site has put into the user's browser could reach a socket on loopback, so browsers must come from loopback or
-from an origin that was named, unless a token is asked for. Off loopback, a token and TLS are.
+Binary frames are msgpack, text frames JSON.
+
+A page that some web site has put into the user's browser could reach a socket on loopback, so
+browsers must come from loopback or from an origin that was named, unless a token is asked for. Off
+loopback, a token and TLS are.
 """
 
 from __future__ import annotations
@@ -115,7 +118,9 @@ class WebDoor:
                 close_timeout=1.0,
             )
         except OSError as error:
-            raise InvalidInputError(f"web {settings.host}:{settings.port}: {error.strerror or error}") from error
+            raise InvalidInputError(
+                f"web {settings.host}:{settings.port}: {error.strerror or error}"
+            ) from error
         self._dispatcher.sessions.publish.append(self._publish)
         return next(iter(self._server.sockets)).getsockname()[1]
 
@@ -128,16 +133,22 @@ class WebDoor:
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Let a handshake pass, or answer it with what is wrong."""
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
-            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "all connections are taken\n")
+            return connection.respond(
+                http.HTTPStatus.SERVICE_UNAVAILABLE, "all connections are taken\n"
+            )
         settings = self._settings
         if settings.token is not None:
             if not _has_token(request, settings.token):
                 return connection.respond(http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n")
             return None
         origins = request.headers.get_all("Origin")
-        if all(_LOOPBACK_ORIGIN.fullmatch(origin) or origin in settings.origins for origin in origins):
+        if all(
+            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in settings.origins for origin in origins
+        ):
             return None
-        return connection.respond(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n")
+        return connection.respond(
+            http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n"
+        )
 
     async def _handle(self, connection: ServerConnection) -> None:
         outbox = _Outbox(connection, self._dispatcher.sessions)
@@ -154,7 +165,8 @@ class WebDoor:
                     is_json=is_json,
                     subscribe=partial(outbox.subscribe, is_json=is_json),
                 )
-                # Who does not read the answers is not read from either, and who sends too much is read slowly.
+                # Who does not read the answers is not read from either, and who sends too much is
+                # read slowly.
                 await outbox.answered()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
@@ -170,7 +182,10 @@ class WebDoor:
 
 
 class _Outbox:
-    """What is on its way to one connection: answers in their order, and of each stream the newest message."""
+    """What is on its way to one connection.
+
+    Answers in their order, and of each stream the newest message.
+    """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self._connection, self._sessions = connection, sessions
@@ -187,8 +202,13 @@ class _Outbox:
 
     def subscribe(self, name: str, *, is_json: bool) -> None:
         if len(self._streams) >= MOST_SESSIONS:
-            # A session may come back under its name; but not all those that ever were are remembered.
-            self._streams = {known: self._streams[known] for known in self._sessions.names if known in self._streams}
+            # A session may come back under its name; but not all those that ever were are
+            # remembered.
+            self._streams = {
+                known: self._streams[known]
+                for known in self._sessions.names
+                if known in self._streams
+            }
         self._streams[name] = is_json
 
     def offer(self, name: str, payload: bytes) -> None:
@@ -246,7 +266,11 @@ def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> 
 def _has_token(request: Request, token: str) -> bool:
     given = [value.removeprefix("Bearer ") for value in request.headers.get_all("Authorization")]
     for value in request.headers.get_all("Sec-WebSocket-Protocol"):
-        given += [part.strip().removeprefix("bearer.") for part in value.split(",") if part.strip().startswith("bearer.")]
+        given += [
+            part.strip().removeprefix("bearer.")
+            for part in value.split(",")
+            if part.strip().startswith("bearer.")
+        ]
     return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
 
 

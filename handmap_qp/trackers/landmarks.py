@@ -1,25 +1,24 @@
 """From 21 hand landmarks to joint angles and a wrist pose of the human hand.
 
-The hand is first measured: bone lengths and the shape of the palm are medians over the recording. The model scaled to them is then
-fitted to every sample by inverse kinematics (the same QP that moves robots), with joint limits, starting from the sample before.
+The hand is first measured: bone lengths and the shape of the palm are medians over the recording.
+The model scaled to them is then fitted to every sample by inverse kinematics (the same QP that
+moves robots), with joint limits, starting from the sample before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hand import Hand
-from handmap_qp.hand_spec import PointSpec, Side
-from handmap_qp.human import HumanLengths
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import PointSpec, Side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.library import load_hand
-from handmap_qp.recording import LANDMARK_COUNT, Recording
+from handmap_qp.trackers.recording import LANDMARK_COUNT, HumanMotion, Recording
 from handmap_qp.transform import affine, nearest_rotation
 
 PALM = np.array([0, 5, 9, 13, 17])
@@ -29,39 +28,25 @@ FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
 TIPS = np.array([4, 8, 12, 16, 20])
 """The fingertips."""
 HAND_LENGTHS = (0.08, 0.35)
-"""Lengths that a hand may have [m]: from a baby's to somewhat more than the longest on record (0.32). What is outside was measured
-in other units."""
+"""Lengths that a hand may have [m]: from a baby's to somewhat more than the longest on record
+(0.32). What is outside was measured in other units."""
 _PALM_RATIOS = (0.5, 2.0)
-"""Size of a sample's palm as a part of the hand's own, which is rigid: over all recordings 0.87 to 1.12."""
+"""Size of a sample's palm as a part of the hand's own, which is rigid.
 
-# Fingertips are what the mapping uses most, so they are fitted a little closer than the joints on the way to them.
+Over all recordings 0.87 to 1.12.
+"""
+
+# Fingertips are what the mapping uses most, so they are fitted a little closer than the joints on
+# the way to them.
 _TIP_WEIGHT = 4.0
 _FIT = IkOptions(
-    rest_weight=0.02, damping=0.05, max_iterations=40, step_tolerance=1e-4, wrist_position_weight=0.0, wrist_orientation_weight=0.0
+    rest_weight=0.02,
+    damping=0.05,
+    max_iterations=40,
+    step_tolerance=1e-4,
+    wrist_position_weight=0.0,
+    wrist_orientation_weight=0.0,
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HumanMotion:
-    """A recording as joint angles.
-
-    Attributes:
-        human: The human hand, scaled to the person, its reference points the 21 landmarks.
-        time: Instants [s], shape (T,).
-        dt: Time from each sample's predecessor [s], shape (T,).
-        q: Joint angles in the order of `human.joint_names` [rad], shape (T, 20).
-        wrist: Wrist poses in the tracker's world, shape (T, 4, 4).
-        valid: Samples that were fitted, shape (T,); the others hold the last fitted posture (the first one, before it).
-        fit_error: Distance between the model's landmarks and the measured ones [m], shape (T, 21); NaN where not valid.
-    """
-
-    human: Hand
-    time: np.ndarray
-    dt: np.ndarray
-    q: np.ndarray
-    wrist: np.ndarray
-    valid: np.ndarray
-    fit_error: np.ndarray
 
 
 class LandmarkFitter:
@@ -78,12 +63,16 @@ class LandmarkFitter:
     def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
         self.human = load_hand(human_name(side), points=_landmark_points(side), lengths=lengths)
         self._ik = PointIk(self.human, _FIT)
-        self._palm = self.human.points(np.clip(0.0, self.human.lower_limits, self.human.upper_limits))[PALM]
+        self._palm = self.human.points(
+            np.clip(0.0, self.human.lower_limits, self.human.upper_limits)
+        )[PALM]
         self._palm_size = float(_palm_sizes(self._palm))
         self._is_warm = False
 
     def fits_size(self, landmarks: np.ndarray) -> np.ndarray:
-        """Whether landmarks are of a hand as large as this one: neither in other units, nor all in one place.
+        """Whether landmarks are of a hand as large as this one.
+
+        Neither in other units, nor all in one place.
 
         Args:
             landmarks: Of one sample or many [m], shape (..., 21, 3).
@@ -92,7 +81,9 @@ class LandmarkFitter:
             An answer for every sample, shape (...).
         """
         sizes = _palm_sizes(landmarks[..., PALM, :])
-        return (sizes >= _PALM_RATIOS[0] * self._palm_size) & (sizes <= _PALM_RATIOS[1] * self._palm_size)
+        return (sizes >= _PALM_RATIOS[0] * self._palm_size) & (
+            sizes <= _PALM_RATIOS[1] * self._palm_size
+        )
 
     def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit one sample, starting from the one before.
@@ -101,13 +92,17 @@ class LandmarkFitter:
             landmarks: Measured landmarks [m], shape (21, 3), finite.
 
         Returns:
-            Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark [m], shape (21,).
+            Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark
+            [m], shape (21,).
 
         Raises:
-            InvalidInputError: On a wrong shape, numbers that are not finite, or a palm of quite another size than the hand's.
+            InvalidInputError: On a wrong shape, numbers that are not finite, or a palm of quite
+                another size than the hand's.
         """
         if landmarks.shape != (LANDMARK_COUNT, 3) or not np.isfinite(landmarks).all():
-            raise InvalidInputError(f"landmarks: expected finite numbers of shape ({LANDMARK_COUNT}, 3), got {landmarks.shape}")
+            raise InvalidInputError(
+                f"landmarks: expected finite numbers of shape ({LANDMARK_COUNT}, 3), got {landmarks.shape}"
+            )
         if not self.fits_size(landmarks):
             ratio = float(_palm_sizes(landmarks[PALM])) / self._palm_size
             raise InvalidInputError(
@@ -119,7 +114,11 @@ class LandmarkFitter:
             self._is_warm = True
         result = self._ik.solve(landmarks, None, 1.0)
         hand = self._ik.configuration
-        return hand.q[self.human.q_indices], hand.wrist.homogeneous, np.linalg.norm(result.errors, axis=1)
+        return (
+            hand.q[self.human.q_indices],
+            hand.wrist.homogeneous,
+            np.linalg.norm(result.errors, axis=1),
+        )
 
 
 def human_name(side: Side) -> str:
@@ -142,7 +141,9 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
     bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
     segments = np.median(bones, axis=0)
     low, high = HAND_LENGTHS
-    length = float(np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum())
+    length = float(
+        np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum()
+    )
     if not low <= length <= high:
         message = f"landmarks: expected metres and a hand of {low} to {high} m from wrist to middle fingertip, got {length:.3g}"
         raise InvalidInputError(message, value=length)
@@ -150,7 +151,9 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
 
 
 def measure_hand(recording: Recording) -> HumanLengths:
-    """Measure a person's hand: medians of bone lengths and of the palm's shape over the valid samples.
+    """Measure a person's hand.
+
+    Medians of bone lengths and of the palm's shape over the valid samples.
 
     Args:
         recording: The recording.
@@ -168,15 +171,20 @@ def measure_hand(recording: Recording) -> HumanLengths:
     right = load_hand("human", points="landmarks")
     palm = right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM]
     in_palm = landmarks
-    # Generalised Procrustes: lay every sample on the mean shape, take the mean shape anew; three rounds settle it.
+    # Generalised Procrustes: lay every sample on the mean shape, take the mean shape anew; three
+    # rounds settle it.
     for _ in range(3):
         in_palm = _lay_on(landmarks, palm)
         palm = np.median(in_palm[:, PALM], axis=0)
         palm = palm - palm[0]
-    return HumanLengths(bases=np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0), segments=segments)
+    return HumanLengths(
+        bases=np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0), segments=segments
+    )
 
 
-def fit_recording(recording: Recording, progress: Callable[[int], None] | None = None) -> HumanMotion:
+def fit_recording(
+    recording: Recording, progress: Callable[[int], None] | None = None
+) -> HumanMotion:
     """Turn a recording into joint angles and wrist poses of a hand scaled to the person.
 
     Args:
@@ -184,16 +192,20 @@ def fit_recording(recording: Recording, progress: Callable[[int], None] | None =
         progress: Called with the number of samples done after each one.
 
     Returns:
-        The motion; samples that are not valid, or of quite another size than the hand, hold the posture before them.
+        The motion; samples that are not valid, or of quite another size than the hand, hold the
+        posture before them.
 
     Raises:
-        InvalidInputError: If no hand is as long as the one recorded, or none of the samples as large as all together.
+        InvalidInputError: If no hand is as long as the one recorded, or none of the samples as
+            large as all together.
     """
     fitter = LandmarkFitter(recording.side, measure_hand(recording))
     valid = recording.valid.copy()
     valid[valid] = fitter.fits_size(recording.landmarks[valid])
     if not valid.any():
-        raise InvalidInputError("landmarks: expected a hand that keeps its size, got none as large as the median of all samples")
+        raise InvalidInputError(
+            "landmarks: expected a hand that keeps its size, got none as large as the median of all samples"
+        )
     count = len(recording)
     q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
     error = np.full((count, LANDMARK_COUNT), np.nan)
@@ -213,7 +225,10 @@ def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
     """The 21 landmarks as reference points, the tips with more weight."""
     points = load_hand(human_name(side), points="landmarks").reference_points
     tips = {points[i].name for i in TIPS}
-    return tuple(msgspec.structs.replace(point, weight=_TIP_WEIGHT) if point.name in tips else point for point in points)
+    return tuple(
+        msgspec.structs.replace(point, weight=_TIP_WEIGHT) if point.name in tips else point
+        for point in points
+    )
 
 
 def _palm_sizes(palms: np.ndarray) -> np.ndarray:

@@ -1,1 +1,4 @@
-"""`handmap view`: both hands, what the mapping asks of them and how well they do it, in a browser."""
+"""`handmap view`.
+
+Both hands, what the mapping asks of them and how well they do it, in a browser.
+"""

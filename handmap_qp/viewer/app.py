@@ -1,4 +1,7 @@
-"""A recording in the browser: `ReplayViewer` joins scene, gauges and controls, and keeps them in step."""
+"""A recording in the browser.
+
+`ReplayViewer` joins scene, gauges and controls, and keeps them in step.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.viewer.controls import PlayBar, SteeringControls, dock_main_panel
 from handmap_qp.viewer.gauges import Gauges, gauge_row
 from handmap_qp.viewer.option_controls import Options
-from handmap_qp.viewer.samples import Replay, ViewSample
+from handmap_qp.viewer.replay import Replay, ViewSample
 from handmap_qp.viewer.scene import HandScene
 from handmap_qp.viewer.serving import drawing
 
@@ -43,7 +46,9 @@ class ReplayViewer:
     def __init__(self, server: viser.ViserServer, replay: Replay) -> None:
         self.server = server
         self.replay = replay
-        self.scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+        self.scene = HandScene(
+            server, replay.human, replay.robot, replay.samples[0], replay.mapping
+        )
         self.gauges = Gauges(server, replay.robot)
         self._show_samples()
         dock_main_panel(server)
@@ -84,7 +89,9 @@ class ReplayViewer:
             self.steering.show_released(self.replay.is_released(self.index))
             self._drawn = state
         now = time.monotonic()
-        if state != self._gauges_drawn and (now - self._gauges_time >= _GAUGES_PERIOD or elapsed == 0.0):
+        if state != self._gauges_drawn and (
+            now - self._gauges_time >= _GAUGES_PERIOD or elapsed == 0.0
+        ):
             self.gauges.draw(self.sample, self.index)
             self._gauges_drawn, self._gauges_time = state, now
 
@@ -100,7 +107,10 @@ class ReplayViewer:
             time.sleep(max(0.0, _PERIOD - (time.monotonic() - now)))
 
     def _do_as_asked(self) -> None:
-        """Buttons first, then options; a slider that moves while the recording is mapped counts as it stands afterwards."""
+        """Buttons first, then options.
+
+        A slider that moves while the recording is mapped counts as it stands afterwards.
+        """
         wishes, changes = self.steering.take_wishes(), self.steering.options.take_changes()
         self._changes |= changes
         self._is_behind |= bool(wishes or changes)

@@ -14,38 +14,42 @@ import tyro
 from handmap_qp.addresses import check_port
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.options import MappingOptions
+from handmap_qp.mapping.options import MappingOptions
 
 if TYPE_CHECKING:
     import viser
 
-    from handmap_qp.viewer.samples import Replay
+    from handmap_qp.viewer.replay import Replay
 
 
 @dataclass(frozen=True)
 class View:
     """Look at a mapping in the browser, and change its options while it plays.
 
-    Shows the human hand and the robot hand side by side, reference points and targets, what T_def makes of a ball, the robot's
-    joints between their limits, errors and timing.
+    Shows the human hand and the robot hand side by side, reference points and targets, what T_def
+    makes of a ball, the robot's joints between their limits, errors and timing.
 
     Examples: `handmap view recording.npz --robot allegro_right`, or
-    `handmap view recording.npz --robot three_finger --html page.html` for a page that plays without a server, or
-    `handmap view --live 127.0.0.1` beside a running `handmap serve`.
+    `handmap view recording.npz --robot three_finger --html page.html` for a page that plays without
+    a server, or `handmap view --live 127.0.0.1` beside a running `handmap serve`.
 
     Attributes:
         recording: Recording of a human hand, as for `handmap map`.
-        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml. With --live, the service says it.
-        live: In place of a recording: HOST or HOST:PORT of a mapping service. A session that was opened with is_shared can be
-            steered from the view, one with has_detail can be seen.
+        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml. With
+            --live, the service says it.
+        live: In place of a recording: HOST or HOST:PORT of a mapping service. A session that was
+            opened with is_shared can be steered from the view, one with has_detail can be seen.
         session: Name of the service's session; the only one if omitted.
         keys: For an encrypted service: the folder's files NAME.key_secret and server.key.
         html: Write a page that plays by itself to this file, and end.
-        host: Address to serve on. Whoever reaches it can use the view: leave it on loopback unless you trust the network.
+        host: Address to serve on. Whoever reaches it can use the view: leave it on loopback unless
+            you trust the network.
         port: Port to serve on; the next free one where it is taken.
         open: Open the browser.
-        human_points: Reference points on the human hand: the name of a set. As all below, for a recording.
-        robot_points: Reference points on the robot hand: the name of a set; its own default if omitted.
+        human_points: Reference points on the human hand: the name of a set. As all below, for a
+            recording.
+        robot_points: Reference points on the robot hand: the name of a set; its own default if
+            omitted.
         mapping: How the human's motion becomes the robot's, to start with.
         ik: Weights and settings of the QP, to start with.
     """
@@ -61,7 +65,9 @@ class View:
     open: bool = False
     human_points: str | None = None
     robot_points: str | None = None
-    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(default_factory=MappingOptions)
+    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(
+        default_factory=MappingOptions
+    )
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
 
     def run(self) -> None:
@@ -77,7 +83,9 @@ class View:
             self._show_live(self.live)
         elif self.recording is not None:
             if self.robot is None:
-                raise InvalidInputError("--robot: missing; a recording can be shown on any hand that `handmap hands` lists")
+                raise InvalidInputError(
+                    "--robot: missing; a recording can be shown on any hand that `handmap hands` lists"
+                )
             self._show_recording(self.recording, self.robot)
 
     def _refuse_idle_options(self) -> None:
@@ -88,7 +96,9 @@ class View:
             self._refuse(chosen, "is for a recording; of a service, the session's client chose")
             return
         if self.html is not None:
-            self._refuse(["host", "port", "open"], "is for a view that is served, and --html writes a file")
+            self._refuse(
+                ["host", "port", "open"], "is for a view that is served, and --html writes a file"
+            )
         self._refuse(["session", "keys"], "is for --live, and this is a recording")
 
     def _refuse(self, names: list[str], reason: str) -> None:
@@ -97,7 +107,11 @@ class View:
             given, usual = getattr(self, name), getattr(plain, name)
             if given != usual:
                 # The fields of options are options of their own.
-                parts = [part for part in getattr(given, "__slots__", ()) if getattr(given, part) != getattr(usual, part)]
+                parts = [
+                    part
+                    for part in getattr(given, "__slots__", ())
+                    if getattr(given, part) != getattr(usual, part)
+                ]
                 word = (f"ik.{parts[0]}" if name == "ik" else parts[0]) if parts else name
                 raise InvalidInputError(f"--{word.replace('_', '-')}: {reason}")
 
@@ -128,7 +142,11 @@ class View:
         first = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
 
         def next_source(before: LiveSource | None) -> LiveSource:
-            return first if before is None else ServiceSession(live, session=first.name, robot=self.robot, keys=self.keys)
+            return (
+                first
+                if before is None
+                else ServiceSession(live, session=first.name, robot=self.robot, keys=self.keys)
+            )
 
         try:
             with serving(self.host, self.port) as server:
@@ -147,12 +165,14 @@ class View:
             webbrowser.open(address)
 
     def _replay(self, file: Path, name: str) -> Replay:
-        from handmap_qp.library import load_hand
-        from handmap_qp.recording import read_recording
+        from handmap_qp.hands.library import load_hand
         from handmap_qp.trackers.landmarks import fit_recording
-        from handmap_qp.viewer.samples import Replay
+        from handmap_qp.trackers.recording import read_recording
+        from handmap_qp.viewer.replay import Replay
 
         recording = read_recording(file)
         robot = load_hand(name, points=self.robot_points)
         motion = fit_recording(recording)
-        return Replay(motion, motion.human.with_points(self.human_points), robot, self.mapping, self.ik)
+        return Replay(
+            motion, motion.human.with_points(self.human_points), robot, self.mapping, self.ik
+        )

@@ -1,7 +1,7 @@
 """The panel on the right: play bar, clutch, choices of the picture, options.
 
-Callbacks of the browser come in threads of their own. They only leave their wish where the viewer's `tick` finds it, so that
-mapping and drawing happen in one thread.
+Callbacks of the browser come in threads of their own. They only leave their wish where the viewer's
+`tick` finds it, so that mapping and drawing happen in one thread.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.viewer.option_controls import OptionControls, Options
 from handmap_qp.viewer.scene import HandScene
 
@@ -28,9 +28,13 @@ class PictureControls:
 
     def __init__(self, server: viser.ViserServer) -> None:
         hint = "Hold each hand in place, or see it travel"
-        self.follow = server.gui.add_dropdown("follow", ("hands", "world"), initial_value="hands", hint=hint)
+        self.follow = server.gui.add_dropdown(
+            "follow", ("hands", "world"), initial_value="hands", hint=hint
+        )
         hint = "What T_def makes of a ball or a cube at the pivot"
-        self.shape = server.gui.add_dropdown("deformation", ("ellipsoid", "cube", "off"), initial_value="ellipsoid", hint=hint)
+        self.shape = server.gui.add_dropdown(
+            "deformation", ("ellipsoid", "cube", "off"), initial_value="ellipsoid", hint=hint
+        )
 
     def apply_to(self, scene: HandScene) -> None:
         """Let the scene know; seen with its next drawing."""
@@ -46,9 +50,11 @@ class SteeringControls:
         options: The options to start from.
 
     Attributes:
-        release: The button that lets go. There are two, so that no click ever means what the button said a moment ago.
+        release: The button that lets go. There are two, so that no click ever means what the button
+            said a moment ago.
         clutch: The button that takes hold again.
-        message: What is being done, or why the last wish was not fulfilled; not visible where there is nothing to say.
+        message: What is being done, or why the last wish was not fulfilled; not visible where there
+            is nothing to say.
         picture: What the picture shows.
         options: Sliders, lists and boxes for the options.
         reset: The button that asks for the first options back.
@@ -57,7 +63,11 @@ class SteeringControls:
     def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
         gui = server.gui
         self.release = gui.add_button("Release", hint="The robot holds still until you clutch")
-        self.clutch = gui.add_button("Clutch", hint="Take hold of the robot again; it goes on from where it is", disabled=True)
+        self.clutch = gui.add_button(
+            "Clutch",
+            hint="Take hold of the robot again; it goes on from where it is",
+            disabled=True,
+        )
         self.message = gui.add_markdown("", visible=False)
         self.picture = PictureControls(server)
         self.options = OptionControls(server, robot, options)
@@ -105,7 +115,9 @@ class PlayBar:
         self.button = server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self.button.on_click(lambda _: self.toggle())
         self.speed = server.gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
-        self.slider = server.gui.add_slider("time [s]", 0.0, max(round(duration, 2), 0.01), 0.01, 0.0)
+        self.slider = server.gui.add_slider(
+            "time [s]", 0.0, max(round(duration, 2), 0.01), 0.01, 0.0
+        )
         self._written = 0.0
 
     def toggle(self) -> None:

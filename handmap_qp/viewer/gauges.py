@@ -1,4 +1,7 @@
-"""The panel on the left: point error and step time over time, and the robot's joints against their limits."""
+"""The panel on the left.
+
+Point error and step time over time, and the robot's joints against their limits.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.hand import Hand
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR
-from handmap_qp.viewer.samples import ViewSample
+from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
+from handmap_qp.hands.hand import Hand
+from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.scene import DEFORMATION_COLOUR, TARGET_COLOUR
 
 if TYPE_CHECKING:
@@ -35,7 +38,10 @@ _SCENE_COLOURS = (
 
 
 def gauge_row(sample: ViewSample) -> tuple[float, float, float, float]:
-    """What the plots show of a sample: time [s], mean and largest point error [mm], time of the step [µs]."""
+    """What the plots show of a sample.
+
+    Time [s], mean and largest point error [mm], time of the step [µs].
+    """
     error = sample.point_error if sample.targets is not None else np.array([np.nan])
     return sample.time, 1e3 * float(error.mean()), 1e3 * float(error.max()), 1e6 * sample.duration
 
@@ -60,24 +66,32 @@ class Gauges:
             self.joints = server.gui.add_html("")
         panel.dock_left()
         panel.set_width(_WIDTH)
-        self._rows, self._plotted, self._starts = np.empty((0, 4)), np.empty((0, 4)), np.empty(0, dtype=int)
+        self._rows, self._plotted, self._starts = (
+            np.empty((0, 4)),
+            np.empty((0, 4)),
+            np.empty(0, dtype=int),
+        )
 
     def set_rows(self, rows: npt.ArrayLike, *, latest: float | None = None) -> None:
         """Plot other samples.
 
         Args:
             rows: What `gauge_row` says of each, shape (n, 4), n > 0.
-            latest: For the last so many seconds, with the last sample at zero [s]; from the first sample to the last if omitted.
+            latest: For the last so many seconds, with the last sample at zero [s]; from the first
+                sample to the last if omitted.
         """
         self._rows = np.array(rows, dtype=float)
         time = self._rows[:, 0]
-        # A plot keeps its range when its data change, and a new range costs a new plot: so a range that moves is one that stands.
+        # A plot keeps its range when its data change, and a new range costs a new plot: so a range
+        # that moves is one that stands.
         span = (float(time[0]), float(max(time[-1], time[0] + 0.1)))
         if latest is not None:
             time -= time[-1]
             span = (-latest, 0.0)
         # Of samples that share a place the worst are seen, and the last one's time.
-        self._starts = np.linspace(0, len(time), min(len(time), _MOST_PLOTTED), endpoint=False).astype(int)
+        self._starts = np.linspace(
+            0, len(time), min(len(time), _MOST_PLOTTED), endpoint=False
+        ).astype(int)
         self._plotted = np.fmax.reduceat(self._rows, self._starts, axis=0)
         step = self._rows[:, 3]
         median, p99 = np.percentile(step, (50, 99))
@@ -85,7 +99,9 @@ class Gauges:
         # A few steps that the machine was interrupted in would flatten all others.
         _set_scales(self.timing, _scales(span, np.minimum(step, 3.0 * median)))
         cut = " (cut off)" if step.max() > self.timing.scales["y"]["range"][1] else ""
-        self.timing_note.content = _foot(f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}")
+        self.timing_note.content = _foot(
+            f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
+        )
 
     def draw(self, sample: ViewSample, index: int) -> None:
         """Mark the present sample in the plots and show its joints.
@@ -102,7 +118,9 @@ class Gauges:
 
 
 def joint_bars(robot: Hand, sample: ViewSample) -> str:
-    """Every joint between its limits, as HTML: a bar from the lower limit to the upper one, red where a limit holds the joint.
+    """Every joint between its limits, as HTML.
+
+    A bar from the lower limit to the upper one, red where a limit holds the joint.
 
     Args:
         robot: The robot hand.
@@ -114,7 +132,9 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
     shares = (sample.robot_q - robot.lower_limits) / (robot.upper_limits - robot.lower_limits)
     rest = (robot.rest - robot.lower_limits) / (robot.upper_limits - robot.lower_limits)
     rows, names = [], zip(robot.joint_names, short_names(robot.joint_names), strict=True)
-    for (name, short), q, share, rest_share, is_held in zip(names, sample.robot_q, shares, rest, sample.at_limit, strict=True):
+    for (name, short), q, share, rest_share, is_held in zip(
+        names, sample.robot_q, shares, rest, sample.at_limit, strict=True
+    ):
         colour = _RED if is_held else _BLUE
         track = "flex:1;position:relative;height:7px;background:#e4e6ea;border-radius:4px"
         fill = f"position:absolute;left:0;width:{100 * share:.1f}%;height:7px;background:{colour};border-radius:4px"
@@ -126,28 +146,50 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
             f'<span style="width:44px;text-align:right;color:{colour}">{np.degrees(q):.0f}°</span></div>'
         )
     head = '<div style="font-weight:600;margin-bottom:3px">joints between their limits</div>'
-    return f'<div style="font-size:11px;line-height:15px;padding:4px 14px">{head}{"".join(rows)}</div>'
+    return (
+        f'<div style="font-size:11px;line-height:15px;padding:4px 14px">{head}{"".join(rows)}</div>'
+    )
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Names; where some are too long, without the beginning that all share, and without their middle: they differ at the ends."""
+    """Names.
+
+    Where some are too long, without the beginning that all share, and without their middle: they
+    differ at the ends.
+    """
     if max(map(len, names)) <= _LONGEST_NAME:
         return list(names)
     # What a name is called after must not be torn apart.
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
-    shared = re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
+    shared = (
+        re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
+    )
     rest = [name.removeprefix(shared) for name in names]
     head, tail = _LONGEST_NAME // 2 - 3, _LONGEST_NAME // 2 + 3
-    return [name if len(name) <= _LONGEST_NAME else f"{name[:head]}…{name[-tail:]}" for name in rest]
+    return [
+        name if len(name) <= _LONGEST_NAME else f"{name[:head]}…{name[-tail:]}" for name in rest
+    ]
 
 
-def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], colours: tuple[str, ...]) -> Any:
+def _add_plot(
+    server: viser.ViserServer, title: str, names: tuple[str, ...], colours: tuple[str, ...]
+) -> Any:
     """A plot of some series over time, with a dot on the first of them for now."""
     from viser import uplot
 
     series = [uplot.Series(label="s")]
-    series += [uplot.Series(label=name, stroke=colour, width=1.5) for name, colour in zip(names, colours, strict=True)]
-    series.append(uplot.Series(label="now", stroke=_ORANGE, width=0, points=uplot.Series_Points(show=True, size=9, fill=_ORANGE)))
+    series += [
+        uplot.Series(label=name, stroke=colour, width=1.5)
+        for name, colour in zip(names, colours, strict=True)
+    ]
+    series.append(
+        uplot.Series(
+            label="now",
+            stroke=_ORANGE,
+            width=0,
+            points=uplot.Series_Points(show=True, size=9, fill=_ORANGE),
+        )
+    )
     nothing = (np.arange(2.0), *(np.zeros(2) for _ in series[1:]))
     return server.gui.add_uplot(
         nothing,
@@ -156,7 +198,9 @@ def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], col
         height=175,
         scales=_scales((0.0, 1.0), np.ones(2)),
         axes=(
-            uplot.Axis(**_AXIS, label="time [s]", labelFont="11px sans-serif", labelSize=16, size=30),
+            uplot.Axis(
+                **_AXIS, label="time [s]", labelFont="11px sans-serif", labelSize=16, size=30
+            ),
             uplot.Axis(**_AXIS, size=50),
         ),
         legend=uplot.Legend(show=False),
@@ -164,17 +208,30 @@ def _add_plot(server: viser.ViserServer, title: str, names: tuple[str, ...], col
 
 
 def _scales(span: tuple[float, float], values: np.ndarray) -> dict[str, Any]:
-    """Ranges of both axes: this much time, and from zero to a little above the next round number."""
+    """Ranges of both axes.
+
+    This much time, and from zero to a little above the next round number.
+    """
     from viser import uplot
 
     largest = max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-6)
     decade = 10.0 ** np.floor(np.log10(largest))
-    top = next(step * decade for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if step * decade >= largest * (1.0 - 1e-9))
-    return {"x": uplot.Scale(time=False, auto=False, range=span), "y": uplot.Scale(auto=False, range=(0.0, 1.08 * float(top)))}
+    top = next(
+        step * decade
+        for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+        if step * decade >= largest * (1.0 - 1e-9)
+    )
+    return {
+        "x": uplot.Scale(time=False, auto=False, range=span),
+        "y": uplot.Scale(auto=False, range=(0.0, 1.08 * float(top))),
+    }
 
 
 def _set_scales(plot: Any, scales: dict[str, Any]) -> None:
-    """Give a plot other ranges, for which the browser makes it anew: only if they are other ones."""
+    """Give a plot other ranges, for which the browser makes it anew.
+
+    Only if they are other ones.
+    """
     if plot.scales != scales:
         plot.scales = scales
 
@@ -190,7 +247,8 @@ def _legend(entries: Sequence[tuple[str, str]]) -> str:
     """Dots in colours, and what each stands for, as HTML."""
     return _foot(
         " ".join(
-            f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>' for name, colour in entries
+            f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>'
+            for name, colour in entries
         )
     )
 

@@ -1,4 +1,7 @@
-"""A running mapping in the browser: `LiveViewer` shows whatever a `LiveSource` tells, and steers it where it may."""
+"""A running mapping in the browser.
+
+`LiveViewer` shows whatever a `LiveSource` tells, and steers it where it may.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,11 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Protocol
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.viewer.controls import PictureControls, SteeringControls, dock_main_panel
 from handmap_qp.viewer.gauges import Gauges, gauge_row
 from handmap_qp.viewer.option_controls import Options
-from handmap_qp.viewer.samples import ViewSample
+from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.scene import HandScene
 from handmap_qp.viewer.serving import drawing
 
@@ -31,7 +34,8 @@ _SILENCE = 1.0
 class LiveSource(Protocol):
     """Somewhere that a mapping runs.
 
-    Wishes are carried out in turn by the thread that iterates, and what became of them is seen in the attributes.
+    Wishes are carried out in turn by the thread that iterates, and what became of them is seen in
+    the attributes.
 
     Attributes:
         human: The human hand that its samples speak of.
@@ -99,14 +103,18 @@ class LiveViewer:
         HandmapError: Whatever the source raised.
     """
 
-    def __init__(self, server: viser.ViserServer, source: LiveSource, *, patience: float = 10.0) -> None:
+    def __init__(
+        self, server: viser.ViserServer, source: LiveSource, *, patience: float = 10.0
+    ) -> None:
         self._source = source
         self.rows: deque[tuple[float, ...]] = deque()
         self.sample: ViewSample
         self._has_sample, self._has_ended = threading.Event(), threading.Event()
         self._error: HandmapError | None = None
         self._heard = 0.0
-        self._thread = threading.Thread(target=self._read, name="handmap view: live source", daemon=True)
+        self._thread = threading.Thread(
+            target=self._read, name="handmap view: live source", daemon=True
+        )
         self._thread.start()
         try:
             self._wait(patience)
@@ -119,7 +127,9 @@ class LiveViewer:
         self.gauges = Gauges(server, source.robot)
         dock_main_panel(server)
         self.news = server.gui.add_markdown("")
-        self.steering = SteeringControls(server, source.robot, self._start) if source.is_shared else None
+        self.steering = (
+            SteeringControls(server, source.robot, self._start) if source.is_shared else None
+        )
         self.picture = PictureControls(server) if self.steering is None else self.steering.picture
         self._gauges_time = 0.0
 
@@ -208,10 +218,14 @@ class LiveViewer:
             if self._error is not None:
                 raise self._error
             if self._has_ended.is_set() or time.monotonic() > end:
-                raise InvalidInputError(f"no sample came within {patience:g} s: is anything being mapped there?")
+                raise InvalidInputError(
+                    f"no sample came within {patience:g} s: is anything being mapped there?"
+                )
 
 
-def show_live(server: viser.ViserServer, make_source: Callable[[LiveSource | None], LiveSource]) -> None:
+def show_live(
+    server: viser.ViserServer, make_source: Callable[[LiveSource | None], LiveSource]
+) -> None:
     """Show a mapping until interrupted, and begin anew whenever other hands are mapped there.
 
     Args:

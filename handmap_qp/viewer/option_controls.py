@@ -1,4 +1,7 @@
-"""A slider, a list or a box for the options: `OptionControls` tells what the user has moved, and shows what is in force."""
+"""A slider, a list or a box for the options.
+
+`OptionControls` tells what the user has moved, and shows what is in force.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from handmap_qp.hand import Hand
+from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.options import MappingOptions
+from handmap_qp.mapping.options import MappingOptions
 
 if TYPE_CHECKING:
     import viser
@@ -39,7 +42,11 @@ class Options(NamedTuple):
 
     def changes_to(self, other: Options) -> dict[str, Any]:
         """What has to be changed here for the other options, by name."""
-        pairs = ((getattr(a, name), getattr(b, name), name) for a, b in zip(self, other, strict=True) for name in a.__slots__)
+        pairs = (
+            (getattr(a, name), getattr(b, name), name)
+            for a, b in zip(self, other, strict=True)
+            for name in a.__slots__
+        )
         return {name: theirs for ours, theirs, name in pairs if ours != theirs}
 
 
@@ -60,10 +67,28 @@ class _Slider(NamedTuple):
 
 
 _MAPPING_SLIDERS = (
-    _Slider("ridge", 0.0, 1.0, 0.005, "Pull of the estimated motion towards a rotation; 0 is the paper's least squares"),
+    _Slider(
+        "ridge",
+        0.0,
+        1.0,
+        0.005,
+        "Pull of the estimated motion towards a rotation; 0 is the paper's least squares",
+    ),
     _Slider("scale", 0.0, 3.0, 0.05, "Factor on translations"),
-    _Slider("deformation_gain", 0.0, 2.0, 0.05, "Exponent of the stretch; 1 is the paper, 0 leaves the fingers undeformed"),
-    _Slider("residual_gain", 0.0, 1.0, 0.05, "Part of a human point's misfit to T that its partner takes over"),
+    _Slider(
+        "deformation_gain",
+        0.0,
+        2.0,
+        0.05,
+        "Exponent of the stretch; 1 is the paper, 0 leaves the fingers undeformed",
+    ),
+    _Slider(
+        "residual_gain",
+        0.0,
+        1.0,
+        0.05,
+        "Part of a human point's misfit to T that its partner takes over",
+    ),
     _Slider("stretch_min", 0.05, 1.0, 0.05, "Smallest stretch that is passed on"),
     _Slider("stretch_max", 1.0, 5.0, 0.05, "Largest stretch that is passed on"),
 )
@@ -73,13 +98,28 @@ _IK_SLIDERS = (
     _Slider("wrist_orientation_weight", 0.0, 10.0, 0.1, "Of the wrist's orientation, per 0.1 rad"),
     _Slider("rest_weight", 0.0, 3.0, 0.02, "Pull of every joint to its rest angle"),
     _Slider("damping", 0.01, 2.0, 0.01, "Cost of any motion"),
-    _Slider("error_damping", 0.0, 3.0, 0.05, "Cost of motion that grows with the error (Levenberg-Marquardt)"),
+    _Slider(
+        "error_damping",
+        0.0,
+        3.0,
+        0.05,
+        "Cost of motion that grows with the error (Levenberg-Marquardt)",
+    ),
     _Slider("max_iterations", 1, 20, 1, "Linearisations per sample"),
-    _Slider("max_acceleration", 0.0, 200.0, 1.0, "Of every coordinate [rad/s², m/s²]; 0 stands for no limit"),
+    _Slider(
+        "max_acceleration",
+        0.0,
+        200.0,
+        1.0,
+        "Of every coordinate [rad/s², m/s²]; 0 stands for no limit",
+    ),
 )
 _CHOICES = {
     "rigid_from": (("points", "wrist", "none"), "Where the rigid part T_rb comes from"),
-    "pivot": (("centroid", "palm", "world", "point"), "The point about which rotation and deformation act"),
+    "pivot": (
+        ("centroid", "palm", "world", "point"),
+        "The point about which rotation and deformation act",
+    ),
     "alignment": (("world", "palm"), "Rotation from the human's world axes to the robot's"),
     "reference": (("initial", "previous"), "Configuration that T starts from"),
 }
@@ -96,7 +136,8 @@ class _Control:
 
     Attributes:
         handle: What the user moves.
-        to_shown: What the handle shows for a value of the option: a rounded or clipped picture of it, at times.
+        to_shown: What the handle shows for a value of the option: a rounded or clipped picture of
+            it, at times.
         to_option: The option's value for what the handle shows.
         taken: What the handle showed when the viewer last looked; anything else the user has moved.
     """
@@ -116,8 +157,8 @@ class OptionControls:
 
     Args:
         server: A running viser server.
-        robot: The robot hand; one with a fixed wrist has no choice of `rigid_from`, and one that names no pairs of links nothing
-            to keep apart.
+        robot: The robot hand; one with a fixed wrist has no choice of `rigid_from`, and one that
+            names no pairs of links nothing to keep apart.
         options: The options to start from.
     """
 
@@ -127,7 +168,9 @@ class OptionControls:
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Mapping"):
             for name, (choices, hint) in _CHOICES.items():
-                self._add_choice(name, choices if robot.is_floating or name != "rigid_from" else ("none",), hint)
+                self._add_choice(
+                    name, choices if robot.is_floating or name != "rigid_from" else ("none",), hint
+                )
                 if name == "pivot":
                     self._add_point()
             for slider in _MAPPING_SLIDERS:
@@ -135,10 +178,16 @@ class OptionControls:
         with tabs.add_tab("QP"):
             for slider in _IK_SLIDERS:
                 self._add_slider(slider)
-            self._add_box("has_velocity_limits", "speed limits", "Whether speed limits hold; position limits always do")
+            self._add_box(
+                "has_velocity_limits",
+                "speed limits",
+                "Whether speed limits hold; position limits always do",
+            )
             if robot.spec.collision is not None:
                 self._add_box(
-                    "avoids_self_collision", "self-collision", "Whether the pairs of links that the hand names are kept apart"
+                    "avoids_self_collision",
+                    "self-collision",
+                    "Whether the pairs of links that the hand names are kept apart",
                 )
         self.show(options)
 
@@ -170,7 +219,9 @@ class OptionControls:
         self._controls["pivot_point"].handle.visible = self._controls["pivot"].taken == "point"
 
     def _add_slider(self, slider: _Slider) -> None:
-        handle = self._gui.add_slider(_label(slider.name), slider.low, slider.high, slider.step, slider.low, hint=slider.hint)
+        handle = self._gui.add_slider(
+            _label(slider.name), slider.low, slider.high, slider.step, slider.low, hint=slider.hint
+        )
 
         def to_shown(value: float | None) -> float:
             # An option beyond the usual range widens it; an infinite one stands at its end.
@@ -182,7 +233,9 @@ class OptionControls:
             return min(value, handle.max)
 
         is_optional = slider.name == "max_acceleration"
-        self._controls[slider.name] = _Control(handle, to_shown, lambda value: (value or None) if is_optional else value)
+        self._controls[slider.name] = _Control(
+            handle, to_shown, lambda value: (value or None) if is_optional else value
+        )
 
     def _add_choice(self, name: str, choices: tuple[str, ...], hint: str) -> None:
         handle = self._gui.add_dropdown(_label(name), choices, hint=hint)
@@ -196,15 +249,21 @@ class OptionControls:
                 handle.options = (*handle.options, value)
             return value
 
-        self._controls[name] = _Control(handle, to_shown, lambda value: given[0] if value == _GIVEN else value)
+        self._controls[name] = _Control(
+            handle, to_shown, lambda value: given[0] if value == _GIVEN else value
+        )
 
     def _add_point(self) -> None:
         hint = "The point of pivot = point, common to both worlds [m]"
         handle = self._gui.add_vector3("pivot point", (0.0, 0.0, 0.0), step=0.01, hint=hint)
-        self._controls["pivot_point"] = _Control(handle, lambda value: handle.value if value is None else tuple(value))
+        self._controls["pivot_point"] = _Control(
+            handle, lambda value: handle.value if value is None else tuple(value)
+        )
 
     def _add_box(self, name: str, label: str, hint: str) -> None:
-        self._controls[name] = _Control(self._gui.add_checkbox(label, initial_value=False, hint=hint))
+        self._controls[name] = _Control(
+            self._gui.add_checkbox(label, initial_value=False, hint=hint)
+        )
 
 
 def _label(name: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.viewer.samples import Replay
+from handmap_qp.viewer.replay import Replay
 from handmap_qp.viewer.scene import HandScene
 
 if TYPE_CHECKING:
@@ -49,7 +49,8 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
     serializer = server.get_scene_serializer()
     shown = samples[0].time
     for sample in samples[1:]:
-        # Half a millisecond of grace, so that the jitter of a 30 Hz recording does not drop every other sample.
+        # Half a millisecond of grace, so that the jitter of a 30 Hz recording does not drop every
+        # other sample.
         if sample.time - shown >= 1.0 / _RATE - 5e-4 or sample is samples[-1]:
             serializer.insert_sleep(sample.time - shown)
             scene.draw(sample)
@@ -59,7 +60,11 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
         handle, temporary = tempfile.mkstemp(suffix=".html", dir=path.parent)
         try:
             with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(serializer.as_html().replace("<title>Viser</title>", "<title>handmap view</title>", 1))
+                file.write(
+                    serializer.as_html().replace(
+                        "<title>Viser</title>", "<title>handmap view</title>", 1
+                    )
+                )
             Path(temporary).chmod(0o644)
             Path(temporary).replace(path)
         except BaseException:

@@ -1,4 +1,7 @@
-"""A session of the mapping service, as a `LiveSource`: `ServiceSession` shows it, and steers it where its client shares it."""
+"""A session of the mapping service, as a `LiveSource`.
+
+`ServiceSession` shows it, and steers it where its client shares it.
+"""
 
 from __future__ import annotations
 
@@ -15,22 +18,23 @@ import numpy as np
 
 from handmap_qp.addresses import check_port
 from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
-from handmap_qp.hand import Hand
-from handmap_qp.human import HumanLengths
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import hand_names, load_hand
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.library import hand_names, load_hand
-from handmap_qp.options import MappingOptions
+from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.transform import affine, nearest_rotation
 from handmap_qp.viewer.option_controls import Options, split_changes
-from handmap_qp.viewer.samples import ViewSample
+from handmap_qp.viewer.replay import ViewSample
 
 PORT = 5570
 """Where `handmap serve` takes requests, unless told otherwise."""
 _TIMEOUT = 1.0
 # A service that is still starting, or busy, gets longer for the first answers [s].
 _FIRST_TIMEOUT = 3.0
-# Between two looks at what the session is [s], and the longest that a wish waits for the next command.
+# Between two looks at what the session is [s], and the longest that a wish waits for the next
+# command.
 _LOOK_PERIOD, _WAIT = 1.0, 0.02
 # What the hands of the view, and whether it can steer, follow from.
 _HANDS = ("robot", "side", "input", "lengths", "human_points", "robot_points", "mount", "is_shared")
@@ -44,7 +48,8 @@ class ServiceSession:
         host: `HOST` or `HOST:PORT` of the service's requests.
         session: Public name of the session; the only one that is open if omitted.
         robot: The robot hand, where its name does not lead to it here: the path of its hand.yaml.
-        keys: Files `NAME.key_secret` and `server.key` of an encrypted service; None for a plain one.
+        keys: Files `NAME.key_secret` and `server.key` of an encrypted service; None for a plain
+            one.
         patience: How long to wait for the session, and for its human hand to be measured [s].
 
     Attributes:
@@ -80,7 +85,15 @@ class ServiceSession:
             raise MissingExtraError("pyzmq", "service") from error
         self._host = host
         self._refusal = ServiceError
-        self._troubles = (ServiceError, ServiceTimeoutError, zmq.ZMQError, msgspec.MsgspecError, OSError, ValueError, TypeError)
+        self._troubles = (
+            ServiceError,
+            ServiceTimeoutError,
+            zmq.ZMQError,
+            msgspec.MsgspecError,
+            OSError,
+            ValueError,
+            TypeError,
+        )
         self._is_closed, self._is_read = threading.Event(), False
         self._start: float | None = None
         self._detail: dict[str, Any] = {}
@@ -93,11 +106,17 @@ class ServiceSession:
             about = self._look_for(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
             if not (about["has_detail"] or self.is_shared):
-                raise self._error("the session tells too little to be seen: open it with has_detail=True or is_shared=True")
+                raise self._error(
+                    "the session tells too little to be seen: open it with has_detail=True or is_shared=True"
+                )
             self._about = {name: about[name] for name in _HANDS}
             self.options = _options(about)
-            lengths = about["lengths"] and HumanLengths(**{name: np.array(rows) for name, rows in about["lengths"].items()})
-            self.human = load_hand(human_name(about["side"]), points=about["human_points"], lengths=lengths or None)
+            lengths = about["lengths"] and HumanLengths(
+                **{name: np.array(rows) for name, rows in about["lengths"].items()}
+            )
+            self.human = load_hand(
+                human_name(about["side"]), points=about["human_points"], lengths=lengths or None
+            )
             self.robot = self._load_robot(robot or about["robot"], about)
         except BaseException:
             self._client.close()
@@ -106,7 +125,9 @@ class ServiceSession:
         self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
     def __iter__(self) -> Iterator[ViewSample]:
-        """Samples as commands come, until `close`, or until the session is of other hands; carries out wishes meanwhile.
+        """Samples as commands come, until `close`, or until the session is of other hands.
+
+        Carries out wishes meanwhile.
 
         Raises:
             InvalidInputError: If the session is of another robot than `robot`.
@@ -174,7 +195,10 @@ class ServiceSession:
             self._wishes.popleft()
 
     def _look(self) -> None:
-        """See what the session is now, if the service answers: whoever opened it may have opened another one."""
+        """See what the session is now, if the service answers.
+
+        Whoever opened it may have opened another one.
+        """
         try:
             state = self._client.status()
             about = state.about or {}
@@ -191,7 +215,9 @@ class ServiceSession:
         while True:
             names = () if session else self._try(self._client.status).names
             if len(names) > 1:
-                raise self._error(f"several sessions are open; choose one with --session: {', '.join(names)}")
+                raise self._error(
+                    f"several sessions are open; choose one with --session: {', '.join(names)}"
+                )
             self.name = session or "".join(names)
             complaint = "no session is open there"
             if self.name:
@@ -208,7 +234,9 @@ class ServiceSession:
     def _load_robot(self, robot: str | Path, about: dict[str, Any]) -> Hand:
         """The robot hand, from a name or file of this side."""
         if robot == about["robot"] and robot not in hand_names():
-            raise self._error(f"the session's hand {robot!r} is one of the service's own; give its hand.yaml here: --robot FILE")
+            raise self._error(
+                f"the session's hand {robot!r} is one of the service's own; give its hand.yaml here: --robot FILE"
+            )
         return load_hand(robot, points=about["robot_points"], mount=about["mount"])
 
     def _is_as_before(self, command: Any) -> bool:
@@ -233,7 +261,9 @@ class ServiceSession:
         if self._start is None:
             self._start = command.server_time
         detail, q, wrist = self._detail, np.array(command.q), command.wrist.matrix
-        human_points, human_q, human_wrist = (detail[name] for name in ("human_points", "human_q", "human_wrist"))
+        human_points, human_q, human_wrist = (
+            detail[name] for name in ("human_points", "human_q", "human_wrist")
+        )
         human_points = np.array(human_points)
         return ViewSample(
             time=command.server_time - self._start,
@@ -255,7 +285,10 @@ class ServiceSession:
         )
 
     def _lay_on(self, points: np.ndarray) -> np.ndarray:
-        """About where the wrist is of which only points are known (n, 3), shape (4, 4): where it is in the hand at rest."""
+        """About where the wrist is of which only points are known (n, 3), shape (4, 4).
+
+        Where it is in the hand at rest.
+        """
         middle, rest_middle = points.mean(axis=0), self._rest_points.mean(axis=0)
         rotation = nearest_rotation((points - middle).T @ (self._rest_points - rest_middle))
         return affine(rotation, middle - rotation @ rest_middle)
@@ -271,7 +304,9 @@ class ServiceSession:
 
 
 def _options(about: dict[str, Any]) -> Options:
-    return Options(msgspec.convert(about["mapping"], MappingOptions), msgspec.convert(about["ik"], IkOptions))
+    return Options(
+        msgspec.convert(about["mapping"], MappingOptions), msgspec.convert(about["ik"], IkOptions)
+    )
 
 
 def _address(host: str) -> str:
@@ -280,13 +315,19 @@ def _address(host: str) -> str:
     Raises:
         InvalidInputError: If there is no such host or port.
     """
-    name, _, port = host.rpartition(":") if ":" in host.rpartition("]")[2] else (host, "", str(PORT))
+    name, _, port = (
+        host.rpartition(":") if ":" in host.rpartition("]")[2] else (host, "", str(PORT))
+    )
     try:
         number = int(port if name.strip() else "")
         socket.getaddrinfo(name.strip("[]"), None)
     except ValueError as error:
-        raise InvalidInputError(f"--live: expected HOST or HOST:PORT, got {host!r}", value=host) from error
+        raise InvalidInputError(
+            f"--live: expected HOST or HOST:PORT, got {host!r}", value=host
+        ) from error
     except OSError as error:
-        raise InvalidInputError(f"--live {host}: there is no host {name!r}: {error.strerror}", value=host) from error
+        raise InvalidInputError(
+            f"--live {host}: there is no host {name!r}: {error.strerror}", value=host
+        ) from error
     check_port(f"--live {host}", number)
     return f"tcp://{name}:{number}"

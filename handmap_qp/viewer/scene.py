@@ -1,8 +1,9 @@
 """Both hands side by side in a viser scene: `HandScene.draw` shows one sample.
 
-The scene's axes are those of the human's palm at the first sample: +y distal, which is up, +z dorsal. Each hand's world hangs in
-it as a node of its own, so that everything below takes coordinates of that world as they are; the robot's is turned by the
-mapping's alignment, so that equal motions look equal.
+The scene's axes are those of the human's palm at the first sample: +y distal, which is up, +z
+dorsal. Each hand's world hangs in it as a node of its own, so that everything below takes
+coordinates of that world as they are; the robot's is turned by the mapping's alignment, so that
+equal motions look equal.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from handmap_qp.decomposition import polar
-from handmap_qp.hand import Hand
-from handmap_qp.options import MappingOptions
-from handmap_qp.rendering import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.mapping.decomposition import polar
+from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
-from handmap_qp.urdf_text import parse_urdf
 from handmap_qp.viewer.camera import Camera
-from handmap_qp.viewer.samples import ViewSample
+from handmap_qp.viewer.replay import ViewSample
 
 if TYPE_CHECKING:
     import viser
@@ -32,13 +33,14 @@ DeformationShape = Literal["ellipsoid", "cube", "off"]
 
 TARGET_COLOUR = (0.98, 0.66, 0.10)
 DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
-# Part of the hand's size: as large as fingertips, to be seen at all. Targets are a little larger, so that a point which has arrived
-# does not hide its target.
+# Part of the hand's size: as large as fingertips, to be seen at all. Targets are a little larger,
+# so that a point which has arrived does not hide its target.
 _HUMAN_POINT_SIZE, _ROBOT_POINT_SIZE, _TARGET_SIZE = 0.08, 0.1, 0.115
 _GAP = 0.05
 # Height of the names and the caption below the hands, and as much above [m].
 _CAPTION_ROOM = 0.15
-# A box that travels are seen to stay in grows by more than it has to, so that it does not grow all the time [m].
+# A box that travels are seen to stay in grows by more than it has to, so that it does not grow all
+# the time [m].
 _MARGIN = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
@@ -51,7 +53,8 @@ class _World:
     Attributes:
         hand: The hand.
         model: Its shapes, by viser.
-        order: For each of the model's joints, its place in `hand.joint_names`; None for one that the hand does not move.
+        order: For each of the model's joints, its place in `hand.joint_names`; None for one that
+            the hand does not move.
         root: URDF root link.
         frame: Node of the world.
         body: Node of the root link.
@@ -59,8 +62,10 @@ class _World:
         axes: From the world's axes to the scene's, shape (3, 3).
         focus: The hand's middle in its wrist frame [m], shape (3,).
         radius: Distance of its farthest part from there [m].
-        anchor: Where the view holds the middle, or the middle of its travel, in the scene [m], shape (3,).
-        travel: Lowest and highest place of the middle that there is room for, along the scene's axes [m], shape (2, 3).
+        anchor: Where the view holds the middle, or the middle of its travel, in the scene [m],
+            shape (3,).
+        travel: Lowest and highest place of the middle that there is room for, along the scene's
+            axes [m], shape (2, 3).
     """
 
     hand: Hand
@@ -86,7 +91,12 @@ class _World:
             self.travel = np.array([middle, middle])
         elif (middle < self.travel[0]).any() or (middle > self.travel[1]).any():
             low, high = self.travel
-            self.travel = np.array([np.where(middle < low, middle - _MARGIN, low), np.where(middle > high, middle + _MARGIN, high)])
+            self.travel = np.array(
+                [
+                    np.where(middle < low, middle - _MARGIN, low),
+                    np.where(middle > high, middle + _MARGIN, high),
+                ]
+            )
 
 
 class HandScene:
@@ -102,7 +112,8 @@ class HandScene:
     Attributes:
         follow: Whether the picture goes along with each hand, or stays with the worlds.
         deformation_shape: How T_def is shown.
-        camera: Where the browsers look from; wants to be told to `attend` even where nothing new is drawn.
+        camera: Where the browsers look from; wants to be told to `attend` even where nothing new is
+            drawn.
     """
 
     def __init__(
@@ -122,21 +133,44 @@ class HandScene:
         self._robot = self._add_hand("robot", robot, first.robot_q)
         self.camera = Camera(server)
         self.align(options)
-        self._human_points = self._add_spheres(self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR)
-        self._robot_points = self._add_spheres(self._robot, "points", first.robot_points, _ROBOT_POINT_SIZE, ROBOT_COLOUR)
-        self._targets = self._add_spheres(self._robot, "targets", first.robot_points, _TARGET_SIZE, TARGET_COLOUR, opacity=0.5)
+        self._human_points = self._add_spheres(
+            self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR
+        )
+        self._robot_points = self._add_spheres(
+            self._robot, "points", first.robot_points, _ROBOT_POINT_SIZE, ROBOT_COLOUR
+        )
+        self._targets = self._add_spheres(
+            self._robot, "targets", first.robot_points, _TARGET_SIZE, TARGET_COLOUR, opacity=0.5
+        )
         spread = first.human_points - first.human_points.mean(axis=0)
         self._ball = float(np.sqrt((spread**2).sum(axis=1).mean()))
         self._ellipsoid = server.scene.add_icosphere(
-            "/human/ellipsoid", self._ball, _bytes(DEFORMATION_COLOUR), subdivisions=4, opacity=0.2, cast_shadow=False
+            "/human/ellipsoid",
+            self._ball,
+            _bytes(DEFORMATION_COLOUR),
+            subdivisions=4,
+            opacity=0.2,
+            cast_shadow=False,
         )
         self._reference_ball = server.scene.add_icosphere(
-            "/human/ball", self._ball, (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15, cast_shadow=False
+            "/human/ball",
+            self._ball,
+            (150, 150, 160),
+            subdivisions=2,
+            wireframe=True,
+            opacity=0.15,
+            cast_shadow=False,
         )
         self._cube = server.scene.add_line_segments(
-            "/human/cube", np.zeros((len(_EDGES), 2, 3)), _bytes(DEFORMATION_COLOUR), thickness=2.5, thickness_units="screen"
+            "/human/cube",
+            np.zeros((len(_EDGES), 2, 3)),
+            _bytes(DEFORMATION_COLOUR),
+            thickness=2.5,
+            thickness_units="screen",
         )
-        self._caption = server.scene.add_label("/caption", "", position=(0.0, 0.0, 0.0), anchor="top-center", font_screen_scale=1.1)
+        self._caption = server.scene.add_label(
+            "/caption", "", position=(0.0, 0.0, 0.0), anchor="top-center", font_screen_scale=1.1
+        )
         self._laid_out: tuple[object, ...] = ()
 
     def align(self, options: MappingOptions) -> None:
@@ -160,7 +194,9 @@ class HandScene:
             world.travel = np.empty((0, 3))
 
     def foresee(self, samples: Sequence[ViewSample]) -> None:
-        """Make room for hands that travel with their worlds; otherwise there is room for what was drawn since `align`.
+        """Make room for hands that travel with their worlds.
+
+        Otherwise there is room for what was drawn since `align`.
 
         Args:
             samples: All that will be drawn.
@@ -199,27 +235,44 @@ class HandScene:
         if sample.deformation is None or sample.pivot is None:
             return
         if shape == "ellipsoid":
-            # A ball has no direction of its own, so the rotation that a T_def with a measured wrist may hold cannot be seen.
+            # A ball has no direction of its own, so the rotation that a T_def with a measured wrist
+            # may hold cannot be seen.
             factors = polar(sample.deformation)
             scales = np.maximum(np.abs(factors.stretches), 1e-3)
             self._ellipsoid.scale = (float(scales[0]), float(scales[1]), float(scales[2]))
             self._reference_ball.position = sample.pivot
             axes = factors.axes * (1.0, 1.0, np.sign(np.linalg.det(factors.axes)))
-            self._ellipsoid.wxyz, self._ellipsoid.position = quat_wxyz_from_rotation(axes), sample.pivot
+            self._ellipsoid.wxyz, self._ellipsoid.position = (
+                quat_wxyz_from_rotation(axes),
+                sample.pivot,
+            )
         elif shape == "cube":
             corners = (self._ball / np.sqrt(3.0) * _CORNERS) @ sample.deformation.T
-            self._cube.position, self._cube.points = sample.pivot, corners[_EDGES].astype(np.float32)
+            self._cube.position, self._cube.points = (
+                sample.pivot,
+                corners[_EDGES].astype(np.float32),
+            )
 
     def _lay_out(self, middles: tuple[np.ndarray, np.ndarray]) -> None:
-        """Side by side, with room for what either hand, or its travel, takes; and the camera at the distance for both."""
+        """Side by side, with room for what either hand, or its travel, takes.
+
+        And the camera at the distance for both.
+        """
         human, robot = self._human, self._robot
         for world, middle in zip((human, robot), middles, strict=True):
             world.see(middle)
         is_travelling = self.follow == "world"
-        state = (is_travelling, human.travel.tobytes(), robot.travel.tobytes()) if is_travelling else (is_travelling,)
+        state = (
+            (is_travelling, human.travel.tobytes(), robot.travel.tobytes())
+            if is_travelling
+            else (is_travelling,)
+        )
         if state != self._laid_out:
             self._laid_out = state
-            sizes = [2.0 * world.radius + is_travelling * np.ptp(world.travel, axis=0) for world in (human, robot)]
+            sizes = [
+                2.0 * world.radius + is_travelling * np.ptp(world.travel, axis=0)
+                for world in (human, robot)
+            ]
             width, height = sizes[0][0] + _GAP + sizes[1][0], max(size[1] for size in sizes)
             # Seen from the palm, +x is on the left.
             human.anchor = np.array([0.5 * (width - sizes[0][0]), 0.0, 0.0])
@@ -229,15 +282,25 @@ class HandScene:
             depth = max(sizes[0][2] - human.radius, sizes[1][2] - robot.radius)
             self.camera.fit(width, height + _CAPTION_ROOM, depth)
 
-    def _place(self, world: _World, q: np.ndarray | None, wrist: np.ndarray, middle: np.ndarray) -> None:
-        """Put a hand into its world, and its world into the scene; nothing but its points where no posture is known."""
+    def _place(
+        self, world: _World, q: np.ndarray | None, wrist: np.ndarray, middle: np.ndarray
+    ) -> None:
+        """Put a hand into its world, and its world into the scene.
+
+        Nothing but its points where no posture is known.
+        """
         hand = world.hand
         world.body.visible = q is not None
         if q is not None:
             pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
             world.model.update_cfg(in_order(world.order, q))
-            world.body.wxyz, world.body.position = quat_wxyz_from_rotation(pose[:3, :3]), pose[:3, 3]
-        world.frame.position = world.anchor - (middle if self.follow == "hands" else world.travel.mean(axis=0))
+            world.body.wxyz, world.body.position = (
+                quat_wxyz_from_rotation(pose[:3, :3]),
+                pose[:3, 3],
+            )
+        world.frame.position = world.anchor - (
+            middle if self.follow == "hands" else world.travel.mean(axis=0)
+        )
         low = max(self._human.radius, self._robot.radius) + 0.02
         world.label.position = world.frame.position + middle - (0.0, low, 0.0)
 
@@ -251,7 +314,9 @@ class HandScene:
         body = scene.add_frame(f"/{node}/body", show_axes=False)
         model = ViserUrdf(self.server, urdf, root_node_name=f"/{node}/body")
         order = joint_places(hand, model.get_actuated_joint_names())
-        label = scene.add_label(f"/{node}_name", hand.name, anchor="top-center", font_screen_scale=1.3)
+        label = scene.add_label(
+            f"/{node}_name", hand.name, anchor="top-center", font_screen_scale=1.3
+        )
         model.update_cfg(in_order(order, q))
         to_wrist = inverse_pose(hand.frame_pose("wrist", q))
         if hand.has_moving_wrist and not hand.is_floating:
@@ -261,8 +326,13 @@ class HandScene:
         else:
             low, high = urdf.scene.bounds
             in_wrist = to_wrist @ hand.link_poses([urdf.base_link], q)[0]
-            focus, radius = transform_points(in_wrist, 0.5 * (low + high)[None])[0], 0.45 * float(np.linalg.norm(high - low))
-        return _World(hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius)
+            focus, radius = (
+                transform_points(in_wrist, 0.5 * (low + high)[None])[0],
+                0.45 * float(np.linalg.norm(high - low)),
+            )
+        return _World(
+            hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius
+        )
 
     def _add_spheres(
         self,
@@ -274,7 +344,10 @@ class HandScene:
         *,
         opacity: float | None = None,
     ) -> list[Any]:
-        """A node for each point: a browser that is short of time moves nodes all at once, where a batch of points would lag."""
+        """A node for each point.
+
+        A browser that is short of time moves nodes all at once, where a batch of points would lag.
+        """
         return [
             self.server.scene.add_icosphere(
                 f"{world.frame.name}/{name}/{i}",
@@ -307,7 +380,10 @@ class HandScene:
 
 
 def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
-    """For each joint of a model that draws a hand, its place in `hand.joint_names`; None for one that the hand does not move."""
+    """For each joint of a model that draws a hand, its place in `hand.joint_names`.
+
+    None for one that the hand does not move.
+    """
     places = {name: i for i, name in enumerate(hand.joint_names)}
     return [places.get(name) for name in names]
 
@@ -339,7 +415,8 @@ def load_urdf(hand: Hand) -> Any:
     from yourdfpy import URDF
 
     robot = parse_urdf(hand.urdf_text)
-    # ViserUrdf names its nodes after links and shapes alike, so a shape that bears a link's name would take the link's place.
+    # ViserUrdf names its nodes after links and shapes alike, so a shape that bears a link's name
+    # would take the link's place.
     for link in robot.iterfind("link"):
         for i, visual in enumerate(link.iterfind("visual")):
             visual.set("name", f"{link.get('name')}_shape_{i}")

@@ -37,13 +37,17 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
     except ImportError as error:
         raise MissingExtraError("viser", "view") from error
     if not host.strip():
-        raise InvalidInputError("--host: expected an address; nothing stands for all of this machine's", value=host)
+        raise InvalidInputError(
+            "--host: expected an address; nothing stands for all of this machine's", value=host
+        )
     # viser takes every refusal for a port in use, and would try the next thousand without a word.
     try:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
             probe.bind((host, 0))
     except OSError as error:
-        raise InvalidInputError(f"--host {host}: cannot be served on: {error.strerror or error}", value=host) from error
+        raise InvalidInputError(
+            f"--host {host}: cannot be served on: {error.strerror or error}", value=host
+        ) from error
     with _own_pages_only(host), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="handmap view", verbose=False)
     server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
@@ -58,8 +62,9 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
 def drawing() -> Iterator[None]:
     """While a picture is drawn: let it be where viser stumbles, for the next one.
 
-    viser 1.1 wakes its own thread by an `asyncio.Event` that it sets in ours. If that thread begins to wait at the same moment,
-    `set` finds its list of those who wait changed. What was to be drawn has been noted by then.
+    viser 1.1 wakes its own thread by an `asyncio.Event` that it sets in ours. If that thread begins
+    to wait at the same moment, `set` finds its list of those who wait changed. What was to be drawn
+    has been noted by then.
     """
     try:
         yield
@@ -70,10 +75,13 @@ def drawing() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _own_pages_only(host: str) -> Iterator[None]:
-    """While a viser server starts: let it take connections from the page that it serves, and from no other.
+    """While a viser server starts.
 
-    A page that some web site has put into the user's browser reaches loopback too, and could press the view's buttons. viser takes
-    all that comes and has no setting for it, so that the check goes in where it starts listening.
+    Let it take connections from the page that it serves, and from no other.
+
+    A page that some web site has put into the user's browser reaches loopback too, and could press
+    the view's buttons. viser takes all that comes and has no setting for it, so that the check goes
+    in where it starts listening.
     """
     from websockets.asyncio import server as listener
 
@@ -81,9 +89,13 @@ def _own_pages_only(host: str) -> Iterator[None]:
 
     def serve_own_pages(handler: Any, *where: Any, process_request: Any, **settings: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
-            if is_own_page(host, request.headers.get("Host", ""), request.headers.get_all("Origin")):
+            if is_own_page(
+                host, request.headers.get("Host", ""), request.headers.get_all("Origin")
+            ):
                 return process_request(connection, request)
-            return connection.respond(http.HTTPStatus.FORBIDDEN, "pages of other sites may not use the view\n")
+            return connection.respond(
+                http.HTTPStatus.FORBIDDEN, "pages of other sites may not use the view\n"
+            )
 
         return serve(handler, *where, process_request=check, **settings)
 
@@ -102,4 +114,6 @@ def is_own_page(host: str, asked: str, origins: list[str]) -> bool:
         asked: The request's `Host`, which on loopback has to be a name of that.
         origins: Its `Origin`, which browsers set and pages cannot.
     """
-    return (names_loopback(asked) or not is_loopback(host)) and all(urlsplit(origin).netloc == asked for origin in origins)
+    return (names_loopback(asked) or not is_loopback(host)) and all(
+        urlsplit(origin).netloc == asked for origin in origins
+    )

@@ -1,0 +1,1 @@
+"""A software renderer for hands, without a display."""

@@ -1,0 +1,397 @@
+"""Pictures of hands from the shapes in their URDFs.
+
+`load_shape`, `HandShape.triangles`, `draw_hands`.
+
+The visual shapes (boxes, cylinders, spheres, meshes) are read once, made into triangles in link
+coordinates, and placed by the hand's own forward kinematics. The picture is rendered by
+`handmap_qp.drawing.raster` and laid into a matplotlib axes whose coordinates are pixels, so that
+anything can be drawn over it at `camera.project(points)`.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+from handmap_qp.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hands.hand import Hand, urdf_path
+from handmap_qp.hands.spec import HandSpec
+from handmap_qp.hands.urdf.files import find_mesh
+from handmap_qp.transform import transform_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+HUMAN_COLOUR = (0.13, 0.40, 0.85)
+"""Of the human's reference points (the paper's Fig. 4: blue)."""
+ROBOT_COLOUR = (0.84, 0.16, 0.16)
+"""Of the robot's reference points (red)."""
+
+_GREY = (0.62, 0.64, 0.67)
+# Per mesh file.
+_MAX_MESH_TRIANGLES = 4000
+# Faces that meet at a flatter angle than this are one smooth surface.
+_SMOOTH_ANGLE = np.radians(40.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkShape:
+    """The visual shapes of one link.
+
+    Attributes:
+        link: Name of the link.
+        triangles: In link coordinates.
+    """
+
+    link: str
+    triangles: Triangles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandShape:
+    """The visual shapes of a hand, ready to be placed.
+
+    Attributes:
+        hand: The hand.
+        links: One entry per link that has shapes.
+        missing: Mesh files that the URDF names and that could not be read.
+    """
+
+    hand: Hand
+    links: tuple[LinkShape, ...]
+    missing: tuple[str, ...] = ()
+
+    def triangles(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> Triangles:
+        """The hand's surface in one posture.
+
+        Args:
+            q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
+            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted. Refused by a
+                fixed hand.
+
+        Returns:
+            Triangles in the world: `vertices` [m], `colours` and `normals`.
+
+        Raises:
+            InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
+        """
+        poses = self.hand.link_poses([shape.link for shape in self.links], q, wrist_pose)
+        placed = []
+        for shape, pose in zip(self.links, poses, strict=True):
+            vertices, colours, normals = shape.triangles
+            placed.append(
+                Triangles(transform_points(pose, vertices), colours, normals @ pose[:3, :3].T)
+            )
+        return merged(placed)
+
+
+def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) -> HandShape:
+    """Read the visual shapes of a hand from its URDF.
+
+    Meshes are looked for where the URDF says, relative to its own file; `package://` names are
+    resolved in installed packages of robot descriptions. One that cannot be read is left out and
+    named in `HandShape.missing`.
+
+    Args:
+        hand: The hand.
+        colour: Red, green and blue in 0..1 for all of it; the URDF's own colours if omitted.
+
+    Returns:
+        The shapes.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    trimesh = _trimesh()
+    from yourdfpy import URDF
+
+    robot = URDF.load(
+        io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
+    ).robot
+    palette: dict[str | None, Any] = {
+        material.name: material.color for material in robot.materials if material.color is not None
+    }
+    links, missing = [], []
+    for link in robot.links:
+        parts = []
+        for visual in link.visuals:
+            # Where a material is defined inside a visual, others may name it without repeating its
+            # colour.
+            if visual.material is not None and visual.material.color is not None:
+                palette[visual.material.name] = visual.material.color
+            if visual.geometry is None:
+                continue
+            solid = _solid(trimesh, visual.geometry, hand.spec)
+            if solid is None:
+                missing.append(visual.geometry.mesh.filename if visual.geometry.mesh else link.name)
+                continue
+            tint = colour or _colour(visual.material, palette)
+            parts.append(
+                _triangles(*solid, np.eye(4) if visual.origin is None else visual.origin, tint)
+            )
+        if parts:
+            links.append(LinkShape(link.name, merged(parts)))
+    return HandShape(hand, tuple(links), tuple(missing))
+
+
+def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]) -> Triangles:
+    """Small spheres, to mark points.
+
+    Args:
+        centres: Points [m], shape (n, 3).
+        radius: Radius [m].
+        colour: Red, green and blue in 0..1.
+
+    Returns:
+        Their triangles.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    ball = _trimesh().creation.icosphere(subdivisions=3, radius=1.0)
+    corners = np.asarray(ball.vertices)[ball.faces]
+    places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
+    vertices = (places + radius * corners).reshape(-1, 3, 3)
+    return Triangles(
+        vertices, np.tile(colour, (len(vertices), 1)), np.tile(corners, (len(places), 1, 1))
+    )
+
+
+def tube(
+    path: npt.ArrayLike, radius: float, colour: tuple[float, float, float], *, sides: int = 10
+) -> Triangles:
+    """A thin tube along a path.
+
+    Args:
+        path: Points of the path [m], shape (n, 3), n >= 2.
+        radius: Radius [m].
+        colour: Red, green and blue in 0..1.
+        sides: Corners of its cross-section.
+
+    Returns:
+        Its triangles.
+
+    Raises:
+        InvalidInputError: If the path has no length.
+    """
+    points = np.asarray(path, dtype=float)
+    is_new = (
+        np.r_[True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6]
+        if len(points)
+        else np.zeros(0, dtype=bool)
+    )
+    points = points[is_new]
+    if len(points) < 2:
+        raise InvalidInputError("path: expected at least two different points")
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
+    # The first normal is carried along and kept at right angles, so the tube does not twist.
+    normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
+    rings = np.empty((len(points), sides, 3))
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    for ring, tangent in zip(rings, tangents, strict=True):
+        normal -= (normal @ tangent) * tangent
+        normal /= np.linalg.norm(normal)
+        ring[:] = np.outer(np.cos(angles), normal) + np.outer(
+            np.sin(angles), np.cross(tangent, normal)
+        )
+    surface = points[:, None] + radius * rings
+    turned = np.roll(np.arange(sides), -1)
+
+    def corners(grid: np.ndarray) -> np.ndarray:
+        a, b, c, d = grid[:-1], grid[:-1, turned], grid[1:], grid[1:, turned]
+        return np.stack([np.stack([a, b, c], axis=2), np.stack([b, d, c], axis=2)], axis=2).reshape(
+            -1, 3, 3
+        )
+
+    vertices = corners(surface)
+    return Triangles(vertices, np.tile(colour, (len(vertices), 1)), corners(rings))
+
+
+def draw_hands(
+    axes: Axes,
+    triangles: Triangles,
+    camera: Camera,
+    *,
+    marks: Triangles | None = None,
+    ground: float | None = None,
+    supersampling: int = 2,
+) -> None:
+    """Draw a picture of hands into an axes, whose coordinates become the camera's pixels.
+
+    All that belongs into one picture is drawn at once, so that hands hide one another as they
+    should.
+
+    Args:
+        axes: The axes; its frame and ticks are removed.
+        triangles: Everything solid, put together with `merged`.
+        camera: Where from; see `Camera.framing`.
+        marks: What shines through: `spheres` and `tube`s.
+        ground: Height of a floor for soft shadows [m]; none if omitted.
+        supersampling: Samples per pixel along each side; more is smoother.
+
+    Raises:
+        MissingExtraError: If matplotlib is not installed.
+    """
+    require_matplotlib()
+    image = render(triangles, camera, marks=marks, ground=ground, supersampling=supersampling)
+    width, height = camera.size
+    axes.imshow(
+        image, extent=(0.0, width, height, 0.0), interpolation="antialiased", aspect="equal"
+    )
+    axes.set_xlim(0.0, width)
+    axes.set_ylim(height, 0.0)
+    axes.set_axis_off()
+
+
+def require_matplotlib() -> ModuleType:
+    """Import matplotlib.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise MissingExtraError("matplotlib", "plot") from error
+    return matplotlib
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError("trimesh", "plot") from error
+    return trimesh
+
+
+def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices (v, 3) and faces (f, 3) of a URDF geometry in its own coordinates.
+
+    None for a mesh that cannot be read.
+    """
+    if geometry.box is not None:
+        solid = trimesh.creation.box(extents=geometry.box.size)
+    elif geometry.sphere is not None:
+        solid = trimesh.creation.icosphere(subdivisions=3, radius=geometry.sphere.radius)
+    elif geometry.cylinder is not None:
+        solid = trimesh.creation.cylinder(
+            geometry.cylinder.radius, geometry.cylinder.length, sections=40
+        )
+    elif geometry.mesh is None:
+        return None
+    else:
+        try:
+            solid = trimesh.load_mesh(mesh_file(geometry.mesh.filename, spec))
+        # Whatever a mesh reader dislikes, a picture without one part beats no picture.
+        except Exception:
+            return None
+        if not isinstance(solid, trimesh.Trimesh) or len(solid.faces) == 0:
+            return None
+        solid.merge_vertices(merge_norm=True, merge_tex=True)
+        return _one_sided(
+            solid,
+            np.ones(3)
+            if geometry.mesh.scale is None
+            else np.asarray(geometry.mesh.scale, dtype=float),
+        )
+    return np.asarray(solid.vertices), np.asarray(solid.faces)
+
+
+def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a mesh, outsides only.
+
+    One that is not closed has no outside, and is given faces on both sides.
+    """
+    vertices, faces = _simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    vertices = vertices * scale
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        return np.concatenate([vertices, vertices]), np.concatenate(
+            [faces, faces[:, ::-1] + len(vertices)]
+        )
+    is_inside_out = (mesh.volume < 0.0) != (np.prod(scale) < 0.0)
+    return vertices, faces[:, ::-1] if is_inside_out else faces
+
+
+def mesh_file(name: str, spec: HandSpec) -> Path:
+    """Where a mesh that a hand's URDF names lies on disk; see `find_mesh`."""
+    return find_mesh(name, urdf_path(spec).parent)
+
+
+def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh of few enough triangles.
+
+    Vertices that share a cell of a grid become one, and the grid is as fine as it may be.
+    """
+    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    cells, coarse, cell_of = 96, faces, np.arange(len(vertices))
+    while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
+        _, cell_of = np.unique(
+            np.floor((vertices - low) * (cells / size)).astype(np.int64),
+            axis=0,
+            return_inverse=True,
+        )
+        cell_of = cell_of.reshape(-1)
+        coarse = cell_of[faces]
+        a, b, c = coarse.T
+        coarse = coarse[(a != b) & (b != c) & (c != a)]
+        cells = int(0.85 * cells)
+    counts = np.maximum(np.bincount(cell_of), 1)
+    means = np.column_stack(
+        [np.bincount(cell_of, weights=vertices[:, axis]) / counts for axis in range(3)]
+    )
+    return means, coarse
+
+
+def _triangles(
+    vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, colour: tuple[float, float, float]
+) -> Triangles:
+    """A solid in link coordinates, with normals that are smooth except at edges."""
+    corners = transform_points(origin, vertices)[faces]
+    return Triangles(corners, np.tile(colour, (len(faces), 1)), _corner_normals(corners, faces))
+
+
+def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """At each corner the mean normal of the faces around its vertex that belong to the same smooth surface, shape (n, 3, 3)."""
+    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = crossed / np.maximum(np.linalg.norm(crossed, axis=1, keepdims=True), 1e-15)
+    # Weighting by the angle at the corner makes the mean independent of how the surface was cut
+    # into triangles.
+    sides = corners[:, [1, 2, 0]] - corners
+    sides /= np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-15)
+    angles = np.arccos(
+        np.clip(-np.einsum("fcj,fcj->fc", sides, sides[:, [2, 0, 1]]), -1.0, 1.0)
+    ).reshape(-1)
+    count = 3 * len(faces)
+    at_vertex = csr_array(
+        (np.ones(count), (np.arange(count), faces.reshape(-1))), shape=(count, int(faces.max()) + 1)
+    )
+    pairs = (at_vertex @ at_vertex.T).tocoo()
+    one, other = pairs.coords
+    is_smooth = np.einsum("kj,kj->k", flat[one // 3], flat[other // 3]) > np.cos(_SMOOTH_ANGLE)
+    one, other = one[is_smooth], other[is_smooth]
+    weighted = flat[other // 3] * angles[other, None]
+    normals = np.column_stack(
+        [np.bincount(one, weights=weighted[:, axis], minlength=count) for axis in range(3)]
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(
+        lengths > 1e-12, normals / np.maximum(lengths, 1e-12), np.repeat(flat, 3, axis=0)
+    )
+    return normals.reshape(-1, 3, 3)
+
+
+def _colour(material: Any, palette: dict[str | None, Any]) -> tuple[float, float, float]:
+    """Colour of a URDF material: its own, or that of the material it names; grey without one."""
+    if material is None or material.name not in palette:
+        return _GREY
+    red, green, blue = (float(value) for value in palette[material.name].rgba[:3])
+    return red, green, blue

@@ -1,0 +1,387 @@
+"""A small software renderer: triangles in, a shaded picture with transparency out, in numpy alone.
+
+A z-buffer settles which surface is in front pixel by pixel, which painter's sorting cannot do for
+hands whose fingers cross. Every pixel is then lit once: two lights, light from the sky, a soft
+highlight, and darker creases where surfaces meet. The picture is rendered finer than asked for and
+averaged down, which smooths all edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from handmap_qp.transform import affine, transform_points
+
+_NEAR = 1e-3
+# Bits of the z-buffer's key: nearness above, the triangle's number below.
+_NEARNESS_STEPS = 2**31 - 1
+_INDEX_BITS = 32
+# Pixels looked at in one go; bounds the memory of a picture to about 200 MB.
+_CHUNK = 1_500_000
+
+# Directions towards the lights in camera axes (x right, y down, z forward): the key over the left
+# shoulder, the fill at the right.
+_KEY_DIRECTION = np.array([-0.45, -0.75, -0.5])
+_FILL_DIRECTION = np.array([0.8, -0.05, -0.45])
+_KEY, _FILL, _SKY, _GROUND, _HIGHLIGHT = 0.72, 0.16, 0.30, 0.12, 0.10
+# Nothing real is darker than this, and shape would be lost in it.
+_DARKEST = 0.03
+_CREASE_RADIUS = 0.007
+_CREASE_DEPTH = 0.55
+_HIDDEN_MARK_OPACITY = 0.6
+_SHADOW_OPACITY = 0.30
+
+
+class Triangles(NamedTuple):
+    """Coloured triangles in the world.
+
+    Attributes:
+        vertices: Corners [m], counter-clockwise as seen from outside, shape (n, 3, 3): triangle,
+            corner, coordinate.
+        colours: Red, green and blue in 0..1, shape (n, 3).
+        normals: Unit normals at the corners, for smooth shading, shape (n, 3, 3).
+    """
+
+    vertices: np.ndarray
+    colours: np.ndarray
+    normals: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A pinhole camera. Its axes: x right, y down, z forward.
+
+    Pixel (0, 0) is the picture's upper left corner.
+
+    Attributes:
+        world_to_camera: Takes world coordinates to camera coordinates, shape (4, 4).
+        focal_length: Pixels per unit of tangent.
+        centre: Pixel that the camera's axis goes through (x, y).
+        size: Width and height of the picture [pixel].
+    """
+
+    world_to_camera: np.ndarray
+    focal_length: float
+    centre: tuple[float, float]
+    size: tuple[int, int]
+
+    @classmethod
+    def framing(
+        cls,
+        points: np.ndarray,
+        size: tuple[int, int],
+        *,
+        azimuth: float = -60.0,
+        elevation: float = 25.0,
+        margin: float = 0.04,
+        distance: float = 5.0,
+    ) -> Camera:
+        """The camera that fills a picture with given points.
+
+        Args:
+            points: What must be in the picture [m], shape (n, 3).
+            size: Width and height of the picture [pixel].
+            azimuth: Where the camera stands, as seen from the points: angle about the world's z
+                axis, from x [deg].
+            elevation: How far it stands above them [deg]; between -90 and 90, both excluded.
+            margin: Room left on every side, as a fraction of the smaller of width and height.
+            distance: Distance from the points' middle, in units of their radius; a large one makes
+                a long lens.
+
+        Returns:
+            The camera.
+        """
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
+        turn, rise = np.radians([azimuth, elevation])
+        backward = np.array(
+            [np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)]
+        )
+        right = np.array([-np.sin(turn), np.cos(turn), 0.0])
+        rotation = np.array([right, np.cross(right, backward), -backward])
+        world_to_camera = affine(rotation, -rotation @ (middle + distance * radius * backward))
+        seen = transform_points(world_to_camera, points)
+        tangents = seen[:, :2] / seen[:, 2:]
+        low, high = tangents.min(axis=0), tangents.max(axis=0)
+        room = np.array(size) - 2.0 * margin * min(size)
+        focal_length = float((room / np.maximum(high - low, 1e-9)).min())
+        centre = 0.5 * np.array(size) - 0.5 * focal_length * (low + high)
+        return cls(world_to_camera, focal_length, (float(centre[0]), float(centre[1])), size)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Where points appear.
+
+        Args:
+            points: Points in the world [m], shape (..., 3).
+
+        Returns:
+            Pixel x, pixel y (down) and depth along the camera's axis [m], shape (..., 3).
+        """
+        seen = transform_points(self.world_to_camera, points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen[..., :2] = self.focal_length * seen[..., :2] / seen[..., 2:] + self.centre
+        return seen
+
+    def magnified(self, factor: int) -> Camera:
+        """The same view with `factor` times as many pixels along each side."""
+        x, y = self.centre
+        size = (factor * self.size[0], factor * self.size[1])
+        return Camera(
+            self.world_to_camera, factor * self.focal_length, (factor * x, factor * y), size
+        )
+
+
+class _Surface(NamedTuple):
+    """What the z-buffer keeps: the k covered pixels and the triangle in front at each.
+
+    `planes` (n, 3, 3) are the barycentric coordinates of every triangle as linear functions of the
+    pixel: x, y, constant.
+    """
+
+    pixels: np.ndarray
+    triangle: np.ndarray
+    depth: np.ndarray
+    planes: np.ndarray
+
+
+def merged(parts: list[Triangles]) -> Triangles:
+    """Several sets of triangles as one."""
+    if not parts:
+        return Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return Triangles(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def render(
+    triangles: Triangles,
+    camera: Camera,
+    *,
+    marks: Triangles | None = None,
+    ground: float | None = None,
+    supersampling: int = 2,
+) -> np.ndarray:
+    """Render a picture.
+
+    Args:
+        triangles: The solid things in it.
+        camera: Where from.
+        marks: Things that shine through the solid ones where they are behind them, such as
+            reference points.
+        ground: Height of a floor that catches soft shadows [m]; no shadows if omitted.
+        supersampling: Samples per pixel along each side.
+
+    Returns:
+        Red, green, blue (not premultiplied) and opacity in 0..1, shape (height, width, 4), first
+        row on top.
+    """
+    fine = camera.magnified(supersampling)
+    solid = _rasterise(triangles.vertices, fine)
+    picture = _shaded(triangles, solid, fine, has_creases=True)
+    if marks is not None and len(marks.vertices):
+        surface = _rasterise(marks.vertices, fine)
+        shaded = _shaded(marks, surface, fine, has_creases=False)
+        is_hidden = surface.depth > solid.depth
+        opacity = shaded[..., 3:] * np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0)[..., None]
+        picture = shaded * opacity + picture * (1.0 - opacity)
+    picture = _averaged(picture, supersampling)
+    if ground is not None:
+        shadow = _shadow(triangles.vertices, camera, ground)
+        picture[..., 3] += shadow * (1.0 - picture[..., 3])
+    # Colours were summed premultiplied by opacity (black where nothing is): undo that, then encode
+    # for a screen.
+    light = picture[..., :3] / np.maximum(picture[..., 3:], 1e-6)
+    picture[..., :3] = np.clip(light, 0.0, 1.0) ** (1.0 / 2.2)
+    return picture
+
+
+def _rasterise(vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = False) -> _Surface:
+    """The triangle in front at every pixel's centre; those seen from behind are left out."""
+    width, height = camera.size
+    corners = camera.project(vertices)
+    planes, area = _planes(corners)
+    nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(corners[..., 2], _NEAR), planes)
+    is_seen = (corners[..., 2] > _NEAR).all(axis=1) & np.isfinite(planes).all(axis=(1, 2))
+    is_seen &= is_two_sided | (area > 0.0)
+    # The z-buffer holds nearness and triangle in one integer, so that one maximum settles both.
+    nearest, farthest = (
+        1.0 / max(corners[..., 2].min(initial=1.0), _NEAR),
+        1.0 / max(corners[..., 2].max(initial=1.0), _NEAR),
+    )
+    scale = _NEARNESS_STEPS / max(nearest - farthest, 1e-9)
+    keys = np.full(width * height, -1, dtype=np.int64)
+    triangle, row, first, count = _spans(corners, planes, is_seen, camera.size)
+    ends = np.cumsum(count)
+    pieces = np.searchsorted(ends, np.arange(_CHUNK, int(ends[-1]), _CHUNK)) if len(ends) else []
+    for part in np.split(np.arange(len(count)), pieces):
+        lengths = count[part]
+        column = np.arange(lengths.sum()) + np.repeat(
+            first[part] - np.cumsum(lengths) + lengths, lengths
+        )
+        plane = scale * nearness[triangle[part]]
+        start = plane[:, 0] * 0.5 + plane[:, 1] * (row[part] + 0.5) + plane[:, 2] - scale * farthest
+        rank = np.repeat(start, lengths) + np.repeat(plane[:, 0], lengths) * column
+        key = (np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64) << _INDEX_BITS) | np.repeat(
+            triangle[part], lengths
+        )
+        np.maximum.at(keys, np.repeat(row[part] * width, lengths) + column, key)
+    pixels = np.flatnonzero(keys >= 0)
+    triangle = keys[pixels] & (2**_INDEX_BITS - 1)
+    depth = np.full(width * height, np.inf)
+    depth[pixels] = 1.0 / np.maximum(_at(nearness[triangle], pixels % width, pixels // width), 1e-9)
+    return _Surface(pixels, triangle, depth.reshape(height, width), planes)
+
+
+def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric coordinates as linear functions of the pixel (n, 3, 3), and twice the areas (n,), > 0 when seen from in front."""
+    x, y = corners[..., 0], corners[..., 1]
+    after, before = [1, 2, 0], [2, 0, 1]
+    constant = x[:, after] * y[:, before] - x[:, before] * y[:, after]
+    area = constant.sum(axis=1)
+    planes = np.stack([y[:, after] - y[:, before], x[:, before] - x[:, after], constant], axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # y points down in the picture: a triangle wound counter-clockwise in space has a negative
+        # area there.
+        return planes / area[:, None, None], -area
+
+
+def _spans(
+    corners: np.ndarray, planes: np.ndarray, is_seen: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The pixels whose centres lie inside triangles, row by row.
+
+    Triangle, row, first column and number of columns of each span.
+    """
+    width, height = size
+    seen = np.flatnonzero(is_seen)
+    y = corners[seen, :, 1]
+    top = np.clip(np.ceil(y.min(axis=1) - 0.5), 0, height).astype(np.int64)
+    rows = np.maximum(
+        np.clip(np.floor(y.max(axis=1) - 0.5) + 1, 0, height).astype(np.int64) - top, 0
+    )
+    triangle = np.repeat(seen, rows)
+    row = np.arange(len(triangle)) + np.repeat(top - np.cumsum(rows) + rows, rows)
+    low, high = np.full(len(row), 0.5), np.full(len(row), width - 0.5)
+    for corner in range(3):
+        slope, across, constant = planes[triangle, corner].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            edge = -(across * (row + 0.5) + constant) / slope
+        low = np.where(slope > 0.0, np.maximum(low, edge), low)
+        high = np.where(slope < 0.0, np.minimum(high, edge), high)
+        high = np.where((slope == 0.0) & (across * (row + 0.5) + constant < 0.0), -1.0, high)
+    # A pixel on the edge between two triangles may go to either, but must not be lost between them.
+    first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
+    count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
+    keep = count > 0
+    return triangle[keep], row[keep], first[keep], count[keep]
+
+
+def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Linear functions of the picture, (k, 3), at pixel centres, shape (k,)."""
+    return planes[:, 0] * (x + 0.5) + planes[:, 1] * (y + 0.5) + planes[:, 2]
+
+
+def _shaded(
+    triangles: Triangles, surface: _Surface, camera: Camera, *, has_creases: bool
+) -> np.ndarray:
+    """Linear light and opacity at every pixel, shape (height, width, 4)."""
+    width, height = camera.size
+    picture = np.zeros((height * width, 4))
+    pixels, triangle = surface.pixels, surface.triangle
+    rotation = camera.world_to_camera[:3, :3]
+    x, y = pixels % width, pixels // width
+    corner_normals = triangles.normals @ rotation.T
+    normals = sum(
+        _at(surface.planes[triangle, corner], x, y)[:, None] * corner_normals[triangle, corner]
+        for corner in range(3)
+    )
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    rays = np.column_stack(
+        [
+            (x + 0.5 - camera.centre[0]),
+            (y + 0.5 - camera.centre[1]),
+            np.full(len(x), camera.focal_length),
+        ]
+    )
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    key, fill = (
+        direction / np.linalg.norm(direction) for direction in (_KEY_DIRECTION, _FILL_DIRECTION)
+    )
+    up = normals @ rotation[:, 2]
+    light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + up)
+    # Light wraps a little round the terminator, as it does on skin.
+    light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0) + _FILL * np.maximum(
+        normals @ fill, 0.0
+    )
+    halfway = key - rays
+    halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
+    highlight = _HIGHLIGHT * np.maximum(np.einsum("kj,kj->k", normals, halfway), 0.0) ** 40
+    if has_creases:
+        shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
+        light, highlight = light * shade, highlight * shade
+    picture[pixels, :3] = (
+        _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
+    ) * light[:, None] + highlight[:, None]
+    picture[pixels, 3] = 1.0
+    return picture.reshape(height, width, 4)
+
+
+def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """How much the surface around hides each pixel from the sky, 0..1, shape (height, width).
+
+    A pixel that lies behind the mean of two opposite neighbours lies in a hollow; on a plane,
+    however tilted, it does not.
+    """
+    is_solid = np.isfinite(depth)
+    if not is_solid.any():
+        return np.zeros_like(depth)
+    reach = max(2.0, _CREASE_RADIUS * camera.focal_length / float(np.median(depth[is_solid])))
+    hollow = np.zeros_like(depth)
+    offsets = [
+        (radius, angle)
+        for radius in (0.3, 0.65, 1.0)
+        for angle in np.arange(4) * np.pi / 4 + radius
+    ]
+    flat = np.where(is_solid, depth, 0.0)
+    for radius, angle in offsets:
+        dx, dy = round(radius * reach * np.cos(angle)), round(radius * reach * np.sin(angle))
+        one, other = _shifted(depth, dx, dy), _shifted(depth, -dx, -dy)
+        bump = flat - 0.5 * (one + other)
+        # Beside the outline of something far in front, its depth says nothing about this surface.
+        bump = np.where(np.isfinite(bump), bump, 0.0) / (radius * _CREASE_RADIUS)
+        hollow += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
+    return gaussian_filter(np.clip(1.8 * hollow / len(offsets), 0.0, 1.0), 0.15 * reach)
+
+
+def _shifted(depth: np.ndarray, dx: int, dy: int) -> np.ndarray:
+    """The picture moved by whole pixels, its border repeated."""
+    height, width = depth.shape
+    rows, columns = (
+        np.clip(np.arange(height) + dy, 0, height - 1),
+        np.clip(np.arange(width) + dx, 0, width - 1),
+    )
+    return depth[rows[:, None], columns]
+
+
+def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
+    """Opacity of the soft shadow on a floor, under a light from above and slightly from the left, shape (height, width)."""
+    fallen = vertices.copy()
+    fallen[..., 2] = ground
+    surface = _rasterise(fallen, camera, is_two_sided=True)
+    shadow = np.isfinite(surface.depth).astype(float)
+    width = (
+        0.012
+        * camera.focal_length
+        / float(camera.project(np.array([*vertices.reshape(-1, 3).mean(axis=0)[:2], ground]))[2])
+    )
+    return _SHADOW_OPACITY * gaussian_filter(shadow, width)
+
+
+def _averaged(picture: np.ndarray, factor: int) -> np.ndarray:
+    """Means over blocks of `factor` x `factor` pixels."""
+    height, width, channels = picture.shape
+    return picture.reshape(height // factor, factor, width // factor, factor, channels).mean(
+        axis=(1, 3)
+    )

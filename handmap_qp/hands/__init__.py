@@ -1,0 +1,1 @@
+"""Any hand: its description, its Pinocchio model, the hands that come with the package."""

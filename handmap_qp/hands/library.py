@@ -1,0 +1,158 @@
+"""Hands by name or by file: `load_hand`.
+
+The hands that come with the package live in `urdf/<name>/hand.yaml`. The human hand is one of them,
+and the only one that can be scaled to a person.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
+from handmap_qp.hands.hand import Hand, read_urdf, urdf_path
+from handmap_qp.hands.human import HumanLengths, scaled_human_urdf
+from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, read_hand_spec
+from handmap_qp.hands.urdf.package_data import urdf_directory
+
+HUMAN_HANDS = ("human", "human_left")
+"""The human's hands; `human` is the right one."""
+
+
+def hand_names() -> tuple[str, ...]:
+    """Names of the hands that come with the package."""
+    return tuple(sorted(path.parent.name for path in urdf_directory().glob("*/hand.yaml")))
+
+
+def load_hand(
+    hand: str | Path | HandSpec,
+    *,
+    points: str | tuple[str | PointSpec, ...] | None = None,
+    mount: Mount | None = None,
+    lengths: HumanLengths | None = None,
+    hand_length: float | None = None,
+) -> Hand:
+    """Load a hand, human or robot.
+
+    Args:
+        hand: Name of a hand of the package (`hand_names()`), path of a `hand.yaml`, or a `HandSpec`
+            built in code.
+        points: Reference points: the name of a set of the hand, names of its points, or points of
+            your own. Its default set if omitted.
+        mount: `floating` or `fixed`, overriding the hand's own.
+        lengths: For the human hand: measured segment lengths.
+        hand_length: For the human hand: length from wrist crease to middle fingertip [m], the
+            segments following by Buchholz 1992.
+
+    Returns:
+        The hand.
+
+    Raises:
+        HandError: If there is no such hand, or its description cannot be used.
+        InvalidInputError: If lengths are given for a robot, or both kinds of lengths.
+        MissingExtraError: If its URDF lives in a package that is not installed.
+    """
+    spec = hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
+    if lengths is None and hand_length is None:
+        return Hand(spec, points=points, mount=mount)
+    if spec.name not in HUMAN_HANDS:
+        raise InvalidInputError(
+            f"{spec.name}: only the human hand can be scaled; lengths and hand_length are for it alone"
+        )
+    if lengths is not None and hand_length is not None:
+        raise InvalidInputError("lengths and hand_length: give one or the other")
+    person = lengths or HumanLengths.from_hand_length(float(hand_length or 0.0))
+    return Hand(
+        spec, points=points, mount=mount, urdf_text=scaled_human_urdf(read_urdf(spec), person)
+    )
+
+
+def list_hands() -> list[dict[str, Any]]:
+    """The hands that come with the package.
+
+    Name, side, joints, points, and whether its URDF is there.
+    """
+    rows = []
+    for name in hand_names():
+        spec = read_hand_spec(urdf_directory() / name / "hand.yaml")
+        try:
+            is_there = "yes" if urdf_path(spec).is_file() else "no"
+        except MissingExtraError as error:
+            is_there = f"no: pip install 'handmap-qp[{error.extra}]'"
+        rows.append(
+            {
+                "name": name,
+                "side": spec.side,
+                "joints": len(spec.joints),
+                "wrist": spec.wrist.mount,
+                "point sets": ", ".join(spec.sets),
+                "available": is_there,
+            }
+        )
+    return rows
+
+
+def describe_hand(hand: str | Path) -> dict[str, Any]:
+    """One hand in plain values: its frames, joints with limits, and reference points.
+
+    Args:
+        hand: Name or path, as in `load_hand`.
+
+    Returns:
+        A dictionary that JSON can hold; `joints` and `points` are lists of dictionaries.
+    """
+    found = load_hand(hand)
+    limits = zip(
+        found.joint_names,
+        found.lower_limits,
+        found.upper_limits,
+        found.velocity_limits,
+        found.rest,
+        strict=True,
+    )
+    chosen = {point.name for point in found.reference_points}
+    return {
+        "name": found.name,
+        "side": found.side,
+        "urdf": str(urdf_path(found.spec)),
+        "wrist": f"{found.mount}, link {found.spec.wrist.link}",
+        "palm": f"link {found.spec.palm.link}",
+        "joints": [
+            {
+                "joint": name,
+                "lower rad": lower,
+                "upper rad": upper,
+                "speed rad/s": speed,
+                "rest rad": rest,
+            }
+            for name, lower, upper, speed, rest in (
+                (name, *map(float, row)) for name, *row in limits
+            )
+        ],
+        "points": [
+            {
+                "point": point.name,
+                "link": point.link,
+                "finger": point.finger or "",
+                "weight": point.weight,
+                "in use": "yes" if point.name in chosen else "",
+            }
+            for point in found.spec.points
+        ],
+    }
+
+
+def _find(hand: str | Path) -> Path:
+    """The `hand.yaml` of a name or path."""
+    name = str(hand)
+    if name in hand_names():
+        return urdf_directory() / name / "hand.yaml"
+    path = Path(hand)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    if (path / "hand.yaml").is_file():
+        return path / "hand.yaml"
+    raise HandError(
+        f"no hand {name!r}: expected one of {', '.join(hand_names())}, or the path of a hand.yaml",
+        value=name,
+    )

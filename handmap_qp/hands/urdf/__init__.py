@@ -1,0 +1,1 @@
+"""What is done to URDF text: reading, checking, composing, mirroring."""

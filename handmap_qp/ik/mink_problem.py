@@ -1,0 +1,171 @@
+"""The QP as published: built by `mink.build_ik`, solved by `qpsolvers`.
+
+The slow way, which `handmap_qp.ik.qp` is tested against, and the one to extend: pass tasks and
+limits of your own.
+
+    problem = build_problem(hand, options, configuration, point_targets, wrist_target, dt)
+    dq = qpsolvers.solve_problem(problem, solver="daqp").x
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import mink
+import numpy as np
+import qpsolvers
+from scipy.sparse import csc_matrix
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.mink_tasks import make_tasks
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.solvers import EXACT
+
+
+class BoxLimit(mink.Limit):
+    """Position, speed and acceleration limits as rows `[I; -I] dq <= [upper.
+
+    -lower]`, infinite ones left out.
+
+    Args:
+        limits: The box.
+        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if
+            omitted.
+    """
+
+    def __init__(self, limits: BoxLimits, previous_velocity: np.ndarray | None = None) -> None:
+        self._limits = limits
+        self._previous_velocity = previous_velocity
+
+    def bounds(self, configuration: Configuration, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bound, shape (nv,) each."""
+        return self._limits.bounds(configuration.q, dt, self._previous_velocity)
+
+    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
+        """Rows of the box at this configuration, the upper bounds first."""
+        lower, upper = self.bounds(configuration, dt)
+        eye = np.eye(len(upper))
+        G, h = np.vstack([eye, -eye]), np.concatenate([upper, -lower])
+        finite = np.isfinite(h)
+        return mink.Constraint(G[finite], h[finite]) if finite.any() else mink.Constraint()
+
+
+class SelfCollisionLimit(mink.Limit):
+    """Self-collision avoidance as the rows of `CollisionLimit.feasible_rows`.
+
+    Args:
+        collisions: The pairs to keep apart.
+        box: The limits of the same problem, which the rows must not contradict.
+    """
+
+    def __init__(self, collisions: CollisionLimit, box: BoxLimit) -> None:
+        self._collisions = collisions
+        self._box = box
+
+    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
+        """A row a pair."""
+        return mink.Constraint(
+            *self._collisions.feasible_rows(configuration, *self._box.bounds(configuration, dt))
+        )
+
+
+def make_limits(
+    hand: Hand, options: IkOptions, previous_velocity: np.ndarray | None = None
+) -> list[mink.Limit]:
+    """The limits of `handmap_qp.ik.qp.PointIk`.
+
+    Args:
+        hand: The hand.
+        options: Which limits hold.
+        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if
+            omitted.
+
+    Returns:
+        The box, and the rows of self-collision avoidance where it is asked for.
+    """
+    limits = BoxLimits(
+        hand,
+        has_velocity_limits=options.has_velocity_limits,
+        max_acceleration=options.max_acceleration,
+    )
+    box = BoxLimit(limits, previous_velocity)
+    return (
+        [box, SelfCollisionLimit(CollisionLimit(hand), box)]
+        if options.avoids_self_collision
+        else [box]
+    )
+
+
+class _ActiveConfiguration:
+    """A configuration whose `model.nv`, which `mink.build_ik` reads, counts the active coordinates alone."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._configuration = configuration
+        self.model = SimpleNamespace(nv=configuration.nv)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._configuration, name)
+
+
+def build_problem(
+    hand: Hand,
+    options: IkOptions,
+    configuration: Configuration,
+    point_targets: np.ndarray,
+    wrist_target: np.ndarray | None,
+    dt: float,
+    *,
+    extra_tasks: Sequence[mink.Task] = (),
+    limits: Sequence[mink.Limit] | None = None,
+) -> qpsolvers.Problem:
+    """The QP of one iteration at a configuration.
+
+    Args:
+        hand: The hand.
+        options: The weights.
+        configuration: Of the hand, updated to where it is.
+        point_targets: Where the reference points shall be [m], shape (m, 3).
+        wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+        dt: Time for the displacement [s].
+        extra_tasks: Further terms of the cost.
+        limits: In place of those of `make_limits`.
+
+    Returns:
+        The problem in dq, shape (nv,).
+    """
+    tasks = [*make_tasks(hand, options, point_targets, wrist_target), *extra_tasks]
+    if limits is None:
+        limits = make_limits(hand, options)
+    # Our configuration offers what build_ik and our tasks read of mink's own, which is one of
+    # MuJoCo.
+    return mink.build_ik(_ActiveConfiguration(configuration), tasks, dt, damping=0.0, limits=limits)  # type: ignore[arg-type]
+
+
+def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:
+    """The minimiser, as exactly as the solver can.
+
+    Args:
+        problem: The QP.
+        solver: Any that `qpsolvers` finds.
+
+    Returns:
+        Displacement, shape (nv,); None where the solver found none.
+
+    Raises:
+        InvalidOptionsError: If no such solver is installed.
+    """
+    if solver not in qpsolvers.available_solvers:
+        raise InvalidOptionsError(
+            f"solver: expected one of {', '.join(qpsolvers.available_solvers)}; got {solver!r}"
+        )
+    if solver not in qpsolvers.dense_solvers:
+        G = None if problem.G is None else csc_matrix(problem.G)
+        problem = qpsolvers.Problem(csc_matrix(problem.P), problem.q, G, problem.h)
+    solution = qpsolvers.solve_problem(problem, solver=solver, **EXACT.get(solver, {}))
+    return solution.x if solution.found else None

@@ -1,0 +1,159 @@
+"""The QP's terms as `mink` tasks, over a configuration that Pinocchio backs.
+
+They say the same as `handmap_qp.ik.qp`, one term a class, so that `mink.build_ik` composes them
+with tasks of your own (subclass `mink.Task`). mink's error convention holds: a task asks for `J dq
+= -gain * error`. Its Levenberg-Marquardt term grows with the square of the error; ours, in
+`DampingTask`, with the error (see `IkOptions.error_damping`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mink
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.costs import point_costs, wrist_costs
+from handmap_qp.ik.options import IkOptions
+
+
+class PointTask(mink.Task):
+    """All reference points to their targets, as one stacked task.
+
+    Args:
+        targets: Where the points shall be [m], shape (m, 3).
+        cost: Weight of each point's error [cost]/[m], shape (m,).
+    """
+
+    def __init__(self, targets: np.ndarray, cost: np.ndarray) -> None:
+        super().__init__(cost=np.repeat(cost, 3))
+        self.targets = targets
+
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Point minus target [m], shape (3 m,)."""
+        return (configuration.points - self.targets).ravel()
+
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Derivative of the points, world axes, shape (3 m, nv)."""
+        return configuration.point_jacobian()
+
+
+class WristTask(mink.Task):
+    """The wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
+
+    Args:
+        target: Where the wrist frame shall be, shape (4, 4).
+        position_cost: Weight of the translational error [cost]/[m].
+        orientation_cost: Weight of the rotational error [cost]/[rad].
+    """
+
+    def __init__(self, target: np.ndarray, position_cost: float, orientation_cost: float) -> None:
+        super().__init__(cost=np.array([position_cost] * 3 + [orientation_cost] * 3))
+        self.target = pin.SE3(target)
+
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Minus the twist from the wrist to its target, shape (6,)."""
+        return -pin.log6(configuration.wrist.actInv(self.target)).vector
+
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Derivative of the error, shape (6, nv)."""
+        return configuration.wrist_jacobian(pin.Jlog6(self.target.actInv(configuration.wrist)))
+
+
+class RestTask(mink.Task):
+    """All joints to their rest angles: the null-space term of eq. (8).
+
+    Args:
+        hand: The hand.
+        cost: Weight of every joint's error [cost]/[rad].
+    """
+
+    def __init__(self, hand: Hand, cost: float) -> None:
+        super().__init__(cost=np.full(len(hand.joint_names), cost))
+        self._hand = hand
+        self._jacobian = np.zeros((len(hand.joint_names), len(hand.active_columns)))
+        self._jacobian[np.arange(len(hand.joint_names)), hand.joint_columns] = 1.0
+
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Joint angle minus rest angle [rad], shape (n,)."""
+        return configuration.q[self._hand.q_indices] - self._hand.rest
+
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Selection of the joints, shape (n, nv)."""
+        return self._jacobian
+
+
+class DampingTask(mink.Task):
+    """No motion at all.
+
+    Keeps the step short near singular postures, and the shorter the farther the targets are.
+
+    Args:
+        nv: Number of velocity coordinates.
+        cost: Weight of every coordinate's displacement.
+        error_damping: Further squared cost of every coordinate, per weighted error and per weighted
+            lever of the tasks in `of`.
+        of: Tasks whose errors and levers count.
+        free_translations: Number of leading coordinates that translate and so have no lever.
+    """
+
+    def __init__(
+        self,
+        nv: int,
+        cost: float,
+        error_damping: float = 0.0,
+        of: Sequence[mink.Task] = (),
+        free_translations: int = 0,
+    ) -> None:
+        super().__init__(cost=np.full(nv, cost))
+        self._jacobian = np.eye(nv)
+        self._error_damping = error_damping
+        self._of = tuple(of)
+        self._turns = np.arange(nv) >= free_translations
+
+    def compute_qp_residual(  # type: ignore[override]
+        self, configuration: Configuration
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Diagonal weighted Jacobian, zero error, and no term besides."""
+        errors = [task.cost * task.compute_error(configuration) for task in self._of]  # type: ignore[arg-type]
+        levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]  # type: ignore[arg-type]
+        error = math.sqrt(sum(e @ e for e in errors))
+        lever = np.sqrt(sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self._jacobian))))
+        squared_cost = self.cost**2 + self._error_damping * error * lever * self._turns
+        return np.diag(np.sqrt(squared_cost)), np.zeros(len(self._jacobian)), 0.0
+
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Zero, shape (nv,)."""
+        return np.zeros(len(self._jacobian))
+
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """The identity, shape (nv, nv)."""
+        return self._jacobian
+
+
+def make_tasks(
+    hand: Hand, options: IkOptions, point_targets: np.ndarray, wrist_target: np.ndarray | None
+) -> list[mink.Task]:
+    """The tasks whose sum is the cost of `handmap_qp.ik.qp.PointIk`.
+
+    Args:
+        hand: The hand.
+        options: The weights.
+        point_targets: Where the reference points shall be [m], shape (m, 3).
+        wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+
+    Returns:
+        Point, wrist (unless free), rest and damping task.
+    """
+    tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options))]
+    if wrist_target is not None:
+        tasks.append(WristTask(wrist_target, *wrist_costs(options)))
+    free = 3 if hand.is_floating else 0
+    damping = DampingTask(
+        len(hand.active_columns), options.damping, options.error_damping, tasks, free
+    )
+    return [*tasks, RestTask(hand, options.rest_weight), damping]

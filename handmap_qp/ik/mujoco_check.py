@@ -1,0 +1,224 @@
+"""The same QP from another library.
+
+The hand's URDF compiled for MuJoCo, with mink's own `FrameTask`s and limits.
+
+Kinematics, Jacobians, logarithms, tasks and limits are all MuJoCo's and mink's, so that agreement
+with `handmap_qp.ik.qp` is evidence for both. Two things differ between the libraries and are mapped
+here:
+
+- The tangent space. Pinocchio's free-flyer moves by a body twist, MuJoCo's free joint by a linear
+  velocity in world axes and an angular one in body axes; and each orders the joints its own way.
+  `tangent_map` holds the matrix, which also ties followers of other joints to their leaders.
+- A point task. mink has none, and the error of a `FrameTask` without orientation cost is a
+  translation in the frame's own axes, which turn with the frame: the derivative of its SE(3)
+  logarithm is `J_point + 1/2 [e]x J_angular`, not `J_point`. The extra term is of the order of the
+  error e, so all right-hand sides are multiplied by the same small number (`SHRINK`): targets of
+  points are brought nearer, mink's gains, the limits' gain and the time do the rest. A QP's
+  solution shrinks exactly with its right-hand sides, so dividing by the same number gives the step,
+  with the extra term `SHRINK` times smaller. (mink 1.3 drops the term of its own accord where the
+  rotation left is below 1e-5 rad, which happens to suit point tasks of any length. With the exact
+  derivative, steps to targets up to a metre away would be off by up to 0.9 rad at full size, and by
+  9e-7 shrunk. For the same reason a wrist whose orientation has arrived before its position gets a
+  slightly different step from mink.)
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import mink
+import mujoco
+import numpy as np
+import qpsolvers
+
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.ik.costs import point_costs, wrist_costs
+from handmap_qp.ik.options import IkOptions
+
+SHRINK = 7e-7
+"""By how much all right-hand sides are scaled.
+
+Smaller ones drown in rounding, larger ones let a point task's rotation show.
+"""
+
+_MOUNT = "mujoco_mount"
+# Only kinematics are asked for; MuJoCo wants masses all the same. It would fuse links without
+# joints into their parents.
+_COMPILER = {
+    "fusestatic": "false",
+    "boundmass": "1",
+    "boundinertia": "1",
+    "discardvisual": "true",
+    "autolimits": "true",
+}
+
+
+class MujocoIk:
+    """Poses the QP of `handmap_qp.ik.qp.PointIk` with mink on MuJoCo.
+
+    Position and speed limits are mink's stacked rows, which contradict each other where a joint is
+    outside its limits by more than its speed allows to make good; there is no answer then.
+    Acceleration limits and self-collision avoidance are left out.
+
+    Args:
+        hand: The hand.
+        options: Weights, as of `PointIk`.
+        shrink: See the module's text.
+
+    Attributes:
+        model: MuJoCo's model; its sites are the reference points.
+    """
+
+    def __init__(self, hand: Hand, options: IkOptions, *, shrink: float = SHRINK) -> None:
+        self.hand = hand
+        self.options = options
+        self.shrink = shrink
+        self.model = mujoco_model(hand)
+        self._configuration = mink.Configuration(self.model)
+        # Followers of other joints are joints of their own here, as in Pinocchio's model; the
+        # tangent map ties them.
+        names = [name for name in hand.model.names if name in hand.all_joint_names]
+        self._q_indices = np.array([self.model.joint(name).qposadr[0] for name in names])
+        self._v_indices = np.array([self.model.joint(name).dofadr[0] for name in names])
+        self._hand_q = np.array(
+            [hand.model.joints[hand.model.getJointId(name)].idx_q for name in names]
+        )
+        self._hand_v = np.array(
+            [hand.model.joints[hand.model.getJointId(name)].idx_v for name in names]
+        )
+        self._points = [
+            mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0)
+            for point, cost in zip(hand.reference_points, point_costs(hand, options), strict=True)
+        ]
+        self._wrist = mink.FrameTask(
+            hand.spec.wrist.link, "body", *wrist_costs(options), gain=shrink
+        )
+        is_active = np.array([name in hand.joint_names for name in names])
+        rest_cost = np.zeros(self.model.nv)
+        rest_cost[self._v_indices[is_active]] = options.rest_weight
+        self._rest = mink.PostureTask(self.model, rest_cost, gain=shrink)
+        self._rest.set_target(self.qpos(hand.configuration_vector(hand.rest)))
+        self._limits = self._make_limits()
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the model at a configuration.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+        """
+        self._configuration.update(self.qpos(q))
+
+    def qpos(self, q: np.ndarray) -> np.ndarray:
+        """MuJoCo's configuration for Pinocchio's, shape (model.nq,)."""
+        qpos = self.model.qpos0.copy()
+        if self.hand.is_floating:
+            qpos[:3] = q[:3]
+            qpos[3:7] = q[[6, 3, 4, 5]]
+        qpos[self._q_indices] = q[self._hand_q]
+        return qpos
+
+    def tangent_map(self) -> np.ndarray:
+        """Matrix from our displacement, in the active coordinates, to MuJoCo's at the present configuration, shape (nv, k).
+
+        Its columns are orthonormal where no joint follows another.
+        """
+        T = np.zeros((self.model.nv, self.model.nv))
+        if self.hand.is_floating:
+            T[:3, :3] = (
+                self._configuration.get_transform_frame_to_world(self._root, "body")
+                .rotation()
+                .as_matrix()
+            )
+            T[3:6, 3:6] = np.eye(3)
+        T[self._v_indices, self._hand_v] = 1.0
+        return T if self.hand.expansion is None else T @ self.hand.expansion.matrix
+
+    def problem(
+        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+    ) -> qpsolvers.Problem:
+        """The QP of one iteration at the present configuration.
+
+        MuJoCo's, carried into our active coordinates.
+
+        Args:
+            point_targets: Where the reference points shall be [m], shape (m, 3).
+            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+            dt: Time for the displacement [s].
+
+        Returns:
+            The problem, its right-hand sides at full size.
+        """
+        tasks: list[mink.Task] = [*self._points, self._rest]
+        errors = []
+        for task, target in zip(self._points, point_targets, strict=True):
+            here = self._configuration.get_transform_frame_to_world(task.frame_name, "site")
+            near = here.translation() + self.shrink * (target - here.translation())
+            task.set_target(mink.SE3.from_rotation_and_translation(here.rotation(), near))
+            errors.append(task.cost[:3] * (target - here.translation()))
+        if wrist_target is not None:
+            self._wrist.set_target(mink.SE3.from_matrix(wrist_target))
+            tasks.append(self._wrist)
+            errors.append(self._wrist.cost * self._wrist.compute_error(self._configuration))
+        # Not mink's DampingTask, which spares the floating base, nor its lm_damping, which takes
+        # the error squared.
+        problem, T = (
+            mink.build_ik(
+                self._configuration, tasks, self.shrink * dt, damping=0.0, limits=self._limits
+            ),
+            self.tangent_map(),
+        )
+        P = T.T @ np.asarray(problem.P) @ T
+        lever = np.diag(P).copy()
+        lever[self.hand.joint_columns] -= self.options.rest_weight**2
+        lever[: 3 if self.hand.is_floating else 0] = 0.0
+        error = np.linalg.norm(np.concatenate(errors))
+        damping = self.options.damping**2 + self.options.error_damping * error * np.sqrt(
+            np.maximum(lever, 0.0)
+        )
+        G = None if problem.G is None else np.asarray(problem.G) @ T
+        h = None if problem.h is None else problem.h / self.shrink
+        return qpsolvers.Problem(P + np.diag(damping), T.T @ problem.q / self.shrink, G, h)
+
+    @property
+    def _root(self) -> str:
+        return self.model.body(int(self.model.jnt_bodyid[0])).name
+
+    def _make_limits(self) -> list[mink.Limit]:
+        limits: list[mink.Limit] = [mink.ConfigurationLimit(self.model, gain=self.shrink)]
+        if self.options.has_velocity_limits:
+            speeds = dict(zip(self.hand.joint_names, self.hand.velocity_limits, strict=True))
+            limits.append(mink.VelocityLimit(self.model, speeds))
+            if self.hand.is_floating:
+                wrist = self.hand.spec.wrist
+                limits.append(
+                    mink.FreeJointVelocityLimit(
+                        self.model, wrist.max_linear_speed, wrist.max_angular_speed
+                    )
+                )
+        return limits
+
+
+# mujoco's classes come from a binary module without type information.
+def mujoco_model(hand: Hand) -> mujoco.MjModel:  # type: ignore[name-defined]
+    """The hand's kinematics as a MuJoCo model.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        The compiled model: a free joint first where the wrist floats, then the URDF's joints in the
+            file's order, the URDF's links
+        as bodies and the reference points as sites.
+    """
+    robot = parse_urdf(hand.urdf_text)
+    for link in robot.iterfind("link"):
+        for part in list(link):
+            link.remove(part)
+    ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", _COMPILER)
+    spec = mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))  # type: ignore[attr-defined]
+    if hand.is_floating:
+        spec.worldbody.first_body().add_freejoint()
+    for point in hand.reference_points:
+        spec.body(point.link).add_site(name=f"{_MOUNT}/{point.name}", pos=point.xyz)
+    return spec.compile()

@@ -1,0 +1,206 @@
+"""Split a motion into a rigid part and a deformation (eqs.
+
+2-3), and into primitive transformations (Sec. II).
+
+`T = T_def T_rb`: the left polar decomposition `A = U R` gives the rotation and the stretch; the
+pivot says about which point both act. `T_rb` carries the pivot to where T takes it, and `T_def`
+leaves it there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.mapping.estimation import determinant, dgesdd
+from handmap_qp.transform import affine, as_floats, quat_wxyz_from_rotation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decomposition:
+    """The parts of a motion: `deformation @ rigid == motion`.
+
+    Attributes:
+        rigid: T_rb, shape (4, 4).
+        deformation: T_def, shape (4, 4).
+        rotation: R in SO(3), the rotation of T_rb, shape (3, 3).
+        stretch: U, symmetric, the linear part of T_def, shape (3, 3).
+        stretches: Eigenvalues of U, largest first in magnitude, shape (3,). The last is negative
+            where the motion mirrors.
+    """
+
+    rigid: np.ndarray
+    deformation: np.ndarray
+    rotation: np.ndarray
+    stretch: np.ndarray
+    stretches: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolarFactors:
+    """Left polar decomposition `A = U R` with the eigenvectors of U.
+
+    Attributes:
+        rotation: R in SO(3), shape (3, 3).
+        axes: Eigenvectors of U as columns, shape (3, 3).
+        stretches: Eigenvalues of U, shape (3,).
+    """
+
+    rotation: np.ndarray
+    axes: np.ndarray
+    stretches: np.ndarray
+
+    def stretch(self, stretches: np.ndarray | None = None) -> np.ndarray:
+        """The symmetric factor U, shape (3, 3), or the one with other eigenvalues along the same axes."""
+        return (self.axes * (self.stretches if stretches is None else stretches)).dot(self.axes.T)
+
+
+def polar(linear: np.ndarray) -> PolarFactors:
+    """Left polar decomposition by SVD (eq. 3), always with a proper rotation.
+
+    Where `A` mirrors, the eigenvalue of U of smallest magnitude takes the sign, so that `U R = A`
+    still holds. Where the two smallest are equal there, either may take it, and R is not unique.
+
+    Args:
+        linear: A, shape (3, 3).
+
+    Returns:
+        Rotation, axes and stretches.
+    """
+    axes, stretches, right, _ = dgesdd(linear)
+    rotation = axes.dot(right)
+    if determinant(rotation) < 0.0:
+        right[2] *= -1.0
+        stretches[2] *= -1.0
+        rotation = axes.dot(right)
+    return PolarFactors(rotation, axes, stretches)
+
+
+def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Decomposition:
+    """Split a motion into `T_def T_rb` (eqs. 2-3).
+
+    Args:
+        motion: T, shape (4, 4).
+        pivot: The point about which rotation and deformation act [m], shape (3,). The origin is the
+            paper's literal reading.
+
+    Returns:
+        The parts; `deformation @ rigid == motion` up to rounding.
+
+    Raises:
+        InvalidInputError: If `motion` is no affine 4x4 matrix or `pivot` no point.
+    """
+    matrix = _check_motion(motion)
+    point = as_floats(pivot, "pivot")
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise InvalidInputError(
+            f"pivot: expected a finite point of shape (3,), got {pivot}", value=pivot
+        )
+    factors = polar(matrix[:3, :3])
+    stretch = factors.stretch()
+    image = matrix[:3, :3] @ point + matrix[:3, 3]
+    return Decomposition(
+        rigid=about(factors.rotation, point, image),
+        deformation=about(stretch, image, image),
+        rotation=factors.rotation,
+        stretch=stretch,
+        stretches=factors.stretches,
+    )
+
+
+def about(linear: np.ndarray, point: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The motion `x -> linear (x - point) + image`, shape (4, 4)."""
+    return affine(linear, image - linear.dot(point))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Primitives:
+    """A motion as a product of primitive transformations (Sec. II of the paper).
+
+    `translation_motion @ rotation_motion @ shear_motion @ axis_scale_motion @
+    isotropic_scale_motion == motion`.
+
+    Attributes:
+        translation: [m], shape (3,).
+        quat_wxyz: Unit quaternion of the rotation, scalar first, shape (4,).
+        isotropic_scale: Scale common to all axes: the cube root of the volume ratio, negative where
+            the motion mirrors.
+        axis_scales: What remains along x, y and z; their product is 1, shape (3,).
+        shear: xy, xz and yz entries of the unit upper-triangular shear matrix, shape (3,).
+        translation_motion: The translation as a 4x4.
+        rotation_motion: The rotation as a 4x4.
+        isotropic_scale_motion: The isotropic scale as a 4x4.
+        axis_scale_motion: The axis scales as a 4x4.
+        shear_motion: The shear as a 4x4.
+    """
+
+    translation: np.ndarray
+    quat_wxyz: np.ndarray
+    isotropic_scale: float
+    axis_scales: np.ndarray
+    shear: np.ndarray
+    translation_motion: np.ndarray
+    rotation_motion: np.ndarray
+    isotropic_scale_motion: np.ndarray
+    axis_scale_motion: np.ndarray
+    shear_motion: np.ndarray
+
+
+def primitives(motion: npt.ArrayLike) -> Primitives:
+    """Recover the primitive transformations of a motion.
+
+    Translation, rotation, isotropic scale, axis scales, shear.
+
+    The linear part is factored as rotation times upper-triangular matrix (QR); the diagonal of the
+    latter gives the scales and the rest the shear. This rotation is not the polar one of
+    `decompose` unless there is no shear.
+
+    Args:
+        motion: T, shape (4, 4), with an invertible linear part.
+
+    Returns:
+        Each primitive as numbers and as a 4x4 whose product is the motion.
+
+    Raises:
+        InvalidInputError: If the matrix is no affine motion, or its linear part is singular.
+    """
+    matrix = _check_motion(motion)
+    rotation, upper = np.linalg.qr(matrix[:3, :3])
+    scales = np.diagonal(upper).copy()
+    if not np.abs(scales).min() > 1e-12 * np.abs(scales).max():
+        raise InvalidInputError(
+            f"motion: its linear part is singular (scales {scales.tolist()}), no primitives exist"
+        )
+    # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all
+    # three scales the sign.
+    signs = np.sign(scales) * (1.0 if np.prod(scales) * np.linalg.det(rotation) > 0.0 else -1.0)
+    rotation, upper, scales = rotation * signs, upper * signs[:, None], scales * signs
+    isotropic = float(np.cbrt(np.prod(scales)))
+    shear_matrix = upper / scales
+    zero = np.zeros(3)
+    return Primitives(
+        translation=matrix[:3, 3].copy(),
+        quat_wxyz=quat_wxyz_from_rotation(rotation),
+        isotropic_scale=isotropic,
+        axis_scales=scales / isotropic,
+        shear=shear_matrix[[0, 0, 1], [1, 2, 2]],
+        translation_motion=affine(np.eye(3), matrix[:3, 3]),
+        rotation_motion=affine(rotation, zero),
+        isotropic_scale_motion=affine(isotropic * np.eye(3), zero),
+        axis_scale_motion=affine(np.diag(scales / isotropic), zero),
+        shear_motion=affine(shear_matrix, zero),
+    )
+
+
+def _check_motion(motion: npt.ArrayLike) -> np.ndarray:
+    matrix = as_floats(motion, "motion")
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise InvalidInputError(f"motion: expected a finite matrix of shape (4, 4), got {motion}")
+    if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-12:
+        raise InvalidInputError(
+            f"motion: expected a last row of 0, 0, 0, 1 (no perspective), got {matrix[3].tolist()}"
+        )
+    return matrix

@@ -1,0 +1,123 @@
+"""What goes in and what comes out, as values.
+
+One human sample, one robot command, one step of the mapping with all its stages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handmap_qp.ik.qp import IkResult, Status
+from handmap_qp.mapping.estimation import MotionEstimate
+from handmap_qp.mapping.transfer import Transfer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotCommand:
+    """What a robot driver takes.
+
+    Attributes:
+        joint_names: Names of the joints, in the order of `q`.
+        q: Joint angles [rad], shape (n,), inside their limits.
+        wrist: Pose of the wrist frame in the robot's world, shape (4, 4).
+    """
+
+    joint_names: tuple[str, ...]
+    q: np.ndarray
+    wrist: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapStep:
+    """One step of the mapping, stage by stage.
+
+    What each stage gave is kept whole, and what people ask for most can be read off directly.
+
+    Attributes:
+        command: The robot's next joint angles and wrist pose.
+        human_points: Human reference points in the human's world (eq. 4) [m], shape (n_h, 3).
+        estimate: T and how it fits (eqs. 5-6).
+        transfer: T_rb, T_def and the robot's targets (eqs. 2-3, 7).
+        ik: Where the inverse kinematics ended (in place of eq. 8).
+        out_of_range: Names of human joints that were outside their limits, within the tolerance,
+            and used all the same.
+        duration: Wall time of the step [s].
+    """
+
+    command: RobotCommand
+    human_points: np.ndarray
+    estimate: MotionEstimate
+    transfer: Transfer
+    ik: IkResult
+    out_of_range: tuple[str, ...]
+    duration: float
+
+    @property
+    def motion(self) -> np.ndarray:
+        """T from the reference configuration to now (eqs. 5-6), shape (4, 4)."""
+        return self.estimate.motion
+
+    @property
+    def motion_rigid(self) -> np.ndarray:
+        """T_rb (eq. 2), shape (4, 4)."""
+        return self.transfer.motion_rigid
+
+    @property
+    def motion_deformation(self) -> np.ndarray:
+        """T_def (eq. 2), after clamping and gain, shape (4, 4).
+
+        With neither, `motion_deformation @ motion_rigid == motion`.
+        """
+        return self.transfer.motion_deformation
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Distance of each human point from where T takes it [m], shape (n_h,)."""
+        return self.estimate.residuals
+
+    @property
+    def stretches(self) -> np.ndarray:
+        """Eigenvalues of the stretch U before clamping, shape (3,)."""
+        return self.transfer.stretches
+
+    @property
+    def is_clamped(self) -> bool:
+        """Whether a stretch was outside its allowed range."""
+        return self.transfer.is_clamped
+
+    @property
+    def targets(self) -> np.ndarray:
+        """Where the robot's reference points should be (eq. 7) [m], shape (n_r, 3)."""
+        return self.transfer.targets
+
+    @property
+    def wrist_target(self) -> np.ndarray:
+        """Where the robot's wrist should be, shape (4, 4)."""
+        return self.transfer.wrist_target
+
+    @property
+    def points(self) -> np.ndarray:
+        """Where the robot's reference points are [m], shape (n_r, 3)."""
+        return self.ik.points
+
+    @property
+    def point_error(self) -> np.ndarray:
+        """Distance between targets and points [m], shape (n_r,)."""
+        return np.linalg.norm(self.transfer.targets - self.ik.points, axis=1)
+
+    @property
+    def at_limit(self) -> np.ndarray:
+        """Joints that a position or speed limit holds in this step, in the order of `command.q`, shape (n,)."""
+        return self.ik.active[self.ik.joint_columns] != 0
+
+    @property
+    def status(self) -> Status:
+        """How the inverse kinematics ended; see `IkResult.status`."""
+        return self.ik.status
+
+    @property
+    def iterations(self) -> int:
+        """QPs solved."""
+        return self.ik.iterations

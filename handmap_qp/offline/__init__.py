@@ -1,0 +1,1 @@
+"""Recordings to robot trajectories, and how good they are."""

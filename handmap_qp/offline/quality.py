@@ -1,0 +1,270 @@
+"""How faithful a mapped motion is to the human's, whatever mapping made it.
+
+The point error tells how well a robot reaches what its mapping asks of it, and a mapping that asks
+for nothing scores best. So the fingers are compared with the human's too: how far each tip is from
+the palm, over time. Did it follow (correlation), and by how much (ratio of ranges)? And the palms:
+does the robot's go where the human's does? And does it go there smoothly?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.offline.trajectory import Trajectory
+from handmap_qp.trackers.recording import HumanMotion
+
+# A range is taken between these percentiles, so that a glitch of the tracker does not make it.
+_RANGE = (2.0, 98.0)
+# A fingertip that travels less than this stands still [m].
+_STILL = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class FingerMatch:
+    """How a robot's finger follows the human's, by the distance from tip to palm over time.
+
+    Attributes:
+        finger: Anatomical name.
+        correlation: Pearson's, in [-1, 1]; 0 where either finger stands still.
+        human_range: From the 2nd to the 98th percentile of the human's distance [m].
+        robot_range: The same of the robot's [m].
+    """
+
+    finger: str
+    correlation: float
+    human_range: float
+    robot_range: float
+
+    @property
+    def range_ratio(self) -> float:
+        """The robot's range in parts of the human's; NaN where the human's finger stands still."""
+        return self.robot_range / self.human_range if self.human_range > _STILL else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionQuality:
+    """What `assess_quality` finds.
+
+    Attributes:
+        fingers: One match for every finger that both hands have.
+        correlation: Mean over the fingers, each counting by how much the human's moved; NaN where
+            none did.
+        range_ratio: The robot's ranges in parts of the human's, all fingers together; NaN where
+            none moved.
+        wrist_distance: RMS distance between the palms, each measured from where it was at the first
+            sample [m].
+        wrist_angle: RMS angle between them, likewise [rad].
+        point_error_mean: Mean distance of the robot's reference points from their targets [m].
+        point_error_p95: Its 95th percentile [m].
+        share_at_limit: Share of the samples in which some joint is at a position limit.
+        speed: RMS joint speed of the robot [rad/s].
+        jerk: RMS joint jerk of the robot [rad/s^3].
+        human_speed: RMS joint speed of the human [rad/s].
+        human_jerk: RMS joint jerk of the human, tracker noise included [rad/s^3].
+    """
+
+    fingers: tuple[FingerMatch, ...]
+    correlation: float
+    range_ratio: float
+    wrist_distance: float
+    wrist_angle: float
+    point_error_mean: float
+    point_error_p95: float
+    share_at_limit: float
+    speed: float
+    jerk: float
+    human_speed: float
+    human_jerk: float
+
+
+def assess_quality(motion: HumanMotion, trajectory: Trajectory) -> MotionQuality:
+    """Compare a robot's motion with the human's that it came from.
+
+    Args:
+        motion: The human's motion.
+        trajectory: The robot's, of the same samples.
+
+    Returns:
+        Numbers over the valid samples.
+
+    Raises:
+        InvalidInputError: If the two have different numbers of samples.
+    """
+    if len(motion.time) != len(trajectory.time):
+        raise InvalidInputError(
+            f"trajectory: expected {len(motion.time)} samples as in motion, got {len(trajectory.time)}"
+        )
+    human, robot, seen = motion.human, trajectory.robot, motion.valid
+    fingers = match_fingers(
+        finger_extensions(human, motion.q[seen]), finger_extensions(robot, trajectory.q[seen])
+    )
+    distance, angle = palm_deviation(
+        motion.wrist[seen] @ human.wrist_to_palm, trajectory.wrist[seen] @ robot.wrist_to_palm
+    )
+    points = trajectory.point_error[seen]
+    return MotionQuality(
+        fingers=fingers,
+        correlation=mean_correlation(fingers),
+        range_ratio=total_range_ratio(fingers),
+        wrist_distance=_rms(distance),
+        wrist_angle=_rms(angle),
+        point_error_mean=float(points.mean()),
+        point_error_p95=float(np.percentile(points, 95)),
+        share_at_limit=float(trajectory.at_limit[seen].any(axis=1).mean()),
+        speed=rms_derivative(trajectory.q, motion.time, seen, order=1),
+        jerk=rms_derivative(trajectory.q, motion.time, seen, order=3),
+        human_speed=rms_derivative(motion.q, motion.time, seen, order=1),
+        human_jerk=rms_derivative(motion.q, motion.time, seen, order=3),
+    )
+
+
+def finger_tips(hand: Hand) -> dict[str, str]:
+    """The tip of every finger.
+
+    Of its named points, the one farthest from the palm when the hand is stretched out.
+
+    Args:
+        hand: The hand; stretched out is zero, or as near to it as a joint's limits allow.
+
+    Returns:
+        Names of points by finger, in the order in which the hand's description names the fingers.
+    """
+    fingers = [point.finger for point in hand.spec.points if point.finger is not None]
+    named = tuple(point.name for point in hand.spec.points if point.finger is not None)
+    if not named:
+        return {}
+    reach = _tip_distances(hand, named, np.clip(0.0, hand.lower_limits, hand.upper_limits)[None])[0]
+    best: dict[str, int] = {}
+    for i, finger in enumerate(fingers):
+        # A point at the same place as an earlier one, but for rounding, does not replace it.
+        if finger not in best or reach[i] > reach[best[finger]] + 1e-9:
+            best[finger] = i
+    return {finger: named[i] for finger, i in best.items()}
+
+
+def finger_extensions(hand: Hand, q: np.ndarray) -> dict[str, np.ndarray]:
+    """How far every fingertip is from the palm frame's origin.
+
+    Args:
+        hand: The hand.
+        q: Joint angles over time [rad], shape (T, n).
+
+    Returns:
+        Distances by finger [m], shape (T,) each.
+    """
+    tips = finger_tips(hand)
+    return (
+        dict(zip(tips, _tip_distances(hand, tuple(tips.values()), q).T, strict=True))
+        if tips
+        else {}
+    )
+
+
+def match_fingers(
+    human: dict[str, np.ndarray], robot: dict[str, np.ndarray]
+) -> tuple[FingerMatch, ...]:
+    """Compare the fingers that both hands have, by name.
+
+    Args:
+        human: Distances from tip to palm by finger [m], shape (T,) each.
+        robot: The robot's, likewise.
+
+    Returns:
+        One match a finger, in the human's order.
+    """
+    return tuple(
+        _match(finger, human[finger], robot[finger]) for finger in human if finger in robot
+    )
+
+
+def mean_correlation(fingers: Sequence[FingerMatch]) -> float:
+    """Mean correlation, each finger counting by the human's range.
+
+    They may come from several recordings.
+    """
+    weight = sum(match.human_range for match in fingers)
+    return (
+        sum(match.human_range * match.correlation for match in fingers) / weight
+        if weight > 0.0
+        else float("nan")
+    )
+
+
+def total_range_ratio(fingers: Sequence[FingerMatch]) -> float:
+    """Sum of the robot's ranges over the sum of the human's.
+
+    They may come from several recordings.
+    """
+    human = sum(match.human_range for match in fingers)
+    return sum(match.robot_range for match in fingers) / human if human > 0.0 else float("nan")
+
+
+def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the robot's palm is from doing what the human's does.
+
+    Both are expressed in their own axes at the first sample, where they agree by definition; so it
+    does not matter where the two worlds lie, and a mapping that carries the human's palm motion
+    over exactly scores zero.
+
+    Args:
+        human_palm: Palm poses in the human's world, shape (T, 4, 4).
+        robot_palm: Palm poses in the robot's world, shape (T, 4, 4).
+
+    Returns:
+        Distance [m] and angle [rad], shape (T,) each.
+    """
+    human, robot = (
+        np.linalg.inv(human_palm[0]) @ human_palm,
+        np.linalg.inv(robot_palm[0]) @ robot_palm,
+    )
+    distance = np.linalg.norm(robot[:, :3, 3] - human[:, :3, 3], axis=1)
+    turn = human[:, :3, :3].transpose(0, 2, 1) @ robot[:, :3, :3]
+    return distance, Rotation.from_matrix(turn).magnitude()
+
+
+def rms_derivative(values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int) -> float:
+    """RMS of a time derivative, by divided differences, so that uneven instants do no harm.
+
+    Args:
+        values: Columns over time, shape (T, n).
+        time: Instants, increasing [s], shape (T,).
+        valid: Samples that may be used, shape (T,); a difference needs `order + 1` of them in a
+            row.
+        order: 1 for speed, 3 for jerk.
+
+    Returns:
+        The RMS over columns and instants [unit/s^order]; NaN where no `order + 1` samples in a row
+        are valid.
+    """
+    differences, usable = values, valid
+    for k in range(1, order + 1):
+        # k! f[t_0 .. t_k] is the k-th derivative of the polynomial through k + 1 samples.
+        differences = k * np.diff(differences, axis=0) / (time[k:] - time[:-k])[:, None]
+        usable = usable[1:] & usable[:-1]
+    return _rms(differences[usable]) if usable.any() else float("nan")
+
+
+def _match(finger: str, human: np.ndarray, robot: np.ndarray) -> FingerMatch:
+    spread = [float(np.diff(np.percentile(values, _RANGE))[0]) for values in (human, robot)]
+    # np.corrcoef of a constant is NaN with a warning; a finger that stands still follows nobody.
+    is_still = min(np.ptp(human), np.ptp(robot)) <= _STILL
+    return FingerMatch(finger, 0.0 if is_still else float(np.corrcoef(human, robot)[0, 1]), *spread)
+
+
+def _tip_distances(hand: Hand, points: tuple[str, ...], q: np.ndarray) -> np.ndarray:
+    """Distance of named points from the palm frame's origin [m], shape (T, k)."""
+    placed = hand.with_points(points)
+    palm = hand.wrist_to_palm[:3, 3]
+    return np.array([np.linalg.norm(placed.points(angles) - palm, axis=1) for angles in q]).reshape(
+        len(q), len(points)
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

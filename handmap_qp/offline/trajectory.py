@@ -1,0 +1,183 @@
+"""A human motion mapped to a robot, sample by sample.
+
+`map_motion` and the `Trajectory` it gives.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from time import thread_time_ns
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.trackers.recording import HumanMotion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """A robot's motion, as columns of T samples.
+
+    Attributes:
+        robot: The robot hand.
+        time: Instants [s], shape (T,).
+        q: Joint angles in the order of `robot.joint_names` [rad], shape (T, n).
+        wrist: Wrist poses in the robot's world, shape (T, 4, 4).
+        targets: Where the reference points should be [m], shape (T, m, 3).
+        points: Where they are [m], shape (T, m, 3).
+        point_error: Distance between the two [m], shape (T, m).
+        wrist_error: Distance of the wrist from its target [m], shape (T,).
+        valid: Samples in which the human was seen, shape (T,); in the others the robot holds still.
+        at_limit: Joints at one of their position limits, shape (T, n).
+        status: How each step ended, shape (T,).
+        step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
+        jacobian_cpu: CPU time of `pin.computeJointJacobians` on the robot's model, a batch now and
+            then [s], shape (B,).
+    """
+
+    robot: Hand
+    time: np.ndarray
+    q: np.ndarray
+    wrist: np.ndarray
+    targets: np.ndarray
+    points: np.ndarray
+    point_error: np.ndarray
+    wrist_error: np.ndarray
+    valid: np.ndarray
+    at_limit: np.ndarray
+    status: np.ndarray
+    step_cpu: np.ndarray
+    jacobian_cpu: np.ndarray
+
+    @property
+    def limit_violation(self) -> float:
+        """Largest distance of a joint from inside its position limits [rad or m]."""
+        outside = np.maximum(self.robot.lower_limits - self.q, self.q - self.robot.upper_limits)
+        return max(0.0, float(outside.max()))
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Everything that a robot or a reader needs, as plain arrays by name.
+
+        What goes into a file.
+        """
+        return {
+            "time": self.time,
+            "joint_names": np.array(self.robot.joint_names),
+            "q": self.q,
+            "all_joint_names": np.array(self.robot.all_joint_names),
+            "all_joint_roles": np.array(self.robot.all_joint_roles),
+            "all_q": self.robot.all_joints(self.q),
+            "wrist": self.wrist,
+            "targets": self.targets,
+            "points": self.points,
+            "point_names": np.array([point.name for point in self.robot.reference_points]),
+            "point_error": self.point_error,
+            "wrist_error": self.wrist_error,
+            "valid": self.valid,
+            "at_limit": self.at_limit,
+            "status": self.status,
+            "robot": np.array(self.robot.name),
+            "versions": np.array(
+                [
+                    f"{package} {version(package)}"
+                    for package in ("handmap-qp", "pin", "daqp", "numpy")
+                ]
+            ),
+        }
+
+
+def map_motion(
+    mapper: HandMapper, motion: HumanMotion, progress: Callable[[int], None] | None = None
+) -> Trajectory:
+    """Map a whole human motion.
+
+    Args:
+        mapper: A mapper whose human has the joints of the motion's.
+        motion: The motion.
+        progress: Called with the number of samples done after each one.
+
+    Returns:
+        The robot's trajectory, of as many samples.
+    """
+    count = len(motion.time)
+    steps: list[MapStep | None] = []
+    step_cpu, jacobian_cpu = np.full(count, np.nan), []
+    dt = motion.dt
+    for i in range(count):
+        if i % 50 == 0:
+            jacobian_cpu.append(_jacobian_cpu(mapper.robot))
+        if motion.valid[i]:
+            started = thread_time_ns()
+            step = mapper.map_step(motion.q[i], motion.wrist[i], dt=dt[i])
+            step_cpu[i] = 1e-9 * (thread_time_ns() - started)
+            steps.append(step)
+        else:
+            steps.append(steps[-1] if steps else None)
+        if progress is not None:
+            progress(i + 1)
+    first = next((step for step in steps if step is not None), None)
+    if first is None:
+        raise InvalidInputError("motion: no sample is valid, there is nothing to map")
+    filled = [step or first for step in steps]
+    q = np.array([step.command.q for step in filled])
+    wrist = np.array([step.command.wrist for step in filled])
+    wrist_targets = np.array([step.wrist_target for step in filled])
+    return Trajectory(
+        robot=mapper.robot,
+        time=motion.time,
+        q=q,
+        wrist=wrist,
+        targets=np.array([step.targets for step in filled]),
+        points=np.array([step.points for step in filled]),
+        point_error=np.array([step.point_error for step in filled]),
+        wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
+        valid=motion.valid,
+        at_limit=(q <= mapper.robot.lower_limits + 1e-6) | (q >= mapper.robot.upper_limits - 1e-6),
+        status=np.array([step.status for step in filled]),
+        step_cpu=step_cpu,
+        jacobian_cpu=np.array(jacobian_cpu),
+    )
+
+
+def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """Write arrays to an `.npz` file, whole or not at all.
+
+    Args:
+        path: The file; its folder must exist.
+        columns: Arrays by name.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
+    try:
+        handle, temporary = tempfile.mkstemp(suffix=".npz", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **columns)
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InvalidInputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _jacobian_cpu(robot: Hand, calls: int = 20) -> float:
+    """CPU time of one `pin.computeJointJacobians` [s], as the mean over a batch, so that reading the clock does not count."""
+    data, q = robot.model.createData(), robot.configuration_vector(robot.rest)
+    pin.computeJointJacobians(robot.model, data, q)
+    started = thread_time_ns()
+    for _ in range(calls):
+        pin.computeJointJacobians(robot.model, data, q)
+    return 1e-9 * (thread_time_ns() - started) / calls

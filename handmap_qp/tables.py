@@ -1,0 +1,47 @@
+"""Tables and progress bars of the command line."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+_PAIR = ("what", "value")
+"""Columns of a table that needs no header."""
+
+
+@contextlib.contextmanager
+def progress(what: str, total: int | None = None) -> Iterator[Any]:
+    """A progress bar on stderr while the block runs.
+
+    Gives the function to call with the number of samples done.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def print_table(title: str, values: dict[str, Any]) -> None:
+    """Print labels and values, a row each, under a title."""
+    print_rows(title, [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()])
+
+
+def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
+    """Print a table whose columns are the keys of its rows."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=list(rows[0]) != list(_PAIR))
+    for name, value in rows[0].items():
+        table.add_column(name, justify="right" if isinstance(value, int | float) else "left")
+    for row in rows:
+        table.add_row(
+            *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
+        )
+    console = Console()
+    console.print(title, style="bold")
+    console.print(table)

@@ -1,0 +1,127 @@
+"""The benchmarks run, and what they share does what it says."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from handmap_qp.trackers.recording import HumanMotion
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+SCRIPTS = sorted(FOLDER.glob("bench_*.py"))
+
+
+def run(script: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(script), *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[dict[str, ModuleType]]:
+    """The modules beside the scripts, which find each other because a script's folder is on the path."""
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield {name: importlib.import_module(name) for name in ("common", "scenes")}
+    finally:
+        sys.path.remove(str(FOLDER))
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_every_benchmark_runs_and_writes_its_numbers(
+    script: Path, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    if "find_recordings" in script.read_text(encoding="utf-8"):
+        request.getfixturevalue("recordings")
+    results, drawing = tmp_path / "results.json", tmp_path / "results.png"
+    done = run(script, "--quick", "--json", results, "--picture", drawing)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(results.read_text(encoding="utf-8"))
+    assert document["benchmark"] in script.stem
+    assert document["facts"]["versions"]["handmap-qp"]
+    assert drawing.read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
+    done = run(FOLDER / "bench_accuracy.py", "--quick", "--json", "-", "--recordings", recordings)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    assert {row["robot"] for row in rows} == {"three_finger", "allegro"}
+    assert all(-1.0 <= row["correlation"] <= 1.0 and row["jerk_over_human"] > 0.0 for row in rows)
+    assert "What the choices do" in done.stderr
+
+
+def test_without_recordings_a_benchmark_says_so_in_one_line(tmp_path: Path) -> None:
+    done = run(FOLDER / "bench_accuracy.py", "--recordings", tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert "--recordings DIR or HANDMAP_RECORDINGS" in line
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_any_work(
+    shared: dict[str, ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = shared["common"]
+    with pytest.raises(SystemExit) as stopped:
+        common.parse_arguments(
+            common.make_parser("test"), ["--json", str(tmp_path / "missing" / "out.json")]
+        )
+    assert stopped.value.code == 2
+    assert "there is no such folder" in capsys.readouterr().err
+
+
+def test_json_holds_plain_numbers(shared: dict[str, ModuleType], tmp_path: Path) -> None:
+    file = tmp_path / "out.json"
+    shared["common"].write_json(
+        str(file), "test", {"a": np.float64(1.5), "b": [float("nan"), np.arange(2)], 3: {"c": True}}
+    )
+    document = json.loads(file.read_text(encoding="utf-8"))
+    assert (document["a"], document["b"], document["3"]) == (1.5, [None, [0, 1]], {"c": True})
+
+
+def test_tables_are_never_cut(
+    shared: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = {f"a long column {i}": f"{i} and words" for i in range(30)}
+    shared["common"].print_table("Title", [columns, {}, columns])
+    printed = capsys.readouterr().out
+    assert all(text in printed for pair in columns.items() for text in pair)
+
+
+def test_cpu_time_is_that_of_the_call(shared: dict[str, ModuleType]) -> None:
+    common, seen = shared["common"], []
+    times = common.cpu_times(seen.append, 5)
+    assert seen == [0, 1, 2, 3, 4]
+    assert (times >= 0.0).all()
+    assert common.mean_cpu_time(lambda: sum(range(2000)), 20) > common.mean_cpu_time(
+        lambda: None, 20
+    )
+
+
+def test_every_other_sample_takes_twice_the_time(
+    shared: dict[str, ModuleType], recordings: Path
+) -> None:
+    scene = shared["scenes"].load_scene(recordings / "leap_pinch_move_right.npz", samples=30)
+    motion: HumanMotion = scene.motion
+    thinned: HumanMotion = shared["scenes"].thinned(motion, 2)
+    np.testing.assert_array_equal(thinned.q, motion.q[::2])
+    np.testing.assert_allclose(thinned.dt[1:], motion.time[2::2] - motion.time[:-2:2])
+    assert shared["scenes"].thinned(motion, 1) is motion
+
+
+def test_robots_are_found_for_either_side(shared: dict[str, ModuleType]) -> None:
+    robot_for = shared["scenes"].robot_for
+    assert [robot_for("allegro", side).side for side in ("left", "right")] == ["left", "right"]
+    right, left = (robot_for("three_finger", side).reference_points for side in ("right", "left"))
+    assert [point.finger for point in right] == ["thumb", "middle", "index"]
+    assert [point.finger for point in left] == ["thumb", "index", "middle"]
+    assert [point.partner for point in left] == ["thumb_tip", "index_tip", "middle_tip"]
+    assert [point.link for point in left] == [point.link for point in right]

@@ -1,0 +1,175 @@
+"""The command line: what it writes and prints, and one line for every mistake."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmap_qp import cli, load_hand
+
+KEYS = {
+    "samples",
+    "held",
+    "step_cpu_us_median",
+    "step_cpu_us_p99",
+    "jacobian_cpu_us_median",
+    "point_error_mm_mean",
+    "point_error_mm_p95",
+    "point_error_mm_max",
+    "samples_at_limit",
+    "limit_violation_max",
+    "fit_error_mm_mean",
+}
+COLUMNS = {
+    "time",
+    "joint_names",
+    "q",
+    "wrist",
+    "targets",
+    "points",
+    "point_error",
+    "valid",
+    "versions",
+}
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A small recording of a hand closing, with one gap."""
+    hand = load_hand("human", points="landmarks")
+    shares = np.linspace(0.0, 0.6, 30)
+    landmarks = np.array(
+        [hand.points(hand.rest + share * (hand.upper_limits - hand.rest) * 0.5) for share in shares]
+    )
+    valid = np.ones(30, dtype=bool)
+    valid[10:13] = False
+    path = tmp_path / "closing.npz"
+    np.savez(path, time=np.arange(30) / 60.0, landmarks=landmarks, valid=valid, handedness="right")
+    return path
+
+
+@pytest.mark.parametrize("robot", ["three_finger", "allegro_right", "romeo_right"])
+def test_map_writes_the_trajectory_and_prints_its_summary(
+    recording: Path, tmp_path: Path, robot: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.npz"
+    assert cli.main(["map", str(recording), "--robot", robot, "--out", str(out), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary.keys() >= KEYS
+    assert (summary["samples"], summary["held"]) == (30, 3)
+    assert summary["limit_violation_max"] <= 1e-9
+    with np.load(out, allow_pickle=False) as columns:
+        assert set(columns) >= COLUMNS
+        assert columns["q"].shape == (30, len(columns["joint_names"]))
+        assert columns["wrist"].shape == (30, 4, 4)
+        error = np.linalg.norm(columns["targets"] - columns["points"], axis=2)
+        np.testing.assert_allclose(columns["point_error"], error, atol=1e-12)
+        np.testing.assert_array_equal(columns["q"][10:13], columns["q"][[9, 9, 9]])
+        assert columns["all_q"].shape == (30, len(columns["all_joint_names"]))
+        is_active = columns["all_joint_roles"] == "active"
+        np.testing.assert_array_equal(columns["all_q"][:, is_active], columns["q"])
+        hand = load_hand(robot)
+        replayed = [
+            hand.points(q, wrist) for q, wrist in zip(columns["q"], columns["wrist"], strict=True)
+        ]
+        np.testing.assert_allclose(replayed, columns["points"], atol=1e-9)
+
+
+def test_map_prints_a_table_and_names_the_file(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert (
+        cli.main(
+            [
+                "map",
+                str(recording),
+                "--robot",
+                "three_finger",
+                "--rigid-from",
+                "wrist",
+                "--ik.max-iterations",
+                "1",
+            ]
+        )
+        == 0
+    )
+    printed = capsys.readouterr().out
+    assert "point error" in printed
+    assert "closing_three_finger.npz" in printed
+    assert (tmp_path / "closing_three_finger.npz").is_file()
+
+
+def test_hands_lists_and_describes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["hands", "--json"]) == 0
+    assert {row["name"] for row in json.loads(capsys.readouterr().out)} >= {
+        "human",
+        "three_finger",
+        "allegro_right",
+    }
+    assert cli.main(["hands", "three_finger", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["joints"]) == 8
+    assert cli.main(["hands"]) == 0
+    assert cli.main(["hands", "human"]) == 0
+    assert "thumb_TM_abduction" in capsys.readouterr().out
+
+
+MISTAKES = {
+    "no command": [],
+    "unknown command": ["dance"],
+    "unknown option": ["map", "{recording}", "--robot", "three_finger", "--speed", "3"],
+    "no recording": ["map", "absent.npz", "--robot", "three_finger"],
+    "no robot": ["map", "{recording}"],
+    "unknown robot": ["map", "{recording}", "--robot", "tentacle"],
+    "not a number": ["map", "{recording}", "--robot", "three_finger", "--ridge", "much"],
+    "number out of range": ["map", "{recording}", "--robot", "three_finger", "--ridge", "-1"],
+    "contradiction": ["map", "{recording}", "--robot", "three_finger", "--pivot", "point"],
+    "unknown point set": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--human-points",
+        "toes",
+    ],
+    "unknown solver": ["map", "{recording}", "--robot", "three_finger", "--ik.solver", "abacus"],
+    "no folder": ["map", "{recording}", "--robot", "three_finger", "--out", "nowhere/out.npz"],
+    "not an npz": ["map", "{recording}", "--robot", "three_finger", "--out", "out.csv"],
+    "no recording at all": ["map", "{folder}/hand.txt", "--robot", "three_finger"],
+    "unknown hand": ["hands", "tentacle"],
+    "demo onto a file": ["demo", "--out", "{recording}"],
+}
+
+
+@pytest.mark.parametrize("words", MISTAKES.values(), ids=MISTAKES.keys())
+def test_a_mistake_is_one_line_and_leaves_no_file(
+    words: list[str],
+    recording: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = recording.parent
+    (folder / "hand.txt").write_text("thumb up")
+    before = sorted(folder.rglob("*"))
+    monkeypatch.chdir(folder)
+    assert cli.main([word.format(recording=recording, folder=folder) for word in words]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("handmap: ")
+    assert printed.err.count("\n") == 1
+    assert "Traceback" not in printed.err
+    assert printed.out == ""
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "words", [["--help"], ["map", "--help"], ["demo", "--help"], ["hands", "--help"]], ids=" ".join
+)
+def test_help_teaches(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(words)
+    assert end.value.code == 0
+    assert len(capsys.readouterr().out.splitlines()) > 10

@@ -1,0 +1,163 @@
+"""The order of the house: who imports whom, style, types, sizes, what lies where."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import handmap_qp
+
+ROOT = Path(__file__).parents[2]
+TOP_LEVEL = {
+    "pyproject.toml",
+    "handmap_qp",
+    "urdf",
+    "benchmarks",
+    "tests",
+    "docs",
+    "examples",
+    "README.md",
+    "LICENSE",
+    "CHANGELOG.md",
+    "CITATION.cff",
+    "Makefile",
+    "uv.lock",
+}
+# What a plain import must not wait for.
+SLOW_PACKAGES = ("mujoco", "mink", "qpsolvers", "matplotlib", "yourdfpy", "trimesh")
+
+
+@pytest.fixture(scope="module")
+def project() -> dict[str, Any]:
+    """The content of pyproject.toml."""
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(word) for word in command], cwd=ROOT, capture_output=True, text=True, timeout=600
+    )
+
+
+def script(name: str) -> Path:
+    """A command of the environment that the tests run in, whether activated or not."""
+    return Path(sysconfig.get_path("scripts")) / name
+
+
+def test_imports_point_downward() -> None:
+    done = run(script("lint-imports"), "--no-cache")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", [("check",), ("format", "--check")], ids=" ".join)
+def test_style_is_clean(command: tuple[str, ...]) -> None:
+    done = run(sys.executable, "-m", "ruff", *command, "--output-format", "concise", ".")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_types_are_clean() -> None:
+    done = run(sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "--outputjson")
+    assert done.stdout.startswith("{"), done.stdout + done.stderr
+    report = json.loads(done.stdout)
+    errors = [
+        f"{finding['file']}:{finding['range']['start']['line'] + 1}: {finding['message']}"
+        for finding in report["generalDiagnostics"]
+        if finding["severity"] == "error"
+    ]
+    assert not errors, "\n".join(errors)
+    assert report["summary"]["filesAnalyzed"] > 0
+
+
+def test_top_level_holds_nothing_else() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    # In a container the checkout may belong to another user, which git otherwise takes for an
+    # attack.
+    done = run("git", "-c", "safe.directory=*", "ls-files", "-z")
+    assert done.returncode == 0, done.stderr
+    entries = {name.split("/")[0] for name in done.stdout.split("\0") if name}
+    assert not {entry for entry in entries - TOP_LEVEL if not entry.startswith(".")}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        pytest.param("import handmap_qp", id="import"),
+        pytest.param(
+            "sys.argv = ['handmap', '--help']\n"
+            "from handmap_qp.cli import main\n"
+            "try:\n"
+            "    main()\n"
+            "except SystemExit as stop:\n"
+            "    assert not stop.code, stop.code\n",
+            id="help",
+        ),
+    ],
+)
+def test_slow_packages_wait_until_used(code: str) -> None:
+    loaded = f"print([name for name in {SLOW_PACKAGES!r} if name in sys.modules], file=sys.stderr)"
+    done = run(sys.executable, "-c", f"import sys\n{code}\n{loaded}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr.splitlines()[-1] == "[]", done.stderr
+
+
+def test_versions_agree(project: dict[str, Any]) -> None:
+    version = project["project"]["version"]
+    assert importlib.metadata.version("handmap-qp") == version
+    assert getattr(handmap_qp, "__version__", version) == version
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"] == version
+    assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_public_names_exist() -> None:
+    names = getattr(handmap_qp, "__all__", [])
+    assert len(set(names)) == len(names)
+    assert not [name for name in names if not hasattr(handmap_qp, name)]
+
+
+def requirements(project: dict[str, Any]) -> list[Requirement]:
+    """Everything that .venv is asked to hold, but for the package itself."""
+    lines = [
+        *project["project"]["dependencies"],
+        *(line for extra in project["project"]["optional-dependencies"].values() for line in extra),
+        *project["dependency-groups"]["dev"],
+    ]
+    return [
+        wanted for wanted in map(Requirement, lines) if wanted.name != project["project"]["name"]
+    ]
+
+
+def test_extra_all_is_all(project: dict[str, Any]) -> None:
+    extras = dict(project["project"]["optional-dependencies"])
+    (line,) = extras.pop("all")
+    assert Requirement(line).extras == set(extras)
+
+
+def test_constraints_fit_the_requirements(project: dict[str, Any]) -> None:
+    # Else `make lock` was forgotten, and a new machine gets other versions than those tested.
+    text = (ROOT / ".ci" / "constraints.txt").read_text(encoding="utf-8")
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)$", text, flags=re.MULTILINE))
+    pins = {canonicalize_name(name): version for name, version in pins.items()}
+    for wanted in requirements(project):
+        version = pins.get(canonicalize_name(wanted.name))
+        assert version is not None, f"{wanted.name} is not pinned: run make lock"
+        assert wanted.specifier.contains(version), (
+            f"{wanted} does not admit the pinned {version}: run make lock"
+        )
+
+
+def test_ci_script_can_be_run() -> None:
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)

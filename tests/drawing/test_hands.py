@@ -1,0 +1,285 @@
+"""Shapes are placed by forward kinematics, and a picture shows them where the camera's projection says."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmap_qp.drawing.hands import draw_hands, load_shape, spheres, tube
+from handmap_qp.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import HandSpec, PalmSpec, PointSpec, WristSpec
+from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+
+RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.8, 0.1)
+WRIST = affine(rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5]))
+
+URDF = """<robot name="finger">
+  <material name="blue"><color rgba="0.1 0.2 0.9 1"/></material>
+  <link name="palm">
+    <visual><origin xyz="0.02 0 0"/><geometry><sphere radius="0.01"/></geometry><material name="blue"/></visual>
+  </link>
+  <link name="proximal">
+    <visual><origin xyz="0.03 0 0" rpy="0 1.5707963 0"/><geometry><cylinder radius="0.008" length="0.06"/></geometry></visual>
+  </link>
+  <link name="distal">
+    <visual><origin xyz="0.02 0.005 0"/><geometry>{distal}</geometry></visual>
+  </link>
+  <joint name="base" type="revolute"><parent link="palm"/><child link="proximal"/><origin xyz="0.05 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="end" type="revolute"><parent link="proximal"/><child link="distal"/><origin xyz="0.06 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def finger(distal: str = '<box size="0.04 0.01 0.01"/>', directory: Path | None = None) -> Hand:
+    """A finger of two joints.
+
+    The palm's frame is turned against its link, and a point is named like a link but lies
+    elsewhere.
+    """
+    spec = HandSpec(
+        name="finger",
+        urdf="finger.urdf",
+        side="right",
+        palm=PalmSpec(
+            link="palm", distal=(-1.0, 0.0, 0.0), dorsal=(0.0, 0.0, 1.0), xyz=(0.0, 0.0, 0.3)
+        ),
+        wrist=WristSpec(link="palm"),
+        joints=("base", "end"),
+        rest={"base": 0.0, "end": 0.0},
+        points=(PointSpec("distal", "distal", (0.04, 0.0, 0.0)),),
+        sets={"tip": ("distal",)},
+        reference="tip",
+        directory=directory,
+    )
+    return Hand(spec, urdf_text=URDF.format(distal=distal))
+
+
+def centroid(triangles: Triangles) -> np.ndarray:
+    """Of the surface, triangles weighted by area."""
+    a, b, c = np.moveaxis(triangles.vertices, 1, 0)
+    return np.average(
+        (a + b + c) / 3.0, axis=0, weights=np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    )
+
+
+def volume(triangles: Triangles) -> float:
+    """Enclosed volume, negative if the triangles are wound inside out."""
+    a, b, c = np.moveaxis(triangles.vertices - triangles.vertices.mean(axis=(0, 1)), 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
+
+
+def by_link(hand: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> dict[str, Triangles]:
+    """Placed triangles, link by link."""
+    shape = load_shape(hand)
+    placed = shape.triangles(q, wrist)
+    stops = np.cumsum([len(link.triangles.vertices) for link in shape.links])[:-1]
+    columns = [np.split(column, stops) for column in placed]
+    return {
+        link.link: Triangles(*parts) for link, *parts in zip(shape.links, *columns, strict=True)
+    }
+
+
+def test_shapes_lie_where_forward_kinematics_puts_their_links() -> None:
+    q = np.array([0.4, -0.7])
+    links = by_link(finger(), q, WRIST)
+    turn = [
+        affine(
+            np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]),
+            np.zeros(3),
+        )
+        for a in q
+    ]
+    proximal = WRIST @ affine(np.eye(3), np.array([0.05, 0.0, 0.0])) @ turn[0]
+    distal = proximal @ affine(np.eye(3), np.array([0.06, 0.0, 0.0])) @ turn[1]
+    expected = {
+        "palm": (WRIST, (0.02, 0.0, 0.0)),
+        "proximal": (proximal, (0.03, 0.0, 0.0)),
+        "distal": (distal, (0.02, 0.005, 0.0)),
+    }
+    for link, (pose, centre) in expected.items():
+        np.testing.assert_allclose(
+            centroid(links[link]), transform_points(pose, np.array([centre]))[0], atol=1e-9
+        )
+
+
+def test_a_joint_moves_only_what_hangs_from_it() -> None:
+    hand = load_hand("human")
+    bent = hand.rest.copy()
+    bent[hand.joint_names.index("index_PIP_flexion")] += 0.3
+    before, after = by_link(hand, hand.rest), by_link(hand, bent)
+    moved = {
+        name
+        for name in before
+        if not np.allclose(before[name].vertices, after[name].vertices, atol=1e-12)
+    }
+    assert len(moved) >= 2
+    assert all(name.startswith("index") for name in moved)
+
+
+def test_surfaces_face_outwards_with_unit_normals() -> None:
+    for name, part in by_link(finger(), np.zeros(2)).items():
+        assert volume(part) > 0.0, name
+        np.testing.assert_allclose(np.linalg.norm(part.normals, axis=2), 1.0, atol=1e-9)
+    ball = by_link(finger(), np.zeros(2))["palm"]
+    radial = (ball.vertices - [0.02, 0.0, 0.0]) / 0.01
+    assert np.abs(ball.normals - radial).max() < 0.02
+    box = by_link(finger(), np.zeros(2))["distal"]
+    assert np.allclose(np.abs(box.normals).max(axis=2), 1.0), "a box keeps its edges"
+
+
+def test_colours_come_from_the_urdf_unless_given() -> None:
+    shape = load_shape(finger())
+    np.testing.assert_allclose(shape.links[0].triangles.colours[0], [0.1, 0.2, 0.9])
+    assert (load_shape(finger(), colour=RED).triangles(np.zeros(2)).colours == RED).all()
+
+
+@pytest.mark.parametrize("scale", ["1 1 1", "-2 2 2"])
+def test_meshes_are_found_beside_the_urdf_scaled_and_outside_out(
+    tmp_path: Path, scale: str
+) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box(extents=(0.02, 0.01, 0.01)).apply_translation([0.01, 0, 0]).export(
+        tmp_path / "part.stl"
+    )
+    hand = finger(f'<mesh filename="part.stl" scale="{scale}"/>', tmp_path)
+    part = by_link(hand, np.zeros(2))["distal"]
+    factor = float(scale.split()[0])
+    assert volume(part) == pytest.approx(abs(factor) ** 3 * 2e-6)
+    np.testing.assert_allclose(centroid(part), [0.11 + 0.02 + 0.01 * factor, 0.005, 0.0], atol=1e-7)
+
+
+def test_a_fine_mesh_is_simplified(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.icosphere(subdivisions=5, radius=0.02).export(tmp_path / "part.stl")
+    part = by_link(finger('<mesh filename="part.stl"/>', tmp_path), np.zeros(2))["distal"]
+    assert 1000 < len(part.vertices) <= 8000
+    assert volume(part) == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.05)
+
+
+def test_a_missing_mesh_is_left_out_and_named(tmp_path: Path) -> None:
+    shape = load_shape(finger('<mesh filename="package://nowhere/part.stl"/>', tmp_path))
+    assert shape.missing == ("package://nowhere/part.stl",)
+    assert [link.link for link in shape.links] == ["palm", "proximal"]
+
+
+def test_the_camera_frames_what_it_is_given() -> None:
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    camera = Camera.framing(points, (300, 200), azimuth=20.0, elevation=40.0, margin=0.1)
+    pixels = camera.project(points)
+    assert (pixels[:, 2] > 0.0).all()
+    low, high = pixels[:, :2].min(axis=0), pixels[:, :2].max(axis=0)
+    np.testing.assert_allclose(0.5 * (low + high), [150.0, 100.0], atol=1e-9)
+    assert (low >= 20.0 - 1e-9).all()
+    assert np.isclose(low, 20.0).any(), "one of the directions is filled"
+    np.testing.assert_allclose(camera.magnified(3).project(points)[:, :2], 3.0 * pixels[:, :2])
+
+
+def test_higher_points_appear_higher_in_the_picture() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.1, 0.0, 0.0]])
+    pixels = Camera.framing(points, (100, 100), azimuth=-90.0).project(points)
+    assert pixels[1, 1] < pixels[0, 1]
+    assert pixels[2, 0] > pixels[0, 0]
+
+
+def test_the_hand_covers_the_pixels_of_its_reference_points() -> None:
+    hand = load_hand("human")
+    triangles = load_shape(hand).triangles(hand.rest, WRIST)
+    camera = Camera.framing(triangles.vertices.reshape(-1, 3), (320, 240))
+    image = render(triangles, camera, supersampling=1)
+    for column, row, _ in camera.project(hand.points(hand.rest, WRIST)):
+        assert image[int(row), int(column), 3] == 1.0
+    assert 0.1 < (image[..., 3] > 0.5).mean() < 0.7
+    assert image[0, 0, 3] == 0.0
+
+
+def test_a_surface_has_no_holes_between_its_triangles() -> None:
+    ball = spheres([[0.0, 0.0, 0.0]], 1.0, RED)
+    camera = Camera.framing(ball.vertices.reshape(-1, 3), (200, 200), margin=0.0)
+    image = render(ball, camera, supersampling=1)
+    y, x = np.mgrid[:200, :200] + 0.5
+    inside = np.hypot(x - 100.0, y - 100.0) < 97.0
+    assert (image[inside, 3] == 1.0).all()
+    assert (image[..., 3] > 0.0).mean() == pytest.approx(np.pi / 4.0, abs=0.01)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_is_in_front_hides_what_is_behind(order: int) -> None:
+    # Seen from -y: the red ball stands before the green one, whichever comes first in the list.
+    balls = [spheres([[0.0, -0.1, 0.0]], 0.02, RED), spheres([[0.0, 0.1, 0.0]], 0.02, GREEN)][
+        ::order
+    ]
+    camera = Camera.framing(
+        np.array([[-0.05, 0, -0.05], [0.05, 0, 0.05]]), (100, 100), azimuth=-90.0, elevation=0.0
+    )
+    red, green, _, opacity = render(merged(balls), camera, supersampling=1)[50, 50]
+    assert opacity == 1.0
+    assert red > 2.0 * green
+
+
+def test_marks_shine_through_and_stand_in_front() -> None:
+    camera = Camera.framing(
+        np.array([[-0.05, 0, -0.05], [0.05, 0, 0.05]]), (100, 100), azimuth=-90.0, elevation=0.0
+    )
+    wall = spheres([[0.0, 0.0, 0.0]], 0.03, GREEN)
+    bare, hidden, shown = (
+        render(wall, camera, marks=marks, supersampling=1)[50, 50]
+        for marks in (
+            None,
+            spheres([[0.0, 0.0, 0.0]], 0.01, RED),
+            spheres([[0.0, -0.05, 0.0]], 0.01, RED),
+        )
+    )
+    assert bare[0] < hidden[0] < shown[0]
+    assert bare[1] > hidden[1] > shown[1]
+
+
+def test_shadows_fall_on_the_floor_only() -> None:
+    ball = spheres([[0.0, 0.0, 0.1]], 0.03, RED)
+    camera = Camera.framing(
+        np.array([[-0.1, -0.1, 0.0], [0.1, 0.1, 0.15]]), (100, 100), elevation=30.0
+    )
+    column, row, _ = camera.project(np.zeros(3))
+    image = render(ball, camera, ground=0.0, supersampling=1)
+    assert 0.05 < image[int(row), int(column), 3] < 0.5
+    assert image[int(row), int(column), :3].max() == 0.0
+    assert image[2, 50, 3] < 1e-3
+
+
+def test_a_tube_follows_its_path() -> None:
+    way = np.column_stack([np.linspace(0.0, 1.0, 20), np.zeros(20), np.linspace(0.0, 1.0, 20) ** 2])
+    wall = tube(way, 0.01, RED).vertices.reshape(-1, 3)
+    distance = np.linalg.norm(wall[:, None] - way, axis=2).min(axis=1)
+    np.testing.assert_allclose(distance, 0.01, atol=1e-9)
+    with pytest.raises(InvalidInputError, match="two different points"):
+        tube(np.zeros((5, 3)), 0.01, RED)
+
+
+def test_draw_hands_makes_the_axes_pixels_and_leaves_no_figure_behind() -> None:
+    figure_module = pytest.importorskip("matplotlib.figure")
+    from matplotlib._pylab_helpers import Gcf
+
+    axes = figure_module.Figure().add_subplot()
+    ball = spheres([[0.0, 0.0, 0.0]], 0.01, RED)
+    draw_hands(axes, ball, Camera.framing(ball.vertices.reshape(-1, 3), (60, 40)), supersampling=1)
+    assert axes.get_xlim() == (0.0, 60.0)
+    assert axes.get_ylim() == (40.0, 0.0)
+    assert not axes.axison
+    assert not Gcf.figs
+
+
+def test_absent_packages_are_named_with_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.figure import Figure
+
+    axes, ball, hand = Figure().add_subplot(), spheres([[0.0, 0.0, 0.0]], 0.01, RED), finger()
+    camera = Camera.framing(ball.vertices.reshape(-1, 3), (60, 40))
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"matplotlib .*handmap-qp\[plot\]"):
+        draw_hands(axes, ball, camera)
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(MissingExtraError, match=r"trimesh .*handmap-qp\[plot\]"):
+        load_shape(hand)

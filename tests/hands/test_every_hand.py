@@ -1,0 +1,152 @@
+"""Every hand of the package and every own test hand follows a person's hand.
+
+No limit broken, no exception, no standing still.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import Hand, HandMapper, Recording, hand_names, load_hand, read_recording
+from handmap_qp.hands.spec import HandSpec
+from handmap_qp.onboarding.detect import detect
+from handmap_qp.trackers.landmarks import fit_recording
+from handmap_qp.trackers.recording import HumanMotion
+
+DATA = Path(__file__).parents[1] / "data" / "urdf"
+OWN = (
+    "chained_mimics",
+    "prismatic_fingers",
+    "continuous_joints",
+    "absent_limits",
+    "one_finger",
+    "seven_fingers",
+)
+ROBOTS = [name for name in hand_names() if name not in ("human", "human_left")]
+every_hand = pytest.mark.parametrize("name", [*ROBOTS, *OWN])
+_DT = 1.0 / 60.0
+# What the QP's solver may leave of a limit; results are clipped into the box afterwards.
+_TOLERANCE = 1e-9
+
+
+@cache
+def hand_of(name: str) -> Hand:
+    spec: str | HandSpec = name if name in ROBOTS else detect(DATA / f"{name}.urdf").spec
+    return load_hand(spec)
+
+
+def mapper_for(human: Hand, robot: Hand) -> HandMapper:
+    return HandMapper(
+        human, robot, rigid_from="wrist" if robot.has_moving_wrist else "none", dt=_DT
+    )
+
+
+def follow(
+    human: Hand, robot: Hand, q: np.ndarray, wrist: np.ndarray, dt: np.ndarray
+) -> np.ndarray:
+    """Map a motion and return the robot's joint angles, shape (T, n).
+
+    The first sample is the reference.
+    """
+    mapper, angles = mapper_for(human, robot), []
+    for sample, pose, step in zip(q, wrist, dt, strict=True):
+        result = mapper.map_step(
+            np.clip(sample, human.lower_limits, human.upper_limits), pose, dt=float(step)
+        )
+        assert result.status != "failed"
+        for values in (result.command.q, result.command.wrist, result.points, result.targets):
+            assert np.isfinite(values).all()
+        angles.append(result.command.q)
+    return np.array(angles)
+
+
+def check_limits(robot: Hand, q: np.ndarray, dt: np.ndarray) -> None:
+    """Positions and speeds of all joints of the URDF, followers too."""
+    assert (q >= robot.lower_limits - _TOLERANCE).all()
+    assert (q <= robot.upper_limits + _TOLERANCE).all()
+    speeds = np.abs(np.diff(q, axis=0)) / dt[1:, None]
+    assert (speeds <= robot.velocity_limits * (1.0 + _TOLERANCE)).all()
+    plain = pin.buildModelFromXML(robot.urdf_text)
+    every = robot.all_joints(q)
+    for i, (joint, role) in enumerate(
+        zip(robot.all_joint_names, robot.all_joint_roles, strict=True)
+    ):
+        if role == "follower" and not any(joint in note for note in robot.notes):
+            at = plain.joints[plain.getJointId(joint)].idx_q
+            assert (every[:, i] >= plain.lowerPositionLimit[at] - _TOLERANCE).all(), joint
+            assert (every[:, i] <= plain.upperPositionLimit[at] + _TOLERANCE).all(), joint
+
+
+@cache
+def lively_motion(side: str) -> tuple[Hand, np.ndarray, np.ndarray]:
+    """Two seconds in which a person moves every joint at a pace of its own, while the wrist goes round and turns."""
+    human = load_hand("human" if side == "right" else "human_left")
+    time = _DT * np.arange(120)
+    pace = np.random.default_rng(7).uniform(0.4, 1.6, len(human.rest))
+    share = 0.5 - 0.5 * np.cos(2.0 * np.pi * time[:, None] * pace)
+    goal = np.where(np.arange(len(pace)) % 2, human.upper_limits, human.lower_limits)
+    q = human.rest + 0.8 * share * (goal - human.rest)
+    wrist = np.tile(np.eye(4), (len(time), 1, 1))
+    wrist[:, :3, 3] = 0.08 * np.column_stack(
+        [np.sin(3.0 * time), 1.0 - np.cos(3.0 * time), np.sin(5.0 * time)]
+    )
+    for i, t in enumerate(time):
+        wrist[i, :3, :3] = pin.exp3(0.6 * np.sin(2.0 * t) * np.array([0.6, 0.0, 0.8]))
+    return human, q, wrist
+
+
+@every_hand
+def test_it_follows_a_lively_hand_within_all_limits(name: str) -> None:
+    robot = hand_of(name)
+    human, q, wrist = lively_motion(robot.side)
+    dt = np.full(len(q), _DT)
+    angles = follow(human, robot, q, wrist, dt)
+    check_limits(robot, angles, dt)
+    # A hand that nothing reaches would pass the rest of this test.
+    assert np.ptp(angles, axis=0).max() > 0.05 * (robot.upper_limits - robot.lower_limits).min()
+
+
+@every_hand
+def test_followers_follow_while_it_moves(name: str) -> None:
+    robot = hand_of(name)
+    human, q, wrist = lively_motion(robot.side)
+    mapper = mapper_for(human, robot)
+    q = np.clip(q, human.lower_limits, human.upper_limits)
+    step = [mapper.map_step(sample, pose) for sample, pose in zip(q[:40], wrist[:40], strict=True)][
+        -1
+    ]
+    alone = robot.points(step.command.q, step.command.wrist if robot.is_floating else None)
+    np.testing.assert_allclose(step.points, alone, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def recorded(recordings: Path) -> dict[str, HumanMotion]:
+    """A short piece of one recording of each hand, fitted once."""
+    motions = {}
+    for side in ("right", "left"):
+        recording = read_recording(recordings / f"quest3_webxr_{side}.npz")
+        first = int(np.argmax(recording.valid))
+        motions[side] = fit_recording(piece(recording, slice(first, first + 90)))
+    return motions
+
+
+def piece(recording: Recording, samples: slice) -> Recording:
+    time, landmarks, valid = (
+        column[samples] for column in (recording.time, recording.landmarks, recording.valid)
+    )
+    return replace(recording, time=time, landmarks=landmarks, valid=valid)
+
+
+@every_hand
+def test_it_follows_a_recorded_hand_within_all_limits(
+    name: str, recorded: dict[str, HumanMotion]
+) -> None:
+    robot = hand_of(name)
+    motion = recorded[robot.side]
+    check_limits(robot, follow(motion.human, robot, motion.q, motion.wrist, motion.dt), motion.dt)

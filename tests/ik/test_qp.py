@@ -1,0 +1,278 @@
+"""The box that cannot contradict itself, the step inside it, and wrists that float, stay or hang on an arm."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ik_cases import ARM_JOINTS, HANDS, arm_hand, each_hand, hand_of, random_cases
+from strategies import generators
+
+from handmap_qp import HandError, HandMapper, IkOptions, load_hand
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.solvers import DaqpSolver
+
+ARM = arm_hand()
+HAND = load_hand("three_finger", mount="floating")
+times = st.floats(min_value=-6, max_value=1).map(lambda exponent: 10.0**exponent)
+
+
+def any_posture(hand: Hand, rng: np.random.Generator, outside: float = 0.5) -> np.ndarray:
+    angles = rng.uniform(hand.lower_limits - outside, hand.upper_limits + outside)
+    return hand.configuration_vector(angles, np.eye(4) if hand.is_floating else None)
+
+
+# -- the box
+# ----------------------------------------------------------------------------------------------------------
+
+
+@given(rng=generators, dt=times)
+def test_the_box_never_contradicts_itself(rng: np.random.Generator, dt: float) -> None:
+    hand = HAND
+    velocity = rng.normal(size=len(hand.active_columns)) * 10.0 ** rng.uniform(-3, 3)
+    for acceleration in (None, 10.0 ** rng.uniform(-2, 4, len(hand.active_columns)), np.inf):
+        for has_velocity_limits in (True, False):
+            limits = BoxLimits(
+                hand, has_velocity_limits=has_velocity_limits, max_acceleration=acceleration
+            )
+            lower, upper = limits.bounds(any_posture(hand, rng, outside=2.0), dt, velocity)
+            assert (lower <= upper).all()
+            assert not np.isnan([lower, upper]).any()
+
+
+@given(rng=generators, dt=times)
+def test_inside_its_limits_the_box_is_position_and_speed_limits_together(
+    rng: np.random.Generator, dt: float
+) -> None:
+    hand = HAND
+    q = any_posture(hand, rng, outside=0.0)
+    lower, upper = BoxLimits(hand).bounds(q, dt)
+    angles, reach = q[hand.q_indices], hand.velocity_limits * dt
+    np.testing.assert_array_equal(
+        upper[hand.joint_columns], np.minimum(hand.upper_limits - angles, reach)
+    )
+    np.testing.assert_array_equal(
+        lower[hand.joint_columns], np.maximum(hand.lower_limits - angles, -reach)
+    )
+    wrist = hand.spec.wrist
+    np.testing.assert_array_equal(
+        upper[:6], np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3) * dt
+    )
+
+
+@given(rng=generators)
+def test_from_outside_a_joint_comes_back_as_fast_as_it_may(rng: np.random.Generator) -> None:
+    hand, dt = HAND, 0.01
+    angles = hand.upper_limits + rng.uniform(0.001, 1.0, len(hand.joint_names))
+    lower, upper = BoxLimits(hand).bounds(hand.configuration_vector(angles, np.eye(4)), dt)
+    overshoot = angles - hand.upper_limits
+    back = np.minimum(overshoot, hand.velocity_limits * dt)
+    np.testing.assert_allclose(upper[hand.joint_columns], -back, atol=1e-15)
+    assert (lower[hand.joint_columns] <= -back + 1e-15).all()
+
+
+@given(rng=generators)
+def test_from_rest_acceleration_never_stands_against_position(rng: np.random.Generator) -> None:
+    # Whatever is commanded and however long the samples: both limits hold, since a joint never
+    # comes too fast to brake.
+    hand = HAND
+    acceleration = 10.0 ** rng.uniform(-1, 3, len(hand.active_columns))
+    limits, q = BoxLimits(hand, max_acceleration=acceleration), any_posture(hand, rng, outside=0.0)
+    velocity = np.zeros(len(hand.active_columns))
+    for _ in range(60):
+        dt = 10.0 ** rng.uniform(-3, -1)
+        lower, upper = limits.bounds(q, dt, velocity)
+        # Mostly full speed into one corner: the hardest case for the brakes.
+        dq = np.where(rng.random(len(lower)) < 0.9, upper, rng.uniform(lower, upper))
+        assert (np.abs(dq / dt - velocity) <= acceleration * dt * (1.0 + 1e-9) + 1e-9).all()
+        q, velocity = pin.integrate(hand.model, q, dq), dq / dt
+        angles = q[hand.q_indices]
+        assert (angles <= hand.upper_limits + 1e-12).all()
+        assert (angles >= hand.lower_limits - 1e-12).all()
+
+
+@given(rng=generators)
+def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> None:
+    # A joint that comes in far too fast: the box gives the bound nearest to what its acceleration
+    # allows.
+    hand, dt = HAND, 0.01
+    limits, plain = BoxLimits(hand, max_acceleration=1e-3), BoxLimits(hand)
+    q = any_posture(hand, rng)
+    direction = rng.choice([-1.0, 1.0], len(hand.active_columns))
+    lower, upper = limits.bounds(q, dt, 1e4 * direction)
+    least, most = plain.bounds(q, dt)
+    np.testing.assert_array_equal(lower, np.where(direction > 0.0, most, least))
+    np.testing.assert_array_equal(upper, lower)
+
+
+def test_an_infinite_acceleration_is_no_limit() -> None:
+    q = any_posture(HAND, np.random.default_rng(0))
+    expected = BoxLimits(HAND).bounds(q, 0.01)
+    for bound, other in zip(
+        BoxLimits(HAND, max_acceleration=np.inf).bounds(q, 0.01), expected, strict=True
+    ):
+        np.testing.assert_allclose(bound, other, atol=1e-15)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, [1.0, 2.0]])
+def test_acceleration_limits_are_checked(value: object) -> None:
+    with pytest.raises(InvalidOptionsError, match="max_acceleration"):
+        BoxLimits(HAND, max_acceleration=value)  # type: ignore[arg-type]
+
+
+# -- the step
+# ---------------------------------------------------------------------------------------------------------
+
+
+@each_hand
+def test_the_solver_leaves_nothing_to_clip(which: tuple[str, str, str | None]) -> None:
+    hand, ik = hand_of(which), PointIk(hand_of(which), IkOptions())
+    for case in random_cases(hand, 30, seed=8):
+        ik.place(case.q)
+        H, c, lower, upper = ik.problem(case.point_targets, case.wrist_target, case.dt)
+        dq = DaqpSolver(len(c)).solve(H, c, lower, upper)
+        assert dq is not None
+        # The solver's tolerance; measured: 2e-16.
+        assert max((dq - upper).max(), (lower - dq).max()) < 1e-9
+
+
+@each_hand
+def test_the_hessian_is_near_one(which: tuple[str, str, str | None]) -> None:
+    # In metres it would be 1e4 times smaller, and damping a guess. The wrist's translation is the
+    # largest: it moves all points. Rotations of a hand's own size: a prismatic finger moves its
+    # point by as much as itself, an arm has levers of half a metre.
+    hand, ik = hand_of(which), PointIk(hand_of(which), IkOptions())
+    for case in random_cases(hand, 30, seed=9):
+        ik.place(case.q)
+        near = ik.configuration.points + 0.005
+        wrist = ik.configuration.wrist.homogeneous if case.wrist_target is not None else None
+        H = ik.problem(near, wrist, case.dt)[0]
+        if not (hand.has_moving_wrist and not hand.is_floating) and hand.name != "panda_gripper":
+            assert 0.1 < np.median(np.diag(H)[hand.joint_columns]) < 3e3
+        assert np.diag(H).max() < 1e6
+        assert np.linalg.cond(H) < 1e7
+
+
+@each_hand
+def test_limits_hold_from_anywhere_to_anywhere(which: tuple[str, str, str | None]) -> None:
+    hand, ik = hand_of(which), PointIk(hand_of(which), IkOptions())
+    for case in random_cases(hand, 30, seed=10):
+        ik.place(case.q)
+        ik.solve(case.point_targets, case.wrist_target, case.dt)
+        lower, upper = BoxLimits(hand).bounds(case.q, case.dt)
+        dq = pin.difference(hand.model, case.q, ik.configuration.q)[hand.active_columns]
+        assert (dq <= upper + 1e-9).all()
+        assert (dq >= lower - 1e-9).all()
+
+
+@pytest.mark.parametrize("solver", ["daqp", "osqp", "quadprog", "clarabel", "piqp"])
+def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
+    # Where the iterations have come to an end the slopes know it too: none where a joint is free,
+    # outwards where it is held.
+    hand, rng, held = load_hand("allegro_right"), np.random.default_rng(12), 0
+    ik = PointIk(hand, IkOptions(solver=solver, max_iterations=100, step_tolerance=1e-8))
+    for _ in range(30):
+        ik.place(any_posture(hand, rng, outside=0.0))
+        targets, wrist = (
+            ik.configuration.points + 0.02 * rng.normal(size=(4, 3)),
+            ik.configuration.wrist.homogeneous,
+        )
+        result = ik.solve(targets, wrist, 1.0 / 60.0)
+        if result.last_step < 1e-8:
+            H, c, *_ = ik.problem(targets, wrist, 1.0 / 60.0)
+            slope = c / np.diag(H)
+            # Measured: 2e-8 where free, 1.7e-4 and more where held.
+            np.testing.assert_array_equal(result.active, -np.sign(slope) * (np.abs(slope) > 1e-6))
+            held += np.count_nonzero(result.active)
+    assert held > 100
+
+
+def test_a_hand_comes_back_into_its_limits_and_stays() -> None:
+    hand = load_hand("allegro_right")
+    ik, rng = PointIk(hand, IkOptions()), np.random.default_rng(0)
+    ik.place(any_posture(hand, rng))
+    for _ in range(60):
+        ik.solve(ik.configuration.points + 0.05 * rng.normal(size=(4, 3)), None, 1.0 / 60.0)
+    q = ik.configuration.q[hand.q_indices]
+    assert (q >= hand.lower_limits).all()
+    assert (q <= hand.upper_limits).all()
+
+
+def test_a_step_does_not_depend_on_the_steps_before_it() -> None:
+    # The warm start saves time and nothing else.
+    hand = hand_of(HANDS[0])
+    warm, cases = PointIk(hand, IkOptions()), list(random_cases(hand, 20, seed=11))
+    for case in cases:
+        cold = PointIk(hand, IkOptions())
+        for ik in (warm, cold):
+            ik.place(case.q)
+            ik.solve(case.point_targets, case.wrist_target, case.dt)
+        np.testing.assert_allclose(warm.configuration.q, cold.configuration.q, atol=1e-9)
+
+
+# -- on an arm
+# --------------------------------------------------------------------------------------------------------
+
+
+def test_an_arm_moves_the_wrist_and_carries_the_palm() -> None:
+    assert ARM.has_moving_wrist
+    assert not load_hand("three_finger", mount="fixed").has_moving_wrist
+    assert load_hand("three_finger", mount="floating").has_moving_wrist
+    q = ARM.rest.copy()
+    before = ARM.frame_pose("wrist", q)
+    q[: len(ARM_JOINTS)] += [0.2, -0.3, 0.4]
+    after = ARM.frame_pose("wrist", q)
+    assert np.abs(after - before).max() > 0.05
+    np.testing.assert_allclose(ARM.frame_pose("palm", q), after @ ARM.wrist_to_palm, atol=1e-12)
+
+
+def test_an_arm_reaches_a_wrist_pose_while_the_fingers_keep_their_shape() -> None:
+    hand = load_hand("three_finger", mount="fixed")
+    ik = PointIk(ARM, IkOptions(max_iterations=100, step_tolerance=1e-9, rest_weight=0.0))
+    start, goal = ARM.rest.copy(), ARM.rest.copy()
+    goal[: len(ARM_JOINTS)] += [0.25, 0.2, -0.3]
+    ik.place(ARM.configuration_vector(start))
+    pose = ARM.frame_pose("wrist", goal)
+    points = hand.points(hand.rest) @ pose[:3, :3].T + pose[:3, 3]
+    result = ik.solve(points, pose, 1.0)
+    assert result.status == "converged"
+    np.testing.assert_allclose(ik.configuration.q[ARM.q_indices], goal, atol=1e-4)
+
+
+def test_points_out_of_the_fingers_reach_are_had_by_the_arm() -> None:
+    goal = ARM.rest.copy()
+    goal[: len(ARM_JOINTS)] += [0.25, 0.2, -0.3]
+    ik = PointIk(ARM, IkOptions(max_iterations=100, step_tolerance=1e-9, rest_weight=0.01))
+    ik.place(ARM.configuration_vector(ARM.rest))
+    assert ik.solve(ARM.points(goal), None, 1.0).status == "converged"
+    q = ik.configuration.q[ARM.q_indices]
+    assert np.abs(q - ARM.rest)[: len(ARM_JOINTS)].max() > 0.1
+    assert (q >= ARM.lower_limits).all()
+    assert (q <= ARM.upper_limits).all()
+
+
+def test_a_hand_on_an_arm_can_be_mapped_to() -> None:
+    mapper = HandMapper(load_hand("human"), ARM, rigid_from="none")
+    first = mapper.map_step(mapper.human.rest, np.eye(4))
+    np.testing.assert_allclose(first.command.wrist, ARM.frame_pose("wrist", ARM.rest), atol=1e-3)
+    step = mapper.map_step(mapper.human.rest + 0.05, np.eye(4))
+    assert np.isfinite(step.command.q).all()
+
+
+@pytest.mark.parametrize(
+    ("mount", "link"), [("floating", "palm"), ("fixed", "finger1_distal"), ("fixed", "base")]
+)
+def test_a_wrist_must_be_where_the_arm_ends(mount: str, link: str) -> None:
+    changed = msgspec.structs.replace(ARM.spec.wrist, link=link)
+    with pytest.raises(HandError, match=r"wrist\.link|palm\.link"):
+        Hand(
+            msgspec.structs.replace(ARM.spec, wrist=changed),
+            mount="floating" if mount == "floating" else "fixed",
+            urdf_text=ARM.urdf_text,
+        )

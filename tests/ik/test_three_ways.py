@@ -1,0 +1,277 @@
+"""The QP posed three times over.
+
+Mink's way on Pinocchio, preallocated arrays, and mink's own tasks on MuJoCo.
+"""
+
+from __future__ import annotations
+
+import mink
+import numpy as np
+import pinocchio as pin
+import pytest
+import qpsolvers
+from ik_cases import HANDS, Case, each_hand, hand_of, random_cases
+
+from handmap_qp import IkOptions
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.mink_problem import build_problem, make_limits, solve_problem
+from handmap_qp.ik.mink_tasks import DampingTask
+from handmap_qp.ik.mujoco_check import MujocoIk
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.solvers import DaqpSolver
+
+ONE_STEP = IkOptions(max_iterations=1)
+# Unequal weights everywhere, so that a mistaken one shows.
+UNEQUAL = IkOptions(
+    point_weight=0.7,
+    wrist_position_weight=1.3,
+    wrist_orientation_weight=2.1,
+    rest_weight=0.4,
+    damping=0.05,
+    error_damping=0.3,
+    max_iterations=1,
+)
+# Active-set methods are exact; the others stop at a tolerance, and interior-point methods reach no
+# bound exactly (9e-5 at worst).
+ACCURACY = {"daqp": 1e-9, "quadprog": 1e-9, "proxqp": 1e-8, "osqp": 1e-8}
+INTERIOR_POINT = 3e-4
+
+
+def placed(hand: Hand, case: Case, options: IkOptions = ONE_STEP) -> PointIk:
+    ik = PointIk(hand, options)
+    ik.place(case.q)
+    return ik
+
+
+def way_1(ik: PointIk, case: Case) -> qpsolvers.Problem:
+    return build_problem(
+        ik.hand, ik.options, ik.configuration, case.point_targets, case.wrist_target, case.dt
+    )
+
+
+def way_2(ik: PointIk, case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return ik.problem(case.point_targets, case.wrist_target, case.dt)
+
+
+def step_of(ik: PointIk, case: Case) -> np.ndarray:
+    """The step that the default way takes in one iteration."""
+    ik.solve(case.point_targets, case.wrist_target, case.dt)
+    return pin.difference(ik.hand.model, case.q, ik.configuration.q)[ik.hand.active_columns]
+
+
+def relative(actual: np.ndarray, expected: np.ndarray) -> float:
+    """Largest difference, as a part of the largest number where that is above one."""
+    return float(np.abs(actual - expected).max() / max(1.0, np.abs(expected).max()))
+
+
+@each_hand
+@pytest.mark.parametrize("options", [ONE_STEP, UNEQUAL], ids=["default", "unequal"])
+def test_ways_1_and_2_pose_the_same_problem(
+    which: tuple[str, str, str | None], options: IkOptions
+) -> None:
+    hand = hand_of(which)
+    for case in random_cases(hand, 20):
+        ik = placed(hand, case, options)
+        problem, (H, c, lower, upper) = way_1(ik, case), way_2(ik, case)
+        assert problem.G is not None
+        assert problem.h is not None
+        assert relative(np.asarray(problem.P), H) < 1e-9
+        assert relative(problem.q, c) < 1e-9
+        np.testing.assert_array_equal(problem.G, np.vstack([np.eye(len(c)), -np.eye(len(c))]))
+        np.testing.assert_allclose(problem.h, np.concatenate([upper, -lower]), atol=1e-9)
+
+
+@each_hand
+def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> None:
+    hand = hand_of(which)
+    for case in random_cases(hand, 20, seed=1):
+        ik = placed(hand, case)
+        expected = solve_problem(way_1(ik, case))
+        assert expected is not None
+        np.testing.assert_allclose(step_of(ik, case), expected, atol=1e-9)
+
+
+@each_hand
+def test_ways_1_and_2_agree_on_self_collision_and_acceleration(
+    which: tuple[str, str, str | None],
+) -> None:
+    # Every case comes from rest and is then met again at the speed that it left.
+    hand = hand_of(which)
+    options = IkOptions(
+        max_iterations=1,
+        avoids_self_collision=hand.spec.collision is not None,
+        max_acceleration=30.0,
+    )
+    for case in random_cases(hand, 10, seed=12):
+        ik, velocity = placed(hand, case, options), None
+        for _ in range(2):
+            limits = make_limits(hand, options, velocity)
+            start, configuration = ik.configuration.q.copy(), ik.configuration
+            problem = build_problem(
+                hand,
+                options,
+                configuration,
+                case.point_targets,
+                case.wrist_target,
+                case.dt,
+                limits=limits,
+            )
+            expected = solve_problem(problem)
+            assert expected is not None
+            ik.solve(case.point_targets, case.wrist_target, case.dt)
+            step = pin.difference(hand.model, start, ik.configuration.q)[hand.active_columns]
+            # coal starts each search from the last one's end: nearest points, and so the rows'
+            # normals, repeat to 1e-6 or so.
+            np.testing.assert_allclose(step, expected, atol=2e-6)
+            velocity = step / case.dt
+
+
+@each_hand
+def test_way_3_takes_the_same_step(which: tuple[str, str, str | None]) -> None:
+    # Inside the limits: outside them mink's stacked limits contradict each other.
+    hand = hand_of(which)
+    mujoco = MujocoIk(hand, ONE_STEP)
+    for case in random_cases(hand, 16, seed=2, is_inside=True):
+        ik = placed(hand, case)
+        H, c, *_ = way_2(ik, case)
+        mujoco.place(case.q)
+        problem = mujoco.problem(case.point_targets, case.wrist_target, case.dt)
+        assert relative(np.asarray(problem.P), H) < 1e-6
+        # Points are rounded to 1e-16 m, and their errors are shrunk before they are weighted.
+        assert relative(problem.q, c) < 1e-5
+        dq = solve_problem(problem)
+        assert dq is not None
+        np.testing.assert_allclose(dq, step_of(ik, case), atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", qpsolvers.available_solvers)
+def test_every_solver_finds_the_step(solver: str) -> None:
+    for which in HANDS[::5]:
+        hand = hand_of(which)
+        for case in random_cases(hand, 12, seed=3):
+            ik = placed(hand, case)
+            dq = solve_problem(way_1(ik, case), solver)
+            assert dq is not None
+            np.testing.assert_allclose(
+                dq, step_of(ik, case), atol=ACCURACY.get(solver, INTERIOR_POINT)
+            )
+
+
+@pytest.mark.filterwarnings(
+    "ignore::qpsolvers.warnings.SparseConversionWarning", "ignore::PendingDeprecationWarning"
+)
+@pytest.mark.parametrize("solver", qpsolvers.available_solvers)
+def test_every_solver_serves_the_default_way(solver: str) -> None:
+    hand = hand_of(HANDS[0])
+    for case in random_cases(hand, 12, seed=4):
+        expected = step_of(placed(hand, case), case)
+        step = step_of(placed(hand, case, IkOptions(max_iterations=1, solver=solver)), case)
+        # Through qpsolvers each has its own default tolerance, of which OSQP's is the widest: 1e-3
+        # of the largest slope.
+        np.testing.assert_allclose(
+            step, expected, atol={"daqp": 1e-9, "proxqp": 1e-7}.get(solver, 2e-2)
+        )
+
+
+@each_hand
+def test_every_step_is_optimal(which: tuple[str, str, str | None]) -> None:
+    # Karush-Kuhn-Tucker: feasible, no slope where free, and a slope only outwards where at a bound.
+    hand = hand_of(which)
+    for case in random_cases(hand, 20, seed=5):
+        H, c, lower, upper = way_2(placed(hand, case), case)
+        x = DaqpSolver(len(c)).solve(H, c, lower, upper)
+        assert x is not None
+        assert (x - upper).max() < 1e-9
+        assert (lower - x).max() < 1e-9
+        # In units of a displacement: how far the unbounded minimiser along each coordinate is, from
+        # inside the box.
+        slope = (H @ x + c) / np.diag(H)
+        np.testing.assert_allclose(np.clip(x - slope, lower, upper), x, atol=1e-9)
+
+
+@each_hand
+def test_tangent_map_takes_steps_from_one_library_to_the_other(
+    which: tuple[str, str, str | None],
+) -> None:
+    hand = hand_of(which)
+    mujoco = MujocoIk(hand, ONE_STEP)
+    for case in random_cases(hand, 3, seed=6):
+        mujoco.place(case.q)
+        T = mujoco.tangent_map()
+        if hand.expansion is None:
+            np.testing.assert_allclose(T @ T.T, np.eye(len(T)), atol=1e-12)
+        dq = 1e-6 * np.random.default_rng(0).normal(size=T.shape[1])
+        workspace = hand.configuration()
+        workspace.displace(case.q, dq)
+        expected = mujoco.qpos(workspace.q)
+        configuration = mink.Configuration(mujoco.model, mujoco.qpos(case.q))
+        # Both libraries agree to first order; 1e-12 is the square of the step.
+        np.testing.assert_allclose(configuration.integrate(T @ dq, 1.0), expected, atol=1e-11)
+
+
+def test_stacked_limits_contradict_each_other_where_the_box_does_not() -> None:
+    hand = hand_of(HANDS[0])
+    mujoco, answered = MujocoIk(hand, ONE_STEP), 0
+    for case in random_cases(hand, 40, seed=7):
+        lower, upper = way_2(placed(hand, case), case)[2:]
+        assert (lower <= upper).all()
+        mujoco.place(case.q)
+        answered += (
+            solve_problem(mujoco.problem(case.point_targets, case.wrist_target, case.dt))
+            is not None
+        )
+    assert 0 < answered < 40
+
+
+def test_a_task_of_ones_own_joins_the_problem() -> None:
+    hand = hand_of(HANDS[0])
+    case = next(random_cases(hand, 1))
+    ik = placed(hand, case)
+    target, options, configuration = case.point_targets, ik.options, ik.configuration
+    alone = build_problem(hand, options, configuration, target, None, case.dt)
+    joined = build_problem(
+        hand,
+        options,
+        configuration,
+        target,
+        None,
+        case.dt,
+        extra_tasks=[DampingTask(hand.model.nv, 3.0)],
+    )
+    np.testing.assert_allclose(joined.P - alone.P, 9.0 * np.eye(hand.model.nv), atol=1e-9)
+
+
+def test_the_configuration_is_all_that_mink_asks_for() -> None:
+    class ThumbStill(mink.Task):
+        """A user's task, written against mink alone."""
+
+        def __init__(self, nv: int) -> None:
+            super().__init__(cost=np.ones(1))
+            self.row = np.eye(1, nv)
+
+        def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+            return self.row @ np.ones(configuration.nv)
+
+        def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+            return self.row
+
+    hand = hand_of(HANDS[0])
+    configuration = hand.configuration()
+    problem = mink.build_ik(
+        configuration,  # type: ignore[arg-type]
+        [ThumbStill(hand.model.nv)],
+        0.01,
+        damping=1.0,
+        limits=[],
+    )
+    dq = solve_problem(problem)
+    assert dq is not None
+    np.testing.assert_allclose(dq, -0.5 * np.eye(1, hand.model.nv)[0], atol=1e-9)
+
+
+def test_an_unknown_solver_is_named() -> None:
+    problem = qpsolvers.Problem(np.eye(1), np.zeros(1))
+    with pytest.raises(InvalidOptionsError, match="abacus"):
+        solve_problem(problem, "abacus")

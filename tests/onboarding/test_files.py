@@ -1,0 +1,272 @@
+"""`handmap hands init` writes a hand.yaml that loads, and `handmap hands check` finds what is wrong with one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
+from handmap_qp.hands.spec import read_hand_spec
+from handmap_qp.hands.urdf.files import urdf_path
+from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.onboarding.check import Report, check_hand
+from handmap_qp.onboarding.cli import HandsCheck, HandsInit
+from handmap_qp.onboarding.detect import detect, detect_text
+from handmap_qp.onboarding.measure import (
+    colliding_links,
+    measure_reach,
+    measure_size,
+    standard_postures,
+)
+from handmap_qp.onboarding.picture import draw_hand, picture_path
+from handmap_qp.onboarding.write import hand_text, write_hand
+
+DATA = Path(__file__).parents[1] / "data" / "urdf"
+OWN = (
+    "chained_mimics",
+    "prismatic_fingers",
+    "continuous_joints",
+    "absent_limits",
+    "one_finger",
+    "seven_fingers",
+)
+
+
+def levels(report: Report) -> list[str]:
+    return [finding.level for finding in report.findings]
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_what_is_written_is_what_was_found(name: str, tmp_path: Path) -> None:
+    found = detect(DATA / f"{name}.urdf")
+    write_hand(found, tmp_path / "hand.yaml")
+    read, spec = read_hand_spec(tmp_path / "hand.yaml"), found.spec
+    for key in (
+        "name",
+        "side",
+        "palm",
+        "wrist",
+        "joints",
+        "rest",
+        "points",
+        "sets",
+        "reference",
+        "root",
+        "locked",
+        "limits",
+        "mimic",
+    ):
+        assert getattr(read, key) == getattr(spec, key), key
+    hand, direct = load_hand(tmp_path / "hand.yaml"), load_hand(spec)
+    np.testing.assert_array_equal(hand.points(hand.rest), direct.points(direct.rest))
+
+
+def test_every_answer_says_how_it_was_found_and_how_sure_it_is(tmp_path: Path) -> None:
+    found = detect(DATA / "seven_fingers.urdf")
+    text = " ".join(line.strip().lstrip("# ") for line in hand_text(found, tmp_path).splitlines())
+    for clue in found.clues:
+        if clue.what not in ("thumb", "fingers"):
+            assert clue.how in text, clue.what
+    assert max(len(line) for line in hand_text(found, tmp_path).splitlines()) <= 132
+
+
+def test_a_urdf_is_named_in_the_way_that_travels_best(tmp_path: Path) -> None:
+    beside = tmp_path / "hand.urdf"
+    beside.write_text((DATA / "one_finger.urdf").read_text())
+    assert yaml.safe_load(hand_text(detect(beside), tmp_path))["urdf"] == "hand.urdf"
+    packaged = detect(urdf_path(load_hand("allegro_right").spec))
+    assert (
+        yaml.safe_load(hand_text(packaged, tmp_path))["urdf"]
+        == load_hand("allegro_right").spec.urdf
+    )
+
+
+def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
+    found = detect(DATA / "one_finger.urdf")
+    (tmp_path / "hand.yaml").write_text("mine")
+    with pytest.raises(InvalidInputError, match="exists already"):
+        write_hand(found, tmp_path / "hand.yaml")
+    write_hand(found, tmp_path / "hand.yaml", overwrite=True)
+    assert load_hand(tmp_path / "hand.yaml").name == "one_finger"
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in hand_names() if name not in ("human", "human_left")]
+)
+def test_the_hands_of_the_package_pass_their_check(name: str) -> None:
+    report = check_hand(name, has_motion=False)
+    assert "error" not in levels(report)
+    assert "warning" not in levels(report), [
+        finding for finding in report.findings if finding.level == "warning"
+    ]
+    assert {"point", "span mm"} <= report.tables()["Fingers"][0].keys()
+
+
+WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
+    "palm turned over": (
+        {"palm": {"link": "palm", "distal": [1, 0, 0], "dorsal": [0, 0, -1]}},
+        "palm.dorsal",
+        "0.000, 1.000",
+    ),
+    "distal across": (
+        {"palm": {"link": "palm", "distal": [0, 1, 0], "dorsal": [0, 0, 1]}},
+        "palm.distal",
+        "1.000, 0.000, 0.000",
+    ),
+    "other side": ({"side": "left"}, "side", "side: right"),
+    "in millimetres": (
+        {"palm": {"link": "palm", "xyz": [-90, 0, 0], "distal": [1, 0, 0], "dorsal": [0, 0, 1]}},
+        "palm.xyz",
+        "metres",
+    ),
+    "closed at rest": (
+        {"rest": {"z_j1": 0.48, "a_j1": 1.6, "c_j1": 0.6, "c_j2": 0.56}},
+        "rest.a_j1",
+        "inwards",
+    ),
+    "contradiction": (
+        {"mimic": {"z_j2": {"joint": "z_j1", "multiplier": 1.0}}},
+        "mimic",
+        "correct the URDF",
+    ),
+}
+
+
+def described(tmp_path: Path, change: dict[str, Any]) -> Path:
+    document = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))
+    (tmp_path / "hand.yaml").write_text(yaml.safe_dump({**document, **change}))
+    return tmp_path / "hand.yaml"
+
+
+@pytest.mark.parametrize(("change", "where", "advice"), WRONG.values(),
+                         ids=WRONG.keys())  # fmt: skip
+def test_a_mistake_is_found_and_what_to_change_is_said(
+    tmp_path: Path, change: dict[str, Any], where: str, advice: str
+) -> None:
+    report = check_hand(str(described(tmp_path, change)), has_motion=False)
+    matching = [
+        finding
+        for finding in report.findings
+        if finding.where == where and finding.level in ("warning", "advice")
+    ]
+    assert matching, report.findings
+    assert any(advice in finding.change for finding in matching)
+
+
+def test_fingers_in_the_wrong_order_are_found(tmp_path: Path) -> None:
+    document = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))
+    index, ring = document["points"][1], document["points"][3]
+    index["link"], ring["link"] = ring["link"], index["link"]
+    report = check_hand(str(described(tmp_path, {"points": document["points"]})), has_motion=False)
+    wrong = {
+        finding.where: finding.change for finding in report.findings if finding.level == "warning"
+    }
+    assert "finger: ring" in wrong["points.index_tip"]
+    assert "finger: index" in wrong["points.ring_tip"]
+
+
+def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
+    points = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))["points"]
+    points[1] |= {"link": "a_l3", "xyz": [0.0, 0.0, 0.1]}
+    report = check_hand(str(described(tmp_path, {"points": points})), has_motion=False)
+    (found,) = (finding for finding in report.findings if finding.level == "warning")
+    # The bone is 14 mm thick: 100 - 7 mm.
+    assert (found.where, "93 mm outside" in found.what) == ("points.index_tip", True)
+
+
+def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
+    report = check_hand(str(described(tmp_path, {"wrist": {"link": "a_l1"}})))
+    assert levels(report) == ["error"]
+    assert report.hand is None
+    with pytest.raises(HandError, match="wrist"):
+        report.raise_if_unusable()
+
+
+def test_overlapping_links_are_found() -> None:
+    hand = load_hand("human", points="fingertips")
+    assert colliding_links(hand, hand.rest) == ()
+    crossed, middle = hand.rest.copy(), hand.joint_names.index("middle_MCP_abduction")
+    crossed[middle] = hand.lower_limits[middle]
+    pairs = colliding_links(hand, crossed)
+    assert {frozenset(link.split("_")[0] for link in pair) for pair in pairs} == {
+        frozenset({"middle", "ring"})
+    }
+
+
+def test_reach_is_that_of_a_planar_finger() -> None:
+    """Finger 1 of the three-fingered hand: two links of 50 mm in a plane."""
+    hand = load_hand("three_finger", points="fingertips")
+    first, second, _ = measure_reach(hand)
+    assert (first.directions, second.directions) == (2, 3)
+    # Yoshikawa's measure of a planar arm of two links is l1 l2 |sin q2|.
+    assert first.manipulability == pytest.approx(0.05 * 0.05 * np.sin(hand.rest[1]), rel=1e-6)
+    # No two places of its tip are farther apart than twice its length.
+    assert 0.15 < first.span <= 0.2
+
+
+def test_a_human_hand_has_the_size_of_one() -> None:
+    hand = load_hand("human", points="fingertips", hand_length=0.19)
+    size = measure_size(hand)
+    assert size.length == pytest.approx(0.19, abs=0.002)
+    assert size.cloud == pytest.approx(size.human_cloud, rel=1e-9)
+
+
+def test_the_standard_motion_is_inside_the_human_limits_and_moves() -> None:
+    human = load_hand("human")
+    for name, posture in standard_postures(human).items():
+        assert (posture >= human.lower_limits).all()
+        assert (posture <= human.upper_limits).all()
+        assert np.abs(posture - human.rest).max() > 0.3, name
+    flat, fist = standard_postures(human)["flat hand"], standard_postures(human)["fist"]
+    tips = load_hand("human", points="fingertips")
+    assert tips.points(flat)[2, 1] > tips.points(fist)[2, 1] + 0.05
+
+
+@pytest.mark.parametrize("name", ["one_finger", "chained_mimics"])
+def test_a_picture_is_drawn_whether_there_are_shapes_or_not(name: str, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    text = (DATA / f"{name}.urdf").read_text()
+    if name == "chained_mimics":
+        text = "\n".join(
+            line
+            for line in text.splitlines()
+            if "<visual>" not in line and "<collision>" not in line
+        )
+    path = tmp_path / "hand.urdf"
+    path.write_text(text)
+    hand = load_hand(detect_text(text, path).spec)
+    draw_hand(hand, tmp_path / "hand.png")
+    picture = imread(tmp_path / "hand.png")[..., :3]
+    # White paper, and something on both halves of it.
+    for half in np.array_split(picture, 2, axis=1):
+        assert 0.02 < (half.min(axis=2) < 0.9).mean() < 0.6
+
+
+def test_pictures_lie_beside_their_descriptions(tmp_path: Path) -> None:
+    assert picture_path(str(tmp_path / "mine.yaml")) == tmp_path / "mine.png"
+    assert picture_path("three_finger") is None
+
+
+def test_the_commands_do_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "hand.yaml"
+    HandsInit(
+        urdf=urdf_directory() / "three_finger" / "hand.urdf", name="mine", out=out, json=True
+    ).run()
+    said = json.loads(capsys.readouterr().out)
+    assert (said["name"], said["out"]) == ("mine", str(out))
+    assert {"palm", "thumb", "side", "rest"} <= {row["what"] for row in said["found"]}
+    HandsCheck(hand=str(out), json=True).run()
+    report = json.loads(capsys.readouterr().out)
+    assert len(report["A standard motion"]) == 5
+    assert Path(report["picture"]).stat().st_size > 10_000
+    HandsCheck(hand="three_finger", motion=False).run()
+    assert "findings" in capsys.readouterr().out
+    (tmp_path / "broken.yaml").write_text("name: x")
+    with pytest.raises(HandError, match="missing"):
+        HandsCheck(hand=str(tmp_path / "broken.yaml")).run()

@@ -1,0 +1,340 @@
+"""Hands found in URDFs.
+
+What is found, that names do not decide it, and URDFs that cannot be used.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from strategies import generators
+
+from handmap_qp import HandError, load_hand
+from handmap_qp.hands.urdf.files import package_share, urdf_path
+from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.onboarding.detect import Detection, detect, detect_text
+
+DATA = Path(__file__).parents[1] / "data" / "urdf"
+ROBOTS = package_share("example-robot-data") / "example-robot-data" / "robots"
+G1 = ROBOTS / "g1_description" / "urdf" / "g1_29dof_with_hand_rev_1_0.urdf"
+ROMEO = ROBOTS / "romeo_description" / "urdf" / "romeo.urdf"
+TIAGO = ROBOTS / "tiago_description" / "robots" / "tiago.urdf"
+PANDA = ROBOTS / "panda_description" / "urdf" / "panda.urdf"
+DESCRIBED = ("human", "human_left", "allegro_right", "allegro_left", "three_finger")
+
+
+def sure(found: Detection, what: str) -> float:
+    return next(clue.confidence for clue in found.clues if clue.what == what)
+
+
+def tips(found: Detection) -> dict[str | None, str]:
+    """Link of the fingertip by finger."""
+    return {point.finger: point.link for point in found.spec.points if point.name.endswith("_tip")}
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_a_hand_that_people_described_is_found_as_they_described_it(name: str) -> None:
+    hand = load_hand(name)
+    found = detect_text(hand.urdf_text, urdf_path(hand.spec))
+    own = {point.finger: point.link for point in hand.with_points("fingertips").reference_points}
+    assert tips(found) == own
+    assert found.spec.side == hand.side
+    assert set(found.spec.joints) == set(hand.joint_names)
+    assert found.spec.palm.link == hand.spec.palm.link
+    np.testing.assert_allclose(found.spec.palm.distal, hand.spec.palm.distal, atol=1e-6)
+    np.testing.assert_allclose(found.spec.palm.dorsal, hand.spec.palm.dorsal, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_its_fingertips_lie_where_people_put_them(name: str) -> None:
+    hand = load_hand(name, points="fingertips")
+    found = detect_text(hand.urdf_text, urdf_path(hand.spec)).spec
+    by_name = {point.finger: point for point in found.points if point.name.endswith("_tip")}
+    for point in hand.reference_points:
+        np.testing.assert_allclose(by_name[point.finger].xyz, point.xyz, atol=1e-4)
+
+
+@pytest.mark.parametrize(("urdf", "root", "side", "fingers", "count"), [
+    (G1, "left_wrist_yaw_link", "left", 3, 7),
+    (G1, "right_hand_palm_link", "right", 3, 7),
+    (TIAGO, None, "right", 5, 33),
+    (PANDA, None, "right", 2, 1),
+    (ROMEO, "l_wrist", "left", 4, 1),
+    (ROMEO, "r_wrist", "right", 4, 1),
+], ids=["g1 left", "g1 right", "hey5", "panda", "romeo left", "romeo right"])  # fmt: skip
+def test_a_hand_on_a_robot_is_found(
+    urdf: Path, root: str | None, side: str, fingers: int, count: int
+) -> None:
+    found = detect(urdf, root=root)
+    hand = load_hand(found.spec)
+    assert (hand.side, len(tips(found)), len(hand.joint_names)) == (side, fingers, count)
+
+
+def test_which_finger_is_which_on_robots() -> None:
+    """Against the names on the robots, which in these cases do not lie."""
+    for side in ("left", "right"):
+        found = tips(detect(G1, root=f"{side}_hand_palm_link"))
+        assert found == {
+            "thumb": f"{side}_hand_thumb_2_link",
+            "index": f"{side}_hand_index_1_link",
+            "middle": f"{side}_hand_middle_1_link",
+        }
+    for finger, link in tips(detect(TIAGO)).items():
+        assert link.startswith(f"hand_{finger}_flex")
+
+
+def test_motors_that_move_no_finger_are_locked() -> None:
+    assert set(detect(TIAGO).spec.locked) == {
+        "hand_thumb_joint",
+        "hand_index_joint",
+        "hand_mrl_joint",
+    }
+
+
+@pytest.mark.parametrize(("name", "fingers", "side"), [
+    ("chained_mimics", {"thumb": "z_tip", "index": "a_tip", "middle": "b_tip", "ring": "c_tip"}, "right"),
+    ("continuous_joints", {"thumb": "w_tip", "index": "v_tip", "middle": "u_tip"}, "left"),
+    ("absent_limits", {"thumb": "t_tip", "index": "i_tip", "middle": "m_tip"}, "right"),
+    ("seven_fingers", {"thumb": "f6_tip", "index": "f0_l3", "middle": "f1_tip", "ring": "f2_l3", "little": "f3_tip",
+                       "finger6": "f4_l3", "finger7": "f5_tip"}, "right"),
+    ("one_finger", {"index": "one_l3"}, "right"),
+], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
+def test_own_hands(name: str, fingers: dict[str, str], side: str) -> None:
+    found = detect(DATA / f"{name}.urdf")
+    assert (tips(found), found.spec.side) == (fingers, side)
+    if name != "one_finger":
+        assert (
+            min(sure(found, what) for what in ("palm", "thumb", "distal", "dorsal", "side")) >= 0.6
+        )
+    assert found.spec.palm.distal == (1.0, 0.0, 0.0)
+    assert found.spec.palm.dorsal == (0.0, 0.0, 1.0)
+
+
+def test_jaws_close_towards_each_other() -> None:
+    found = detect(DATA / "prismatic_fingers.urdf")
+    hand = load_hand(found.spec)
+    assert hand.spec.palm.distal == (0.0, 0.0, -1.0)
+    spreads = [
+        np.linalg.norm(np.ptp(hand.points(q), axis=0))
+        for q in (hand.lower_limits, hand.rest, hand.upper_limits)
+    ]
+    assert spreads == sorted(spreads, reverse=True)
+    # Three alike fingers have no thumb, and it says so.
+    assert max(sure(found, what) for what in ("thumb", "side", "fingers")) < 0.5
+
+
+def test_a_tip_without_a_link_is_the_end_of_the_surface() -> None:
+    found = detect(DATA / "one_finger.urdf")
+    (tip,) = (point for point in found.spec.points if point.name == "index_tip")
+    # The last bone is a box of 22 mm; the tip is inside its last slice, on its axis.
+    np.testing.assert_allclose(tip.xyz, (0.022, 0.0, 0.0), atol=1e-6)
+
+
+def test_what_the_file_leaves_out_is_assumed_and_said() -> None:
+    found = detect(DATA / "absent_limits.urdf")
+    assert set(found.spec.limits) == set(found.spec.joints)
+    # i_j3 has a range and no speed, i_j1 a speed and no range.
+    assert found.spec.limits["i_j3"].lower is None
+    assert found.spec.limits["i_j1"].velocity is None
+    for joint in found.spec.limits:
+        assert any(joint in note for note in found.notes)
+    endless = detect(DATA / "continuous_joints.urdf")
+    assert {"u_j1", "v_j1", "w_turn"} <= set(endless.spec.limits)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+@settings(max_examples=3)
+@given(generator=generators)
+def test_names_and_the_order_of_the_file_do_not_matter(
+    name: str, generator: np.random.Generator
+) -> None:
+    hand = load_hand(name)
+    plain = detect_text(hand.urdf_text, urdf_path(hand.spec))
+    new, text = renamed(hand.urdf_text, generator)
+    other = detect_text(text, urdf_path(hand.spec))
+    # With nothing but names or the order of the file to go by the side is open, and the fingers
+    # with it.
+    if sure(plain, "side") > 0.5:
+        assert tips(other) == {finger: new[link] for finger, link in tips(plain).items()}
+        assert other.spec.side == plain.spec.side
+    else:
+        assert tips(other)["thumb"] == new[tips(plain)["thumb"]]
+    np.testing.assert_allclose(other.spec.palm.distal, plain.spec.palm.distal, atol=1e-6)
+    np.testing.assert_allclose(other.spec.palm.dorsal, plain.spec.palm.dorsal, atol=1e-6)
+    assert {new[joint]: value for joint, value in plain.spec.rest.items()} == pytest.approx(
+        other.spec.rest
+    )
+
+
+def renamed(text: str, generator: np.random.Generator) -> tuple[dict[str, str], str]:
+    """Every link and joint named by a number, and the file in another order."""
+    robot = ET.fromstring(text)
+    robot.set("name", "x")
+    named = [element for element in robot if element.tag in ("link", "joint")]
+    numbers = generator.permutation(len(named))
+    new = {
+        element.get("name", ""): f"n{number}"
+        for element, number in zip(named, numbers, strict=True)
+    }
+    for element in named:
+        element.set("name", new[element.get("name", "")])
+        for tag in ("parent", "child"):
+            if (end := element.find(tag)) is not None:
+                end.set("link", new[end.get("link", "")])
+        if (mimic := element.find("mimic")) is not None:
+            mimic.set("joint", new[mimic.get("joint", "")])
+        robot.remove(element)
+    for i in generator.permutation(len(named)):
+        robot.append(named[i])
+    return new, ET.tostring(robot, encoding="unicode")
+
+
+@settings(max_examples=10)
+@given(generator=generators)
+def test_a_rest_posture_is_inside_the_limits_and_closes_the_hand(
+    generator: np.random.Generator,
+) -> None:
+    name = str(
+        generator.choice(["chained_mimics", "continuous_joints", "seven_fingers", "absent_limits"])
+    )
+    hand = load_hand(detect(DATA / f"{name}.urdf").spec)
+    assert (hand.rest > hand.lower_limits).all()
+    assert (hand.rest < hand.upper_limits).all()
+    moved = hand.points(hand.rest) - hand.points(np.clip(0.0, hand.lower_limits, hand.upper_limits))
+    assert (moved @ np.array(hand.spec.palm.dorsal) < -0.01).all()
+
+
+@pytest.mark.parametrize(("name", "message"), [
+    ("no_joints", "no joint that moves"),
+    ("loop", "'coupler' hangs from two joints, 'c' and 'd'"),
+    ("two_roots", "2 roots, expected one: palm, loose"),
+    ("malformed", "no XML"),
+    ("nan_limits", "'j1' has <limit lower='nan'>"),
+])  # fmt: skip
+def test_a_urdf_that_cannot_be_used_gets_one_clear_line(name: str, message: str) -> None:
+    path = DATA / f"{name}.urdf"
+    with pytest.raises(HandError) as caught:
+        detect(path)
+    assert re.fullmatch(rf"{re.escape(str(path))}: .*{re.escape(message)}.*", str(caught.value))
+
+
+@pytest.mark.parametrize(("urdf", "root", "message"), [
+    (G1, None, "2 places that could be palms: left_hand_palm_link, right_hand_palm_link; name the one to take with --root"),
+    (G1, "moon", "no link 'moon'"),
+    (G1, "left_hand_index_1_link", "nothing that moves hangs from"),
+    (ROBOTS / "ur_description" / "urdf" / "ur5_robot.urdf", None, "no hand found from 'world' outwards: one chain of"),
+    (DATA / "absent.urdf", None, "cannot be read"),
+])  # fmt: skip
+def test_where_no_hand_is_found_the_next_step_is_said(
+    urdf: Path, root: str | None, message: str
+) -> None:
+    with pytest.raises(HandError, match=message):
+        detect(urdf, root=root)
+
+
+def urdf_of(*joints: str) -> str:
+    """A URDF from lines `name parent child x y z`, every joint turning about y from -0.1 to 1.5 rad; a leader may follow."""
+    rows = [line.split() for line in joints]
+    links = dict.fromkeys(name for row in rows for name in row[1:3])
+    text = "".join(f'<link name="{name}"/>' for name in links)
+    for name, parent, child, x, y, z, *leader in rows:
+        mimic = f'<mimic joint="{leader[0]}" multiplier="{leader[1]}"/>' if leader else ""
+        kind = "fixed" if name.startswith("end") else "revolute"
+        limits = (
+            '<limit lower="-2" upper="1.5" effort="1" velocity="1"/>'
+            if leader
+            else '<limit lower="-0.1" upper="1.5" effort="1" velocity="1"/>'
+        )
+        text += (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{x} {y} {z}"/>'
+            f'<axis xyz="0 1 0"/>{limits}{mimic}</joint>'
+        )
+    return f'<robot name="x">{text}</robot>'
+
+
+def test_a_metacarpal_that_carries_two_fingers_is_no_palm() -> None:
+    fingers = [
+        line
+        for name, root, y in (
+            ("i", "palm", 0.03),
+            ("m", "palm", 0.01),
+            ("r", "arch", -0.01),
+            ("l", "arch", -0.03),
+        )
+        for line in (
+            f"{name}1 {root} {name}_1 0.08 {y} 0",
+            f"{name}2 {name}_1 {name}_2 0.04 0 0",
+            f"end_{name} {name}_2 {name}_tip 0.03 0 0",
+        )
+    ]
+    found = detect_text(urdf_of("arch0 palm arch 0.01 0 0", *fingers), DATA / "x.urdf", thumb="i_1")
+    assert found.spec.palm.link == "palm"
+    assert len(tips(found)) == 4
+    assert "arch0" in found.spec.joints
+    assert sum("arch0" in chain for chain in found.chains.values()) == 2
+
+
+def test_the_bar_of_a_linkage_is_no_finger() -> None:
+    """A parallelogram.
+
+    Crank and bar turn together, the finger on the crank turns back, so the bar's end stays at a
+    place of it.
+    """
+    sides = [
+        line
+        for name, y, sign in (("a", 0.03, 1), ("b", -0.03, 1))
+        for line in (
+            f"{name}_crank palm {name}_1 0.02 {y} 0" + ("" if name == "a" else " a_crank 1"),
+            f"{name}_finger {name}_1 {name}_2 0.05 0 0 a_crank -1",
+            f"end_{name} {name}_2 {name}_tip 0.03 0 0",
+            f"{name}_bar palm {name}_3 0.02 {y} {0.02 * sign} a_crank 1",
+            f"end_{name}3 {name}_3 {name}_bar_end 0.05 0 0",
+        )
+    ]
+    found = detect_text(urdf_of(*sides), DATA / "x.urdf")
+    assert set(tips(found).values()) == {"a_tip", "b_tip"}
+    assert sum("linkage" in note for note in found.notes) == 2
+
+
+def test_a_urdf_in_millimetres_is_told_from_a_small_one() -> None:
+    text = (DATA / "one_finger.urdf").read_text()
+    large = re.sub(
+        r'(xyz|size)="([^"]*)"',
+        lambda m: f'{m[1]}="{" ".join(str(1e3 * float(x)) for x in m[2].split())}"',
+        text,
+    )
+    with pytest.raises(HandError, match="millimetres"):
+        detect_text(large, DATA / "one_finger.urdf")
+
+
+def test_who_knows_better_is_heeded() -> None:
+    found = detect(
+        urdf_directory() / "three_finger" / "hand.urdf",
+        side="left",
+        thumb="finger2_distal",
+        name="mine",
+    )
+    assert (found.spec.name, found.spec.side, tips(found)["thumb"]) == (
+        "mine",
+        "left",
+        "finger2_tip",
+    )
+    with pytest.raises(HandError, match="'moon'"):
+        detect(urdf_directory() / "three_finger" / "hand.urdf", thumb="moon")
+
+
+def test_an_arm_can_stay_under_the_hand() -> None:
+    found = detect(G1, root="left_hand_palm_link", base="torso_link")
+    hand = load_hand(found.spec)
+    assert hand.has_moving_wrist
+    assert len(hand.joint_names) == 7 + 7
+    assert hand.joint_names[0] == "left_shoulder_pitch_joint"
+    with pytest.raises(HandError, match="no joint moves between"):
+        detect(G1, root="left_hand_palm_link", base="left_wrist_yaw_link")
+    with pytest.raises(HandError, match="does not hang from"):
+        detect(G1, root="left_hand_palm_link", base="right_shoulder_pitch_link")

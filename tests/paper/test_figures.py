@@ -1,0 +1,213 @@
+"""`handmap figures`: every figure with its numbers and its paragraph, all of them or none."""
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.experiments import beyond, drawings, figures, figures_beyond, report
+from handmap_qp.experiments.artwork import Artwork, markdown_table
+from handmap_qp.experiments.cli import Figures
+from handmap_qp.experiments.held_object import object_error
+from handmap_qp.experiments.report import BEYOND_FIGURES, PAPER_FIGURES, FiguresResult, run_figures
+from handmap_qp.experiments.section_four import Setting, paper_scene, run_experiment
+from handmap_qp.experiments.style import box_triangles
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("trimesh")
+
+NAMES = PAPER_FIGURES + BEYOND_FIGURES
+TABLES = ("claims.csv", "numbers.csv", "report.md")
+
+
+@pytest.fixture(scope="module")
+def quick() -> Iterator[None]:
+    """Fewer runs and coarser pictures, by the same code."""
+    draw = drawings.draw_hands
+
+    def draw_coarsely(*arguments: Any, **named: Any) -> None:
+        draw(*arguments, **{**named, "supersampling": 1})
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (figures, figures_beyond):
+            patch.setattr(module, "GAMMAS", (0.1, 0.5, 1.0))
+        for module in (drawings, figures_beyond):
+            patch.setattr(module, "draw_hands", draw_coarsely)
+        patch.setattr(figures, "STEPS", (5, 20, 50, 200))
+        patch.setattr(beyond, "PLANS", 12)
+        patch.setattr(beyond, "MARGINS", (0.0, 4.0))
+        patch.setattr(beyond, "DISTANCES", (0.1, 1.0))
+        patch.setattr(beyond, "COUNTS", (3, 4, 6))
+        yield
+
+
+@pytest.fixture(scope="module")
+def said() -> list[tuple[str, int, int]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(
+    quick: None, said: list[tuple[str, int, int]], tmp_path_factory: pytest.TempPathFactory
+) -> FiguresResult:
+    folder = tmp_path_factory.mktemp("figures") / "new" / "folder"
+    return run_figures(folder, progress=lambda *words: said.append(words))
+
+
+@pytest.fixture(scope="module")
+def folder(result: FiguresResult) -> Path:
+    return result.files[0].parent
+
+
+def rows_of(file: Path) -> list[dict[str, str]]:
+    with file.open(newline="", encoding="utf-8") as lines:
+        return list(csv.DictReader(lines))
+
+
+def test_every_figure_comes_as_png_svg_and_numbers(result: FiguresResult, folder: Path) -> None:
+    expected = sorted(
+        [*(f"{name}.{kind}" for name in NAMES for kind in ("csv", "png", "svg")), *TABLES]
+    )
+    assert [file.name for file in result.files] == expected
+    assert sorted(file.name for file in folder.iterdir()) == expected
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pictures_show_something(folder: Path, name: str) -> None:
+    from matplotlib.image import imread
+
+    image = imread(folder / f"{name}.png")
+    assert min(image.shape[:2]) > 500
+    assert 0.01 < (image[..., :3].min(axis=2) < 0.9).mean() < 0.6
+    assert ET.parse(folder / f"{name}.svg").getroot().tag.endswith("svg")
+    assert len(rows_of(folder / f"{name}.csv")) >= 4
+
+
+def test_contacts_are_blue_and_red(folder: Path) -> None:
+    from matplotlib.image import imread
+
+    image = imread(folder / "figure_4.png")[..., :3]
+    human, robot, cube = np.split(image[:, : 3 * (image.shape[1] // 3)], 3, axis=1)
+    assert (human[..., 2] - human[..., 0] > 0.2).sum() > 300
+    # The fingertips are orange; the marks inside them are red.
+    assert ((robot[..., 0] - robot[..., 1] > 0.3) & (robot[..., 1] < 0.3)).sum() > 100
+    for channel, other in ((0, 2), (2, 0)):
+        assert (cube[..., channel] - cube[..., other] > 0.4).sum() > 300
+
+
+def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    assert re.findall(r"\]\((\w+)\.png\)", text) == list(NAMES)
+    for paragraph in re.findall(r"\.png\)\n\n(.*?)\n(?:\n|$)", text):
+        assert re.search(r"\d", paragraph), paragraph
+        assert "nan" not in paragraph.split()
+    assert text.count("| yes |") + text.count("| no |") + text.count("| assumed |") == 9
+
+
+def test_the_claims_hold(result: FiguresResult) -> None:
+    # The planner's claim is about 240 grasps, and here are 12.
+    verdicts = [row["holds"] for row in result.claims]
+    assert verdicts[1] == "assumed"
+    assert verdicts[2:] == ["yes"] * 7
+
+
+def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
+    assert len(result.numbers) == 12
+    row = next(
+        row
+        for row in result.numbers
+        if (row["robot hand"], row["object motion"], row["synergy"]) == ("ours", "rigid", 2)
+    )
+    for column, setting in (("gamma 0.5", Setting(2, 0.5, 20)), ("50 steps", Setting(2, steps=50))):
+        assert row[column] == pytest.approx(
+            1e3 * object_error(run_experiment(paper_scene("ours"), setting))
+        )
+
+
+def test_progress_goes_to_the_end(result: FiguresResult, said: list[tuple[str, int, int]]) -> None:
+    total = 3 + len(NAMES)
+    assert [done for _, done, _ in said] == list(range(total + 1))
+    assert {of for *_, of in said} == {total}
+
+
+@pytest.fixture
+def light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No planning and empty pictures, where the test is about files."""
+    from matplotlib.figure import Figure
+
+    def make(name: str, *_: object) -> Artwork:
+        return Artwork(name, name, Figure(), [{"x": 1.0}], "Text.")
+
+    monkeypatch.setattr(report, "_make", make)
+    monkeypatch.setattr(beyond, "plan", lambda *_: [])
+    for table in ("claim_rows", "number_rows"):
+        monkeypatch.setattr(
+            report, table, lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}]
+        )
+
+
+@pytest.mark.usefixtures("light")
+def test_the_papers_figures_alone(tmp_path: Path) -> None:
+    files = run_figures(tmp_path, has_beyond=False).files
+    assert {file.stem for file in files if file.suffix == ".svg"} == set(PAPER_FIGURES)
+
+
+@pytest.mark.usefixtures("light")
+def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    (folder / "report.md").write_text("old")
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("no table")
+
+    monkeypatch.setattr(report, "claim_rows", fail)
+    with pytest.raises(RuntimeError, match="no table"):
+        run_figures(folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["figures"]
+    assert [path.name for path in folder.iterdir()] == ["report.md"]
+    assert (folder / "report.md").read_text() == "old"
+
+
+@pytest.mark.usefixtures("light")
+def test_a_file_in_the_way_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "figures").write_text("a file")
+    with pytest.raises(InvalidInputError, match="expected a folder"):
+        run_figures(tmp_path / "figures")
+
+
+@pytest.mark.usefixtures("light")
+def test_the_same_numbers_give_the_same_files(tmp_path: Path) -> None:
+    for name in ("one", "other"):
+        run_figures(tmp_path / name)
+    for file in (tmp_path / "one").iterdir():
+        assert file.read_bytes() == (tmp_path / "other" / file.name).read_bytes(), file.name
+
+
+@pytest.mark.usefixtures("light")
+def test_the_command_prints_the_claims(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Figures(out=tmp_path / "new", beyond=False).run()
+    out = capsys.readouterr().out
+    assert "the paper claims" in out
+    assert "report.md" in out
+
+
+def test_a_markdown_table_is_one() -> None:
+    text = markdown_table([{"what": "a|b", "mm": 1.23456}, {"what": "c", "mm": 2}])
+    assert text == "| what | mm |\n| --- | ---: |\n| a/b | 1.235 |\n| c | 2 |"
+
+
+def test_a_box_is_closed_and_looks_outwards() -> None:
+    triangles = box_triangles(np.eye(4), (1.0, 2.0, 3.0))
+    corners = triangles.vertices
+    volume = (
+        np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    )
+    assert volume == pytest.approx(6.0)
+    assert (np.einsum("nci,nci->nc", triangles.normals, corners) > 0.0).all()

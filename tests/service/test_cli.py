@@ -1,0 +1,148 @@
+"""`handmap serve` and `handmap keys` as processes and commands."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tyro
+from patience import PATIENCE
+from service_tools import human_q
+from zmq.auth import load_certificate
+
+from handmap_qp.client import Client
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError, MissingExtraError
+from handmap_qp.service.cli import Keys, Serve
+
+PORTS = "port=0, stream_port=0, health_port=0, web=True, web_port=0"
+
+
+def start(fields: str) -> subprocess.Popen[str]:
+    code = (
+        f"from pathlib import Path\nfrom handmap_qp.service.cli import Serve\nServe({fields}).run()"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name)
+def test_it_says_when_it_is_ready_and_ends_when_it_is_told(number: signal.Signals) -> None:
+    process = start(PORTS)
+    try:
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline())
+        assert set(ready["ports"]) == {"requests", "stream", "health", "web"}
+        with Client(f"tcp://127.0.0.1:{ready['ports']['requests']}", timeout=PATIENCE) as client:
+            client.open("three_finger")
+            assert client.step(q=human_q(), wrist=np.eye(4)).status == "converged"
+            process.send_signal(number)
+            log = process.communicate(timeout=PATIENCE)[1]
+            # Nobody is there any more to close the session.
+            client.timeout = 0.0
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0
+    events = [json.loads(line)["event"] for line in log.splitlines()]
+    # A busy machine adds that it is late.
+    assert [event for event in events if event != "late"] == [
+        "ready",
+        "opened",
+        "closed",
+        "stopped",
+    ]
+
+
+def test_the_schema_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    Serve(schema=True).run()
+    assert capsys.readouterr().out.startswith("# Messages of the mapping service")
+    Serve(json_schema=True).run()
+    assert "$defs" in json.loads(capsys.readouterr().out)
+
+
+def test_keys_are_made_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Keys(tmp_path / "keys", client=("left",)).run()
+    assert capsys.readouterr().out.count("wrote") == 5
+    (public, secret), (server, _) = (
+        load_certificate(tmp_path / "keys" / name) for name in ("left.key_secret", "server.key")
+    )
+    assert [len(key or b"") for key in (public, secret, server)] == [40, 40, 40]
+
+
+@pytest.mark.parametrize(
+    ("choices", "error", "message"),
+    [
+        ({"host": "0.0.0.0"}, InvalidOptionsError, "keys"),
+        ({"web": True, "web_host": "0.0.0.0"}, InvalidOptionsError, "token"),
+        ({"web": True, "web_token_file": Path("missing")}, InvalidInputError, "cannot be read"),
+        ({"hand": (Path("missing.yaml"),)}, ValueError, "cannot be read"),
+        ({"keys": Path("missing")}, InvalidInputError, "handmap keys"),
+        ({"state": Path("missing/state")}, InvalidInputError, "cannot be used"),
+        ({"sessions": 0}, InvalidOptionsError, "^sessions: expected 1 to 128, got 0"),
+        ({"sessions": 129}, InvalidOptionsError, "^sessions: expected 1 to 128, got 129"),
+        ({"rate": float("nan")}, InvalidOptionsError, "^rate: expected a number > 0, got nan"),
+        ({"port": -1}, InvalidInputError, "^port: expected 0 to 65535, got -1"),
+        ({"stream_port": 70000}, InvalidInputError, "^stream port: expected"),
+        ({"health_port": -2}, InvalidInputError, "^health port: expected"),
+        ({"web": True, "web_port": -1}, InvalidInputError, "^web port: expected"),
+        (
+            {"web_port": 0, "web_origin": ("https://a.example",)},
+            InvalidInputError,
+            "^--web-port, --web-origin: expected --web",
+        ),
+    ],
+    ids=str,
+)
+def test_mistakes_are_told_before_anything_listens(
+    choices: dict[str, object],
+    error: type[Exception],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=message):
+        Serve(**{"port": 0, "stream_port": 0, "health_port": -1, **choices}).run()  # type: ignore[arg-type]
+
+
+def test_without_its_packages_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in [name for name in sys.modules if name.startswith("handmap_qp.service.")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("zmq", "zmq.auth"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingExtraError, match=r"handmap-qp\[service\]"):
+        Serve().run()
+    with pytest.raises(MissingExtraError, match=r"handmap-qp\[service\]"):
+        Keys(Path("keys")).run()
+
+
+def test_the_words_of_the_command_line_fit() -> None:
+    words = [
+        "--web",
+        "--web-port",
+        "0",
+        "--hand",
+        "a.yaml",
+        "b.yaml",
+        "--state",
+        "state",
+        "--rate",
+        "500",
+    ]
+    serve = tyro.cli(Serve, args=words)
+    assert (serve.web, serve.hand, serve.state, serve.rate) == (
+        True,
+        (Path("a.yaml"), Path("b.yaml")),
+        Path("state"),
+        500.0,
+    )
+    assert tyro.cli(Keys, args=["keys", "--client", "left", "right"]).client == ("left", "right")

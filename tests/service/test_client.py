@@ -1,0 +1,244 @@
+"""The client in one file.
+
+What it needs, what it does when the server goes away, and that no call hangs.
+"""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import inspect
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+from hypothesis import given
+from hypothesis import strategies as st
+from patience import PATIENCE
+from service_tools import (
+    LOCAL,
+    address_of,
+    assert_no_jump,
+    client_of,
+    connected,
+    heard,
+    human_q,
+    send_until_reopened,
+    serving,
+)
+from strategies import motion_of, rotations, translations
+
+import handmap_qp.client
+from handmap_qp.client import AsyncClient, Client, Pose, ServiceError, ServiceTimeoutError
+from handmap_qp.service.server import Server
+
+FILE = Path(handmap_qp.client.__file__)
+WRIST = np.eye(4)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as running:
+        yield running
+
+
+def test_it_needs_numpy_msgspec_and_zmq_and_nothing_else() -> None:
+    tree = ast.parse(FILE.read_text(encoding="utf-8"))
+    imported = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    }
+    imported |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert {name.split(".")[0] for name in imported} - set(sys.stdlib_module_names) == {
+        "numpy",
+        "msgspec",
+        "zmq",
+    }
+
+
+def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> None:
+    (tmp_path / "copied.py").write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
+    code = (
+        "import sys; sys.modules['handmap_qp'] = None; sys.path.insert(0, '.')\n"
+        f"import copied; client = copied.Client({address_of(server)!r}, timeout={PATIENCE}); client.open('three_finger')\n"
+        f"print(client.step(q={human_q().tolist()}, wrist=[0, 0, 0, 0, 0, 0, 1]).status); client.close()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=2.0 * PATIENCE,
+    )
+    assert done.stdout.strip() == "converged", done.stderr
+
+
+@given(st.builds(motion_of, rotations, translations))
+def test_poses_survive_the_wire(matrix: np.ndarray) -> None:
+    pose = Pose.of(matrix)
+    assert np.allclose(pose.matrix, matrix, atol=1e-12)
+    assert np.allclose(Pose.of([*pose.position, *pose.quat_xyzw]).matrix, matrix, atol=1e-12)
+
+
+def test_what_is_no_pose_is_refused_at_once() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        Pose.of(np.eye(3))
+
+
+def test_asyncio_is_the_same(server: Server) -> None:
+    async def main() -> None:
+        async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
+            await client.open("three_finger", mapping={"rigid_from": "wrist"}, watchdog=10.0)
+            # Calls of several tasks take turns: every one is answered.
+            commands = await asyncio.gather(
+                *(client.step(q=human_q(0.01 * i), wrist=WRIST) for i in range(20))
+            )
+            assert len({command.seq for command in commands}) == 20
+            # The subscription may not have arrived yet.
+            async with asyncio.timeout(PATIENCE):
+                while await client.latest(0.1) is None:
+                    await client.send(q=human_q(), wrist=WRIST)
+            await client.release()
+            await client.clutch()
+            await client.reset()
+            assert (await client.status()).mode == "following"
+            with pytest.raises(ServiceError, match="invalid: q"):
+                await client.step(q=[0.0], wrist=WRIST)
+
+    asyncio.run(main())
+
+
+def test_a_call_that_is_cancelled_does_no_harm(server: Server) -> None:
+    async def main() -> None:
+        async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
+            await client.open("three_finger")
+            cancelled = 0
+            for _ in range(50):
+                call = asyncio.ensure_future(client.step(q=human_q(), wrist=WRIST))
+                # Now it has been sent, and waits for the answer; unless that was there at once.
+                await asyncio.sleep(0.0)
+                call.cancel()
+                cancelled += isinstance(
+                    (await asyncio.gather(call, return_exceptions=True))[0], asyncio.CancelledError
+                )
+            assert cancelled
+            assert (await client.step(q=human_q(), wrist=WRIST, time=7.0)).time == 7.0
+
+    asyncio.run(main())
+
+
+@contextmanager
+def ending() -> Iterator[None]:
+    """Work that hangs is ended with an error."""
+
+    def complain(*_: object) -> None:
+        raise AssertionError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, complain)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("attempts", [1, 3])
+@pytest.mark.parametrize("listens", [False, True], ids=["nobody", "a mute server"])
+def test_a_call_without_an_answer_ends_after_its_attempts(
+    attempts: int, listens: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connections: list[str] = []
+    connect = zmq.Socket.connect
+
+    def count(self: zmq.Socket, address: str) -> object:
+        connections.append(address)
+        return connect(self, address)
+
+    monkeypatch.setattr(zmq.Socket, "connect", count)
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        if listens:
+            silent.listen()
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with (
+            Client(address, timeout=0.2, attempts=attempts) as client,
+            ending(),
+            pytest.raises(ServiceTimeoutError),
+        ):
+            client.open("three_finger")
+    assert connections == [address] * attempts
+
+
+def test_a_step_before_open_is_refused(server: Server) -> None:
+    with client_of(server) as client:
+        with pytest.raises(ServiceError, match="no_session"):
+            client.step(q=human_q(), wrist=WRIST)
+        with pytest.raises(RuntimeError, match="open a session"):
+            client.latest()
+
+
+@pytest.mark.parametrize("streams", [False, True], ids=["requests", "stream"])
+def test_after_a_restart_the_robot_goes_on_from_its_last_command(
+    free_port: int, streams: bool
+) -> None:
+    client = Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE)
+    with serving(LOCAL, port=free_port):
+        client.open("three_finger")
+        last = [client.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(15)][-1]
+    client.timeout = 0.1
+    with pytest.raises(ServiceTimeoutError):
+        client.step(q=human_q(), wrist=WRIST)
+    client.timeout = PATIENCE
+    with serving(LOCAL, port=free_port), client:
+        sample = {"q": human_q(1.0), "wrist": WRIST, "time": 1e3}
+        if streams:
+            send_until_reopened(client, **sample)
+            command = heard(client, 1e3)
+        else:
+            command = client.step(**sample)
+        assert client.reopened == 1
+        assert_no_jump(client, last, command)
+    assert command.wrist is not None
+    assert last.wrist is not None
+    assert (
+        np.linalg.norm(np.subtract(command.wrist.position, last.wrist.position))
+        <= 3.0**0.5 * 3.0 / 30.0
+    )
+
+
+def test_other_commands_too_find_the_new_server(free_port: int) -> None:
+    client = Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE)
+    with serving(LOCAL, port=free_port):
+        client.open("three_finger", mount="fixed", mapping={"rigid_from": "none"})
+        client.step(q=human_q(), wrist=WRIST)
+    with serving(LOCAL, port=free_port), client:
+        assert client.status().mode == "waiting"
+        client.clutch()
+        assert client.reopened == 1
+
+
+def test_closing_twice_is_closing_once(server: Server) -> None:
+    with connected(server) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        client.close()
+        client.close()
+
+
+def test_methods_say_what_they_do() -> None:
+    methods = {
+        name: method
+        for name, method in inspect.getmembers(Client, inspect.isfunction)
+        if not name.startswith("_")
+    }
+    assert {"open", "step", "watch"} <= methods.keys()
+    assert [name for name, method in methods.items() if not method.__doc__] == []

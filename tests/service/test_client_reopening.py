@@ -1,0 +1,211 @@
+"""What a robot's driver sees when a server loses a session and its client opens it anew.
+
+No jump that it is not told of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from patience import PATIENCE, wait_until
+from service_tools import (
+    LOCAL,
+    address_of,
+    assert_no_jump,
+    client_of,
+    connected,
+    heard,
+    human_q,
+    in_loop,
+    lose_sessions,
+    send_until_reopened,
+    serving,
+    skip,
+)
+
+from handmap_qp.client import AsyncClient, Client, Command, ServiceError
+from handmap_qp.service.server import Server
+
+WRIST = np.eye(4)
+# Longer than a server waits to hear of a session [s].
+LONG = 100.0
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as running:
+        yield running
+
+
+@contextmanager
+def driver_of(server: Server, name: str) -> Iterator[Client]:
+    """A robot's driver in a client of its own, that hears the session's commands."""
+    with client_of(server) as driver:
+        driver.watch(name)
+        yield driver
+
+
+def lead_away(tracker: Client, driver: Client) -> Command:
+    """Samples without answers, as of a tracker that leaves commands to the robot's driver, until the robot is well on its way.
+
+    Returns:
+        The last command.
+    """
+    assert tracker.opened is not None
+    start, stamps = tracker.opened.q, itertools.count()
+
+    def go_on() -> Command | None:
+        stamp = float(next(stamps))
+        tracker.send(q=human_q(min(0.1 * stamp, 1.5)), wrist=WRIST, time=stamp)
+        command = heard(driver, stamp)
+        return command if np.abs(np.subtract(command.q, start)).max() > 0.1 else None
+
+    return wait_until(go_on)
+
+
+def test_a_tracker_that_only_sends_is_opened_anew_where_its_robot_is(server: Server) -> None:
+    with connected(server, name="lab") as tracker, driver_of(server, "lab") as driver:
+        before = lead_away(tracker, driver)
+        lose_sessions(server)
+        send_until_reopened(tracker, q=human_q(2.0), wrist=WRIST, time=1e3)
+        after = heard(driver, 1e3)
+        assert (tracker.reopened, after.epoch) == (1, before.epoch)
+        assert_no_jump(tracker, before, after)
+
+
+@pytest.mark.parametrize("remembers", [False, True])
+def test_a_restarted_server_goes_on_or_says_that_it_does_not_know(
+    free_port: int, tmp_path: Path, remembers: bool
+) -> None:
+    choices: dict[str, Any] = {"port": free_port} | (
+        {"state": tmp_path / "state"} if remembers else {}
+    )
+    tracker = Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE)
+    with serving(LOCAL, **choices):
+        tracker.open("three_finger", name="lab")
+        before = lead_away(tracker, tracker)
+    with serving(LOCAL, **choices), tracker:
+        after = tracker.step(q=human_q(2.0), wrist=WRIST)
+        assert (after.epoch == before.epoch) == remembers
+        assert (after.name, tracker.reopened) == ("lab", 1)
+        assert_no_jump(tracker, before, after)
+
+
+def test_sessions_keep_the_names_that_the_server_gave_them(free_port: int) -> None:
+    left, right = (Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2))
+    with serving(LOCAL, port=free_port):
+        names = [client.open("three_finger").name for client in (left, right)]
+        for client in (left, right):
+            client.step(q=human_q(), wrist=WRIST)
+    with serving(LOCAL, port=free_port), left, right:
+        found = {client: client.step(q=human_q(), wrist=WRIST).name for client in (right, left)}
+    assert [found[left], found[right]] == names
+
+
+@pytest.mark.parametrize("by", ["its client", "another"])
+def test_a_robot_that_was_let_go_is_not_taken_hold_of_again(server: Server, by: str) -> None:
+    with connected(server, name="lab", is_shared=True) as tracker, client_of(server) as other:
+        tracker.step(q=human_q(), wrist=WRIST)
+        other.watch("lab")
+        (tracker if by == "its client" else other).release()
+        before = tracker.step(q=human_q(), wrist=WRIST)
+        lose_sessions(server)
+        after = tracker.step(q=human_q(2.0), wrist=WRIST)
+        assert (tracker.reopened, after.status, after.q) == (1, "released", before.q)
+        tracker.clutch()
+        assert tracker.step(q=human_q(2.0), wrist=WRIST).status != "released"
+
+
+def test_a_session_that_begins_anew_has_another_epoch(server: Server) -> None:
+    epochs = []
+    for _ in range(2):
+        with connected(server, name="lab") as tracker:
+            epochs.append(tracker.step(q=human_q(), wrist=WRIST).epoch)
+    assert epochs[0] < epochs[1]
+
+
+def test_a_sample_that_cannot_be_sent_on_is_told_at_the_next(server: Server) -> None:
+    with client_of(server) as nobody, pytest.raises(RuntimeError, match="open a session"):
+        nobody.send(q=human_q(), wrist=WRIST)
+
+    def refused() -> int:
+        return in_loop(server, lambda: server.metrics.refusals["invalid"])
+
+    with connected(server) as tracker:
+        before = refused()
+        tracker.send(q=np.full(20, np.nan), wrist=WRIST)
+        wait_until(lambda: refused() > before)
+        # The answer is on its way.
+        with pytest.raises(ServiceError, match=r"q\[0\]"):
+            wait_until(lambda: tracker.send(q=human_q(), wrist=WRIST))
+        tracker.send(q=human_q(), wrist=WRIST, time=1e3)
+        heard(tracker, 1e3)
+
+
+def test_one_task_waits_for_commands_while_another_sends(server: Server) -> None:
+    async def main() -> Command | None:
+        async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
+            await client.open("three_finger")
+            driving = asyncio.ensure_future(client.latest(PATIENCE))
+            # Now it waits. Without samples there are no commands: if one task had to wait for the
+            # other, both would wait in vain.
+            await asyncio.sleep(0.0)
+            while not driving.done():
+                await client.send(q=human_q(), wrist=WRIST)
+                await asyncio.sleep(0.01)
+            return driving.result()
+
+    assert asyncio.run(main()) is not None
+
+
+def test_an_idle_session_comes_back_where_it_was(server: Server) -> None:
+    with connected(server, name="lab") as tracker:
+        before = [tracker.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
+        skip(server, LONG)
+        after = tracker.step(q=human_q(2.0), wrist=WRIST)
+        assert (tracker.reopened, after.epoch) == (1, before.epoch)
+        assert_no_jump(tracker, before, after)
+
+
+def test_a_tracker_that_only_sends_and_was_idle_keeps_name_and_posture(server: Server) -> None:
+    with client_of(server) as tracker:
+        name = tracker.open("three_finger").name
+        with driver_of(server, name) as driver:
+            before = lead_away(tracker, driver)
+            # The stream's last word is then that the session was closed.
+            skip(server, LONG)
+            send_until_reopened(tracker, q=human_q(2.0), wrist=WRIST, time=1e3)
+            after = heard(driver, 1e3)
+        assert (tracker.reopened, after.name, after.epoch) == (1, name, before.epoch)
+        assert_no_jump(tracker, before, after)
+
+
+def test_a_reset_takes_hold_again_for_good(server: Server) -> None:
+    with connected(server, name="lab", is_released=True) as tracker:
+        assert tracker.step(q=human_q(), wrist=WRIST).status == "released"
+        tracker.reset()
+        assert tracker.step(q=human_q(), wrist=WRIST).status != "released"
+        lose_sessions(server)
+        assert tracker.step(q=human_q(), wrist=WRIST).status != "released"
+
+
+def test_a_release_that_only_the_watchdog_told_of_outlives_the_server(free_port: int) -> None:
+    tracker, other = (Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2))
+    with serving(LOCAL, port=free_port), other:
+        tracker.open("three_finger", name="lab", is_shared=True)
+        before = tracker.step(q=human_q(), wrist=WRIST)
+        other.watch("lab")
+        other.release()
+        wait_until(
+            lambda: (command := tracker.latest(0.1)) is not None and "released" in command.flags
+        )
+    with serving(LOCAL, port=free_port), tracker:
+        after = tracker.step(q=human_q(2.0), wrist=WRIST)
+        assert (tracker.reopened, after.status, after.q) == (1, "released", before.q)

@@ -1,0 +1,172 @@
+"""Messages without sockets: what depends on time, on what comes at once, and on who fails.
+
+Time is the test's own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from service_tools import PERIOD, SECRET, SHELF, Sampler, human_q, make_session, opening, streamed
+
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.logs import JsonLines, log
+from handmap_qp.service.messages import PROTOCOL, Command, Request, Status
+from handmap_qp.service.metrics import Metrics
+from handmap_qp.service.session import Session
+from handmap_qp.service.sessions import Entry
+from handmap_qp.service.store import PostureStore
+
+
+class Desk:
+    """A dispatcher, its clock, and all that goes into its streams.
+
+    Args:
+        caps: What clients are allowed.
+    """
+
+    def __init__(self, **caps: Any) -> None:
+        self.now = 0.0
+        self.published: list[dict[str, Any]] = []
+        self.metrics, self.store = Metrics(), PostureStore(None)
+        self.dispatcher = Dispatcher(
+            Caps(**caps), SHELF, self.metrics, store=self.store, clock=lambda: self.now
+        )
+        self.sessions = self.dispatcher.sessions
+        self.sessions.publish.append(
+            lambda name, payload: self.published.append(msgspec.msgpack.decode(payload))
+        )
+
+    def take(self, request: Request, peer: str = "one") -> list[dict[str, Any]]:
+        """The answers to a request that come at once: one or none."""
+        answers: list[bytes] = []
+        self.dispatcher.receive(msgspec.msgpack.encode(request), peer, answers.append)
+        return [msgspec.msgpack.decode(answer) for answer in answers]
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.now += seconds
+        self.dispatcher.tick()
+
+
+@contextmanager
+def desk(caps: dict[str, Any], **choices: Any) -> Iterator[Desk]:
+    """With an open session, named `lab`."""
+    made = Desk(**caps)
+    asyncio.run(made.sessions.open(opening(name="lab", **choices), b""))
+    yield made
+    made.sessions.close()
+
+
+def test_of_samples_that_come_together_the_newest_is_mapped() -> None:
+    sample = Sampler()
+
+    async def burst(here: Desk) -> None:
+        for i in range(20):
+            assert here.take(streamed(sample(float(i)))) == []
+        # They are mapped when all that has come has been read.
+        await asyncio.sleep(0.0)
+
+    with desk({}) as here:
+        asyncio.run(burst(here))
+        assert [command["time"] for command in here.published] == [19.0]
+        assert here.sessions.named("lab").counts == {"steps": 1}
+        assert here.metrics.counts["replaced"] == 19
+
+
+def test_rates_are_capped_for_each_connection_and_recover() -> None:
+    sample = Sampler()
+
+    def flood(peer: str) -> list[str]:
+        return [answer["type"] for _ in range(100) for answer in here.take(sample(), peer)]
+
+    with desk({"rate": 40.0}) as here:
+        # A quarter of a second's worth at once, and a word that the rest was too much.
+        assert flood("one") == ["command"] * 10 + ["error"]
+        assert flood("other") == ["command"] * 10 + ["error"]
+        here.wait(0.2)
+        assert flood("one") == ["command"] * 8 + ["error"]
+        assert here.metrics.refusals == {"rate": 2 * 90 + 92}
+
+
+def test_a_session_that_is_not_heard_of_is_closed_also_while_others_look_on() -> None:
+    def look() -> str:
+        (answer,) = here.take(Status(protocol=PROTOCOL, seq=1, name="lab"))
+        return answer["type"]
+
+    with desk({"idle": 0.32}) as here:
+        seen = []
+        for _ in range(10):
+            here.wait(0.05)
+            seen.append(look())
+        assert seen == ["state"] * 6 + ["error"] * 4
+        assert [(message["type"], message["code"]) for message in here.published] == [
+            ("error", "no_session")
+        ]
+
+
+def test_a_session_that_is_heard_of_stays() -> None:
+    sample = Sampler()
+    with desk({"idle": 0.32}) as here:
+        for _ in range(10):
+            here.wait(0.3)
+            assert here.take(sample())[0]["type"] == "command"
+
+
+def test_a_robot_on_its_way_to_rest_gets_there_before_its_session_is_closed() -> None:
+    sample, rest = Sampler(), SHELF.robot("three_finger", None, None).rest
+    with desk({"idle": 0.2}, watchdog=0.05, return_after=0.3) as here:
+        for i in range(10):
+            here.now += PERIOD
+            here.take(sample(i * PERIOD, human_q(0.2 * i)))
+        (entry,) = here.sessions.entries.values()
+        assert not np.array_equal(entry.session.posture[0], rest)
+        while here.sessions.entries:
+            here.wait(0.005)
+            assert here.now < 60.0
+        record = here.store.find("lab", "three_finger", 8)
+    assert record is not None
+    np.testing.assert_array_equal(record.q, rest)
+
+
+@pytest.fixture
+def logged(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What `handmap serve` would write to stderr."""
+    text = io.StringIO()
+    handler = logging.StreamHandler(text)
+    handler.setFormatter(JsonLines())
+    monkeypatch.setattr(log, "handlers", [handler])
+    monkeypatch.setattr(log, "level", logging.INFO)
+    return text
+
+
+def test_a_session_that_fails_leaves_the_others_their_watchdogs(
+    logged: io.StringIO, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def burst(now: float) -> Command | None:
+        raise ZeroDivisionError(f"at {now}")
+
+    here, sessions = Desk(), list[Session]()
+    for secret in ("another-secret-of-the-tests", SECRET):
+        sessions.append(make_session(watchdog=0.2))
+        sessions[-1].step(Sampler()(), 0.0)
+        here.sessions.entries[secret] = Entry(sessions[-1], 2, b"")
+    monkeypatch.setattr(sessions[0], "tick", burst)
+    here.wait(0.3)
+    assert sessions[1].mode == "hold"
+    (line,) = [
+        json.loads(text) for text in logged.getvalue().splitlines() if "ZeroDivisionError" in text
+    ]
+    assert (line["event"], line["level"]) == ("failed", "error")
+    assert "in burst" in line["traceback"]
+    here.sessions.close()

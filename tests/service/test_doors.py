@@ -1,0 +1,326 @@
+"""The doors of the service.
+
+What keeps a server from opening them, and what it says to those who do not come in.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import resource
+import signal
+from dataclasses import replace
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from msgspec.msgpack import encode
+from service_tools import LOCAL, Sampler, address_of, human_q, serving
+from zmq.auth import load_certificate
+
+from handmap_qp import cli
+from handmap_qp.addresses import bare_host
+from handmap_qp.client import Client
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.service import logs
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.service.messages import PROTOCOL, Error, decode_request
+from handmap_qp.service.run import run_server
+from handmap_qp.service.schema import schema_text
+from handmap_qp.service.websocket import WebSettings
+
+README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+PATIENCE = 20.0
+"""For what comes in its own time, and should: a test that fails waits so long [s]."""
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    """What the command line says of words that it refuses."""
+    assert cli.main([str(word) for word in words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+# -- keys and tokens
+# ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"", b"garbage", b'    public-key = "a"\n    secret-key = "b"\n', bytes(range(256))],
+    ids=repr,
+)
+def test_a_file_that_is_no_key_is_to_be_deleted_first(tmp_path: Path, text: bytes) -> None:
+    make_keys(tmp_path, ["a"])
+    (tmp_path / "server.key_secret").write_bytes(text)
+    with pytest.raises(
+        InvalidInputError, match=r"server.key_secret: expected a server's secret key, .* delete it"
+    ):
+        read_server_keys(tmp_path)
+    (tmp_path / "server.key_secret").unlink()
+    with pytest.raises(InvalidInputError, match=f"is not there; handmap keys {tmp_path} makes it"):
+        read_server_keys(tmp_path)
+    make_keys(tmp_path, [])
+    assert len(read_server_keys(tmp_path).secret) == 40
+
+
+def test_a_client_that_was_shut_out_is_admitted_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["keys", str(tmp_path), "--client", "a"]
+    assert cli.main(words) == 0
+    keys, a = ClientKeys(tmp_path / "clients"), load_certificate(tmp_path / "a.key")[0]
+    (tmp_path / "clients" / "a.key").unlink()
+    assert not keys.callback("*", a)
+    capsys.readouterr()
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out == f"wrote {tmp_path}/clients/a.key, which admits a again\n"
+    assert keys.callback("*", a)
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out == "wrote nothing: all keys are there\n"
+
+
+def test_names_of_clients_are_checked_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"'\.\./bad'"):
+        make_keys(tmp_path / "keys", ["good", "../bad"])
+    assert not (tmp_path / "keys").exists()
+
+
+def test_a_file_in_place_of_the_folder_of_keys_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for use in (read_server_keys, lambda folder: make_keys(folder, ["a"])):
+        with pytest.raises(InvalidInputError, match="file: expected a folder of keys"):
+            use(file)
+
+
+def test_a_token_is_for_its_owner_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "token"
+    file.write_text("a-token-of-the-tests\n", encoding="utf-8")
+    file.chmod(0o640)
+    assert "token: others can read it; chmod 600" in complaint(
+        capsys, "serve", "--web", "--web-token-file", file
+    )
+    file.chmod(0o600)
+    assert read_token(file) == "a-token-of-the-tests"
+    file.write_bytes(b"\xff\xfe")
+    assert "token: cannot be read" in complaint(capsys, "serve", "--web", "--web-token-file", file)
+
+
+def test_a_key_that_is_refused_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, object]] = []
+    monkeypatch.setattr(
+        logs, "report", lambda level, event, **data: told.append((event, data["key"]))
+    )
+    make_keys(tmp_path, ["a", "b"])
+    (tmp_path / "clients" / "b.key").unlink()
+    a, b = (load_certificate(tmp_path / f"{name}.key")[0] for name in "ab")
+    keys = ClientKeys(tmp_path / "clients")
+    # Of those that come at once, the first is told.
+    for key in (a, b, b):
+        keys.callback("*", key)
+    assert told == [("refused_key", b.decode())]
+
+
+# -- where it listens
+# -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1:5570", "tcp://127.0.0.1", "[::1]:5570", "localhost:5570", ""]
+)
+def test_a_host_with_more_than_a_host_is_refused_as_such(
+    capsys: pytest.CaptureFixture[str], host: str
+) -> None:
+    expected = f"expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}"
+    assert complaint(capsys, "serve", "--host", host) == f"handmap: --host: {expected}"
+    assert (
+        complaint(capsys, "serve", "--web", "--web-host", host)
+        == f"handmap: --web-host: {expected}"
+    )
+
+
+def test_brackets_round_a_host_are_taken_off() -> None:
+    hosts = ("[::1]", "::1", "127.0.0.1", "localhost", "fe80::1%eth0", "eth0", "*")
+    assert [bare_host("host", host) for host in hosts] == ["::1", *hosts[1:]]
+
+
+def test_a_host_that_cannot_be_listened_on_is_told(tmp_path: Path) -> None:
+    make_keys(tmp_path, ["a"])
+    message = "^tcp://nosuch.invalid:0: expected an IP address of this machine"
+    with (
+        pytest.raises(InvalidInputError, match=message),
+        serving(host="nosuch.invalid", keys=tmp_path),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    "web", [None, WebSettings(host="localhost", port=0)], ids=["zeromq", "web"]
+)
+def test_the_ready_line_tells_where_websocket_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, web: WebSettings | None
+) -> None:
+    # Told to end as soon as it is ready.
+    monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
+    run_server(replace(LOCAL, web=web), "error")
+    ready = json.loads(capsys.readouterr().out)
+    assert ready["host"] == "127.0.0.1"
+    assert ready.get("web_host") == (None if web is None else "localhost")
+
+
+@pytest.mark.parametrize("wrong", ["certificate", "key"])
+def test_files_of_tls_that_cannot_be_used_are_named(tmp_path: Path, wrong: str) -> None:
+    files = {name: tmp_path / f"{name}.pem" for name in ("certificate", "key")}
+    for file in files.values():
+        file.touch()
+    settings = WebSettings(port=0, certificate=files["certificate"], key=files["key"])
+    message = f"^{files['certificate']}, {files['key']}: expected a PEM certificate and its key"
+    with pytest.raises(InvalidInputError, match=message), serving(web=settings):
+        pass
+    files[wrong].unlink()
+    message = f"^{files[wrong]}: cannot be read: No such file or directory$"
+    with pytest.raises(InvalidInputError, match=message), serving(web=settings):
+        pass
+
+
+def test_the_server_may_open_as_many_files_as_the_system_allows(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(256, before[1]), before[1]))
+        run_server(LOCAL, "error")
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(before[1], 65536), before[1])
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert "ready" in capsys.readouterr().out
+
+
+# -- what is told of those who do not come in
+# -----------------------------------------------------------------------------
+
+
+class Events:
+    """Events of the log as they come, from whichever thread."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._told: Queue[tuple[str, dict[str, Any]]] = Queue()
+        monkeypatch.setattr(
+            logs, "report", lambda level, event, **data: self._told.put((event, data))
+        )
+
+    def wait(self, event: str) -> dict[str, Any]:
+        """What the next event of this name says."""
+        while True:
+            name, data = self._told.get(timeout=PATIENCE)
+            if name == event:
+                return data
+
+
+@pytest.mark.parametrize(
+    ("key", "server_key", "reason"),
+    [
+        (None, None, "the other way round"),
+        ("others", "keys", "not among the keys"),
+        ("keys", "others", "another server's"),
+    ],
+)
+def test_a_handshake_that_fails_is_told_and_counted(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    key: str | None,
+    server_key: str | None,
+    reason: str,
+) -> None:
+    for folder in ("keys", "others"):
+        make_keys(tmp_path / folder, ["client"])
+    events = Events(monkeypatch)
+    with serving(keys=tmp_path / "keys") as server:
+        with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+            if key is not None:
+                socket.curve_publickey, socket.curve_secretkey = load_certificate(
+                    tmp_path / key / "client.key_secret"
+                )
+                socket.curve_serverkey, _ = load_certificate(
+                    tmp_path / str(server_key) / "server.key"
+                )
+            socket.connect(address_of(server))
+            assert reason in events.wait("handshake")["reason"]
+        assert 'handmap_refusals_total{code="handshake"}' in server.metrics.render()
+        assert server.health()["status"] == "ok"
+
+
+# -- what messages may hold
+# -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time", [1e308, -2e15, float("inf"), float("nan")])
+def test_the_limit_of_time_stamps_is_named(time: float) -> None:
+    answer = decode_request(encode(Sampler()(time)))
+    assert isinstance(answer, Error)
+    assert (answer.field, answer.message) == (
+        "time",
+        f"expected a number within 1e+15 of 0, got {time:g}",
+    )
+
+
+def test_what_a_name_may_be_is_said_in_words() -> None:
+    answer = decode_request(
+        encode({"type": "status", "protocol": PROTOCOL, "seq": 1, "name": "a/b"})
+    )
+    assert isinstance(answer, Error)
+    assert (answer.field, answer.message) == ("name", "expected 1 to 64 of A-Z a-z 0-9 _ . -")
+
+
+@pytest.mark.parametrize("kind", ["step", "sample", "reset", "close"])
+def test_who_only_watches_is_told_so(kind: str) -> None:
+    answer = decode_request(encode({"type": kind, "name": "lab", "protocol": PROTOCOL, "seq": 1}))
+    assert isinstance(answer, Error)
+    assert answer.field == "name"
+    assert "you may only watch" in answer.message
+
+
+def test_users_are_told_how_to_show_the_token_and_how_long_a_message_may_be(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["serve", "--help"])
+    assert f"at most {Caps().message_size} bytes" in schema_text()
+    for text in (schema_text(), README, capsys.readouterr().out):
+        words = " ".join(text.replace("│", " ").split())
+        assert "Authorization: Bearer TOKEN" in words
+        assert '["handmap.v1", "bearer.TOKEN"]' in words
+
+
+# -- a tracker that starts again
+# ------------------------------------------------------------------------------------------
+
+
+def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> None:
+    choices: dict[str, Any] = {
+        "name": "lab",
+        "restore": True,
+        "robot_q": np.zeros(8),
+        "watchdog": 0.02,
+    }
+    assert 'name="lab", restore=True, robot_q=' in README
+    with (
+        serving() as server,
+        Client(address_of(server), timeout=PATIENCE) as crashed,
+        Client(address_of(server)) as again,
+    ):
+        assert crashed.open("three_finger", **choices).q == (0.0,) * 8
+        last = [crashed.step(q=human_q(0.2 * i), wrist=np.eye(4)) for i in range(5)][-1]
+        # Silent from here on; the server has noticed when it says so in the stream.
+        while (held := crashed.latest(PATIENCE)) is not None and (held.status, held.seq) != (
+            "hold",
+            last.seq,
+        ):
+            pass
+        assert again.open("three_finger", **choices).q == last.q != (0.0,) * 8

@@ -1,0 +1,117 @@
+"""Sessions of landmarks.
+
+The hand is measured first, and what is no hand is neither measured nor mapped.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from service_tools import SHELF, Sampler, human_q, make_session, opening, run_now
+
+from handmap_qp.errors import RefusedError
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.service.messages import PROTOCOL, Configure
+from handmap_qp.service.opening import CALIBRATION_SAMPLES, Calibration, Hands, prepare_hands
+from handmap_qp.service.session import Session
+from handmap_qp.trackers.recording import read_recording
+
+PERIOD = 1.0 / 60.0
+
+
+def landmarks_of(scale: float = 1.0, phase: float = 0.0) -> tuple[tuple[float, ...], ...]:
+    """Landmarks of the model's hand, in metres or in units of another scale."""
+    points = SHELF.human("right", "landmarks").points(human_q(phase), np.eye(4))
+    return tuple(map(tuple, (scale * points).tolist()))
+
+
+def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
+    session, sample = make_session(input="landmarks"), Sampler()
+    session.configure(Configure(protocol=PROTOCOL, seq=99, mapping={"ridge": 0.4}))
+    for i in range(40):
+        session.step(sample(PERIOD * i, landmarks=landmarks_of()), PERIOD * i)
+    about = session.state(1, "", 0, 0.0).about
+    assert session.mode == "following"
+    assert about is not None
+    assert about.mapping["ridge"] == 0.4
+    assert about.lengths is not None
+    # The measured hand is the one that the landmarks were made of.
+    own = HumanLengths.from_urdf(SHELF.human("right", None).urdf_text)
+    np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)
+
+
+def test_landmarks_are_measured_first_and_then_mapped(recordings: Any) -> None:
+    recording = read_recording(sorted(recordings.glob("*_right.npz"))[0])
+    seen = np.flatnonzero(recording.valid)[:50]
+    session, sample = make_session(input="landmarks", has_detail=True), Sampler()
+    commands = []
+    for i, k in enumerate(seen):
+        landmarks = tuple(map(tuple, recording.landmarks[k].tolist()))
+        commands.append(session.step(sample(i * PERIOD, landmarks=landmarks), i * PERIOD))
+    states = [command.status for command in commands]
+    assert states[:30] == ["calibrating"] * 30
+    assert "calibrating" not in states[31:]
+    assert all(command.q == tuple(session.robot.rest) for command in commands[:30])
+    assert commands[-1].detail is not None
+
+
+def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it_was() -> None:
+    session, sample = make_session(input="landmarks"), Sampler()
+    good = CALIBRATION_SAMPLES // 2
+    for i in range(good):
+        session.step(sample(landmarks=landmarks_of()), i * PERIOD)
+    before = session.record, session.mode
+    for scale in (0.0, 1000.0):
+        with pytest.raises(RefusedError, match="expected metres") as raised:
+            session.step(sample(landmarks=landmarks_of(scale)), 1.0)
+        assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
+    assert (session.record, session.mode) == before
+    # For the watchdog they have not come, and what was gathered before counts.
+    assert session.tick(good * PERIOD + session.request.watchdog) is not None
+    for i in range(good, CALIBRATION_SAMPLES + 1):
+        session.step(sample(landmarks=landmarks_of()), 1.0 + i * PERIOD)
+    assert session.mode == "following"
+
+
+def test_a_known_hand_needs_no_measuring() -> None:
+    request = opening(input="landmarks", hand_length=0.19)
+    hands: Hands = prepare_hands(request, SHELF)
+    assert not hands.needs_measuring
+    assert hands.fitter is not None
+    session = Session(request, hands, "test", 0.0, calibration=Calibration(request, SHELF, run_now))
+    landmarks = hands.fitter.human.points(human_q())
+    command = session.step(Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1)
+    assert command.status != "calibrating"
+
+
+@pytest.mark.parametrize("scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"])
+def test_a_hand_in_other_units_is_not_measured_and_one_in_metres_is_thereafter(
+    scale: float,
+) -> None:
+    session, sample = make_session(input="landmarks"), Sampler()
+    for i in range(CALIBRATION_SAMPLES):
+        with pytest.raises(RefusedError, match="expected metres") as raised:
+            session.step(sample(landmarks=landmarks_of(scale)), i * PERIOD)
+        assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
+    assert session.mode == "waiting"
+    for i in range(CALIBRATION_SAMPLES, 2 * CALIBRATION_SAMPLES + 1):
+        session.step(sample(landmarks=landmarks_of()), i * PERIOD)
+    assert session.mode == "following"
+
+
+@pytest.mark.parametrize("is_known", [True, False], ids=["known", "measured"])
+@pytest.mark.parametrize("scale", [1000.0, 2.5, 0.3, 0.0], ids=["mm", "large", "small", "zeros"])
+def test_a_hand_of_another_size_is_not_mapped(scale: float, is_known: bool) -> None:
+    lengths: dict[str, Any] = {"hand_length": 0.19} if is_known else {}
+    session, sample = make_session(input="landmarks", **lengths), Sampler()
+    for i in range(CALIBRATION_SAMPLES + 3):
+        session.step(sample(landmarks=landmarks_of()), i * PERIOD)
+    before, counts = session.posture[0].copy(), session.counts["steps"]
+    with pytest.raises(RefusedError, match="expected metres") as raised:
+        session.step(sample(landmarks=landmarks_of(scale, 1.0)), 1.0)
+    assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
+    np.testing.assert_array_equal(session.posture[0], before)
+    assert session.step(sample(landmarks=landmarks_of()), 1.0 + PERIOD).status != "failed"
+    assert session.counts["steps"] == counts + 1

@@ -1,0 +1,194 @@
+"""Messages: what is read, what is refused and how, and the schema made of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import motion_of, rotations, translations
+
+from handmap_qp import IkOptions, MappingOptions, client
+from handmap_qp.service import messages
+from handmap_qp.service.convert import to_matrix, to_pose
+from handmap_qp.service.messages import (
+    PROTOCOL,
+    AnyReply,
+    AnyRequest,
+    Error,
+    Sample,
+    Step,
+    decode_request,
+    encode_reply,
+)
+from handmap_qp.service.schema import CODES, FLAGS, json_schema, schema_text
+
+STEP: dict[str, Any] = {
+    "type": "step",
+    "protocol": PROTOCOL,
+    "seq": 7,
+    "session": "s" * 16,
+    "time": 1.5,
+    "q": [0.0, 0.1, 0.2],
+    "wrist": {"position": [0, 0, 1], "quat_xyzw": [0, 0, 0, 1]},
+}
+OPEN: dict[str, Any] = {
+    "type": "open",
+    "protocol": PROTOCOL,
+    "seq": 7,
+    "session": "s" * 16,
+    "robot": "three_finger",
+}
+NAN = float("nan")
+
+# What is wrong, and the field that the answer must name.
+MISTAKES = {
+    "text in numbers": (STEP | {"q": [0.0, "x"]}, "q[1]"),
+    "not a number": (STEP | {"q": [0.0, 0.0, NAN]}, "q[2]"),
+    "infinite": (STEP | {"points": [[0, 0, 0], [0, float("inf"), 0]]}, "points[1][1]"),
+    "absurdly far": (STEP | {"landmarks": [[0, 0, 1e6]]}, "landmarks[0][2]"),
+    "time is no number": (STEP | {"time": NAN}, "time"),
+    "two coordinates": (STEP | {"landmarks": [[0, 0]]}, "landmarks[0]"),
+    "no quaternion": (
+        STEP | {"wrist": {"position": [0, 0, 0], "quat_xyzw": [0, 0, 0, 0]}},
+        "wrist.quat_xyzw",
+    ),
+    "half a wrist": (STEP | {"wrist": {"position": [0, 0, 0]}}, "wrist"),
+    "unknown field": (STEP | {"angles": [0.0]}, "angles"),
+    "missing field": ({key: value for key, value in STEP.items() if key != "time"}, "time"),
+    "unknown type": (STEP | {"type": "jump"}, "type"),
+    "no number of the request": (STEP | {"seq": 0}, "seq"),
+    "unknown choice": (OPEN | {"side": "up"}, "side"),
+    "out of range": (OPEN | {"watchdog": -1.0}, "watchdog"),
+    "a path for a name": (OPEN | {"name": "../../etc"}, "name"),
+    "robot position not a number": (OPEN | {"robot_q": [NAN]}, "robot_q[0]"),
+}
+
+
+@pytest.mark.parametrize(("message", "field"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_a_mistake_is_answered_with_the_field_and_the_number_of_the_request(
+    message: dict[str, Any], field: str
+) -> None:
+    answer = decode_request(msgspec.msgpack.encode(message))
+    assert isinstance(answer, Error)
+    assert (answer.code, answer.field) == ("invalid", field)
+    assert answer.seq == message["seq"]
+
+
+def test_msgpack_and_json_say_the_same() -> None:
+    assert decode_request(msgspec.msgpack.encode(STEP)) == decode_request(
+        json.dumps(STEP).encode(), is_json=True
+    )
+
+
+def test_a_sample_is_a_step_without_an_answer() -> None:
+    request = decode_request(msgspec.msgpack.encode(STEP | {"type": "sample"}))
+    assert isinstance(request, Sample)
+    assert isinstance(request, Step)
+
+
+@pytest.mark.parametrize("message", [STEP | {"protocol": 2}, STEP | {"protocol": 2, "new": 1}])
+def test_another_version_of_the_messages_is_named_as_such(message: dict[str, Any]) -> None:
+    answer = decode_request(msgspec.msgpack.encode(message))
+    assert isinstance(answer, Error)
+    assert (answer.code, answer.field, answer.seq) == ("protocol", "protocol", 7)
+
+
+@given(st.binary(max_size=200), st.booleans())
+def test_no_bytes_do_more_than_be_refused(payload: bytes, is_json: bool) -> None:
+    answer = decode_request(payload, is_json=is_json)
+    assert isinstance(answer, Error)
+    # The answer itself can always be written.
+    encode_reply(answer, is_json=is_json)
+
+
+@given(st.data())
+def test_a_truncated_or_altered_message_is_read_or_refused(data: st.DataObject) -> None:
+    whole = bytearray(msgspec.msgpack.encode(data.draw(st.sampled_from([STEP, OPEN]))))
+    cut = data.draw(st.integers(0, len(whole)))
+    for place in data.draw(st.lists(st.integers(0, len(whole) - 1), max_size=3)):
+        whole[place] = data.draw(st.integers(0, 255))
+    assert isinstance(decode_request(bytes(whole[:cut])), AnyRequest | Error)
+
+
+@pytest.mark.parametrize("place", range(0, 130, 3))
+def test_text_that_is_no_utf8_is_refused(place: int) -> None:
+    # Wherever it is, also where only the number of the request is looked for.
+    payload = bytearray(msgspec.msgpack.encode(STEP | {"session": "s" * 60, "other": "x"}))
+    payload[place : place + 2] = b"\xff\xfe"
+    assert isinstance(decode_request(bytes(payload)), Error)
+    assert isinstance(
+        decode_request(json.dumps(STEP).encode().replace(b"s", b"\xff"), is_json=True), Error
+    )
+
+
+def test_deep_nesting_is_refused() -> None:
+    deep = b"\x91" * 100_000
+    assert isinstance(decode_request(deep), Error)
+    assert isinstance(decode_request(b"[" * 100_000, is_json=True), Error)
+
+
+def test_the_schema_names_every_message_and_field() -> None:
+    text = schema_text()
+    for kind in (*get_args(AnyRequest), *get_args(AnyReply)):
+        assert f"### `{kind.__struct_config__.tag}`" in text
+        for field in kind.__struct_fields__:
+            assert f"`{field}`" in text
+
+
+def test_the_schema_describes_every_field_and_option() -> None:
+    rows = [line for line in schema_text().splitlines() if line.startswith("| `")]
+    assert all(row.rstrip(" |").count("|") == 4 for row in rows), [
+        row for row in rows if row.rstrip(" |").count("|") != 4
+    ]
+    for option in (*MappingOptions.__slots__, *IkOptions.__slots__):
+        assert any(row.startswith(f"| `{option}` |") for row in rows)
+
+
+def test_the_schema_in_the_docs_is_that_of_today() -> None:
+    page = Path(messages.__file__).with_suffix(".md")
+    assert page.read_text() == schema_text() + "\n", (
+        f"handmap serve --schema > {page.relative_to(Path.cwd())}"
+    )
+
+
+def test_the_json_schema_accepts_what_is_sent() -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    validator = jsonschema.Draft202012Validator(json.loads(json_schema()))
+    validator.validate(STEP)
+    validator.validate(OPEN)
+    assert not validator.is_valid(STEP | {"q": ["x"]})
+
+
+def test_clients_have_every_field_of_every_reply() -> None:
+    for kind in get_args(AnyReply):
+        theirs = getattr(client, kind.__name__)
+        assert theirs.__struct_fields__ == kind.__struct_fields__
+        assert theirs.__struct_config__.tag == kind.__struct_config__.tag
+    assert client.Pose.__struct_fields__ == messages.Pose.__struct_fields__
+    assert client.PROTOCOL == PROTOCOL
+
+
+@given(st.builds(motion_of, rotations, translations))
+def test_poses_survive_both_ways(matrix: np.ndarray) -> None:
+    back = to_matrix(to_pose(matrix))
+    assert back is not None
+    assert np.allclose(back, matrix, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_half_turns_have_a_quaternion_too(axis: int) -> None:
+    rotation = -np.eye(3)
+    rotation[axis, axis] = 1.0
+    pose = to_pose(motion_of(rotation, np.zeros(3)))
+    assert pose is not None
+    assert np.abs(pose.quat_xyzw).tolist() == np.eye(4)[axis].tolist()
+
+
+def test_flags_and_codes_are_single_words() -> None:
+    assert all(word.isidentifier() for word in (*FLAGS, *CODES))

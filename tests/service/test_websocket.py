@@ -1,0 +1,238 @@
+"""The WebSocket door: the same messages, and who may come in."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import shutil
+import ssl
+import subprocess
+import types
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from patience import PATIENCE
+from service_tools import SECRET, Sampler, human_q, opening, serving, streamed
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.typing import Origin, Subprotocol
+
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.caps import MOST_SESSIONS, Caps
+from handmap_qp.service.messages import PROTOCOL, Close, Status, Subscribe
+from handmap_qp.service.server import Server
+from handmap_qp.service.websocket import WebSettings, _Outbox
+
+WEB = WebSettings(port=0)
+TOKEN = "a-token-of-the-tests"
+ENCODE: dict[bool, Callable[[Any], bytes | str]] = {
+    False: msgspec.msgpack.encode,
+    True: lambda message: msgspec.json.encode(message).decode(),
+}
+
+
+def run(
+    work: Callable[[ClientConnection], Awaitable[None]], server: Server, **choices: Any
+) -> None:
+    """Connect, and work."""
+
+    async def main() -> None:
+        scheme = "wss" if "ssl" in choices else "ws"
+        async with (
+            asyncio.timeout(PATIENCE),
+            connect(f"{scheme}://127.0.0.1:{server.ports['web']}", **choices) as connection,
+        ):
+            await work(connection)
+
+    asyncio.run(main())
+
+
+async def ask(connection: ClientConnection, message: Any, is_json: bool = False) -> dict[str, Any]:
+    await connection.send(ENCODE[is_json](message))
+    answer = await connection.recv()
+    assert isinstance(answer, str) == is_json
+    return json.loads(answer) if isinstance(answer, str) else msgspec.msgpack.decode(answer)
+
+
+async def nothing(_: ClientConnection) -> None:
+    pass
+
+
+@pytest.mark.parametrize("is_json", [False, True], ids=["msgpack", "json"])
+def test_a_session_over_websocket(is_json: bool) -> None:
+    async def work(connection: ClientConnection) -> None:
+        opened = await ask(connection, opening(), is_json)
+        assert opened["type"] == "opened"
+        sample = Sampler()
+        command = await ask(connection, sample(1.5), is_json)
+        assert (command["type"], command["time"], command["status"]) == (
+            "command",
+            1.5,
+            "converged",
+        )
+        refused = await ask(connection, sample(q=[0.0, 1.0]), is_json)
+        assert (refused["code"], refused["field"]) == ("invalid", "q")
+        closed = await ask(connection, Close(protocol=PROTOCOL, seq=9, session=SECRET), is_json)
+        assert closed["type"] == "done"
+
+    with serving(web=WEB) as server:
+        run(work, server)
+
+
+@pytest.mark.parametrize("is_json", [False, True], ids=["msgpack", "json"])
+def test_a_stream_over_websocket(is_json: bool) -> None:
+    async def work(connection: ClientConnection) -> None:
+        name = (await ask(connection, opening(), is_json))["name"]
+        refused = await ask(connection, Subscribe(protocol=PROTOCOL, seq=2, name="nobody"), is_json)
+        assert refused["field"] == "name"
+        assert (await ask(connection, Subscribe(protocol=PROTOCOL, seq=2, name=name), is_json))[
+            "type"
+        ] == "done"
+        sample = Sampler()
+        for i in range(50):
+            await connection.send(ENCODE[is_json](streamed(sample(float(i), human_q(0.01 * i)))))
+        while True:
+            message = await connection.recv()
+            command = (
+                json.loads(message) if isinstance(message, str) else msgspec.msgpack.decode(message)
+            )
+            if command["time"] == 49.0:
+                break
+
+    with serving(web=WEB) as server:
+        run(work, server)
+
+
+def test_garbage_is_answered_and_the_connection_stays() -> None:
+    async def work(connection: ClientConnection) -> None:
+        for message in (b"\xc1", "{", "[]", b""):
+            await connection.send(message)
+            assert b"invalid" in (await connection.recv(decode=False))
+        assert (await ask(connection, Status(protocol=PROTOCOL, seq=1)))["type"] == "state"
+
+    with serving(web=WEB) as server:
+        run(work, server)
+
+
+def test_a_message_that_is_too_long_closes_its_connection() -> None:
+    async def work(connection: ClientConnection) -> None:
+        await connection.send(b"x" * 20_000)
+        with pytest.raises(ConnectionClosed):
+            await connection.recv()
+
+    with serving(web=WEB) as server:
+        run(work, server)
+        run(nothing, server)
+
+
+def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
+    async def vanish(connection: ClientConnection) -> None:
+        await ask(connection, opening(watchdog=0.05))
+        await ask(connection, Sampler()())
+        connection.transport.abort()
+
+    async def look(connection: ClientConnection) -> None:
+        for seq in itertools.count(50):
+            state = await ask(connection, Status(protocol=PROTOCOL, seq=seq, session=SECRET))
+            if state["mode"] == "hold":
+                break
+            await asyncio.sleep(0.01)
+
+    with serving(web=WEB) as server:
+        run(vanish, server)
+        run(look, server)
+
+
+@pytest.mark.parametrize(
+    ("origin", "is_let_in"),
+    [
+        (None, True),
+        ("http://localhost:8080", True),
+        ("http://127.0.0.1", True),
+        ("https://headset.example", True),
+        ("https://evil.example", False),
+        ("http://localhost.evil.example", False),
+        ("null", False),
+    ],
+)
+def test_pages_from_elsewhere_may_not_connect(origin: str | None, is_let_in: bool) -> None:
+    with serving(web=WebSettings(port=0, origins=("https://headset.example",))) as server:
+        if is_let_in:
+            run(nothing, server, origin=None if origin is None else Origin(origin))
+        else:
+            with pytest.raises(InvalidStatus) as raised:
+                run(nothing, server, origin=None if origin is None else Origin(origin))
+            assert raised.value.response.status_code == 403
+
+
+def test_a_token_is_asked_for() -> None:
+    with serving(web=WebSettings(port=0, token=TOKEN)) as server:
+        for headers in ({}, {"Authorization": "Bearer something-else-altogether"}):
+            with pytest.raises(InvalidStatus) as raised:
+                run(nothing, server, additional_headers=headers)
+            assert raised.value.response.status_code == 401
+        run(nothing, server, additional_headers={"Authorization": f"Bearer {TOKEN}"})
+        # The way of browsers, which cannot set headers.
+        run(
+            nothing,
+            server,
+            subprotocols=[Subprotocol("handmap.v1"), Subprotocol(f"bearer.{TOKEN}")],
+        )
+
+
+def test_tls(tmp_path: Path) -> None:
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("needs the openssl command to make a certificate")
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    command = f"{openssl} req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 1 -subj /CN=localhost"
+    names = ["-addext", "subjectAltName=IP:127.0.0.1"]
+    subprocess.run(
+        [*command.split(), *names, "-keyout", str(key), "-out", str(certificate)],
+        check=True,
+        capture_output=True,
+    )
+    with serving(web=WebSettings(port=0, token=TOKEN, certificate=certificate, key=key)) as server:
+        trusting = ssl.create_default_context(cafile=str(certificate))
+        run(nothing, server, ssl=trusting, additional_headers={"Authorization": f"Bearer {TOKEN}"})
+        with pytest.raises(ssl.SSLError):
+            run(nothing, server, ssl=ssl.create_default_context())
+
+
+def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidOptionsError, match="together"):
+        WebSettings(certificate=tmp_path / "certificate.pem")
+    with pytest.raises(InvalidOptionsError, match="16"):
+        WebSettings(token="short")
+    missing = WebSettings(
+        port=0, certificate=tmp_path / "certificate.pem", key=tmp_path / "key.pem"
+    )
+    with pytest.raises(InvalidInputError, match="cannot be read"), serving(web=missing):
+        pass
+
+
+def test_connections_are_capped() -> None:
+    async def work(server: Server) -> None:
+        address = f"ws://127.0.0.1:{server.ports['web']}"
+        async with asyncio.timeout(PATIENCE), connect(address), connect(address):
+            with pytest.raises(InvalidStatus) as raised:
+                async with connect(address):
+                    pass
+            assert raised.value.response.status_code == 503
+
+    with serving(web=WEB, caps=Caps(sessions=1)) as server:
+        asyncio.run(work(server))
+
+
+def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
+    names = ["lab", *(f"session-{i}" for i in range(3 * MOST_SESSIONS))]
+    sessions = types.SimpleNamespace(names=("lab", "other"))
+    outbox = _Outbox(None, sessions)  # type: ignore[arg-type]
+    for name in names:
+        outbox.subscribe(name, is_json=True)
+        assert len(outbox._streams) <= MOST_SESSIONS
+    assert {"lab", names[-1]} <= outbox._streams.keys()

@@ -1,0 +1,153 @@
+"""Landmarks to joint angles: exact on a hand like the model's, close on real ones."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handmap_qp import HumanLengths, InvalidInputError, Recording, load_hand, read_recording
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.landmarks import (
+    TIPS,
+    LandmarkFitter,
+    fit_recording,
+    human_name,
+    measure_hand,
+)
+from handmap_qp.transform import affine
+
+
+def synthetic(
+    side: Side, lengths: HumanLengths, count: int = 60
+) -> tuple[Recording, np.ndarray, np.ndarray]:
+    """A recording of a hand of known lengths in known motion, with its joint angles and wrist poses."""
+    hand = load_hand(human_name(side), points="landmarks", lengths=lengths)
+    phase = np.linspace(0.0, 2.0 * np.pi, count)
+    swing = 0.3 * np.minimum(hand.upper_limits - hand.rest, hand.rest - hand.lower_limits)
+    q = hand.rest + np.sin(phase[:, None] + np.arange(20)) * swing
+    poses = [
+        affine(pin.exp3(np.array([s, 0.5 * s, -s])), np.array([0.3 * s, 1.0, 0.1]))
+        for s in np.sin(phase)
+    ]
+    landmarks = np.array([hand.points(angles, pose) for angles, pose in zip(q, poses, strict=True)])
+    recording = Recording(
+        "synthetic", np.arange(count) / 60.0, landmarks, np.ones(count, dtype=bool), side
+    )
+    return recording, q, np.array(poses)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@settings(max_examples=10)
+@given(hand_length=st.floats(0.16, 0.21))
+def test_a_hand_is_measured_as_long_as_it_is(side: Side, hand_length: float) -> None:
+    lengths = HumanLengths.from_hand_length(hand_length)
+    recording, _, _ = synthetic(side, lengths)
+    measured = measure_hand(recording)
+    np.testing.assert_allclose(measured.segments, lengths.segments, atol=1e-9)
+    # The palm's axes are found by fitting its shape to the standard one, so only distances are the
+    # person's.
+    np.testing.assert_allclose(
+        np.linalg.norm(measured.bases, axis=1), np.linalg.norm(lengths.bases, axis=1), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_joint_angles_are_recovered(side: Side) -> None:
+    lengths = HumanLengths.from_hand_length(0.19)
+    recording, q, poses = synthetic(side, lengths)
+    fitter = LandmarkFitter(side, lengths)
+    for i in range(len(recording)):
+        angles, pose, error = fitter.fit(recording.landmarks[i])
+        # The weak pull to rest (0.02 against 10 mm) leaves a fraction of a millimetre and of a
+        # degree.
+        assert error.max() < 2e-4
+        np.testing.assert_allclose(angles, q[i], atol=0.02)
+        np.testing.assert_allclose(pose, poses[i], atol=0.005)
+
+
+def test_samples_without_a_hand_hold_the_posture_before() -> None:
+    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.18))
+    valid = recording.valid.copy()
+    valid[[0, 1, 20, 21, 59]] = False
+    landmarks = recording.landmarks.copy()
+    landmarks[~valid] = np.nan
+    motion = fit_recording(Recording("gaps", recording.time, landmarks, valid, "right"))
+    np.testing.assert_array_equal(motion.valid, valid)
+    assert np.isfinite(motion.q).all()
+    assert np.isfinite(motion.wrist).all()
+    np.testing.assert_array_equal(motion.q[[0, 1]], motion.q[[2, 2]])
+    np.testing.assert_array_equal(motion.q[[20, 21]], motion.q[[19, 19]])
+    assert np.isnan(motion.fit_error[~valid]).all()
+
+
+@pytest.mark.parametrize("scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"])
+def test_what_is_not_as_long_as_a_hand_is_not_measured(scale: float) -> None:
+    lengths = HumanLengths.from_hand_length(0.19)
+    recording, _, _ = synthetic("right", lengths)
+    scaled = replace(recording, landmarks=scale * recording.landmarks)
+    message = (
+        rf"landmarks: expected metres .* 0\.08 to 0\.35 m .* got {scale * lengths.hand_length:.3g}$"
+    )
+    for use in (measure_hand, fit_recording):
+        with pytest.raises(InvalidInputError, match=message):
+            use(scaled)
+
+
+def test_samples_that_are_not_of_the_hands_size_hold_the_posture_before() -> None:
+    recording, _, _ = synthetic("left", HumanLengths.from_hand_length(0.18))
+    spoilt = recording.landmarks.copy()
+    spoilt[[0, 20]] *= 1000.0
+    spoilt[[1, 21]] = 0.0
+    motion = fit_recording(replace(recording, landmarks=spoilt))
+    np.testing.assert_array_equal(np.flatnonzero(~motion.valid), [0, 1, 20, 21])
+    np.testing.assert_array_equal(motion.q[[0, 1, 20, 21]], motion.q[[2, 2, 19, 19]])
+    assert recording.valid.all()
+
+
+def test_a_size_that_no_sample_bears_out_is_no_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.1))
+    # As medians of a tracker that has lost the hand may come out.
+    monkeypatch.setattr(
+        "handmap_qp.trackers.landmarks.measure_hand", lambda _: HumanLengths.from_hand_length(0.3)
+    )
+    with pytest.raises(InvalidInputError, match="landmarks: expected a hand that keeps its size"):
+        fit_recording(recording)
+
+
+BAD = {
+    "shape": np.zeros((20, 3)),
+    "nan": np.full((21, 3), np.nan),
+    "zeros": np.zeros((21, 3)),
+    "one place": np.full((21, 3), 0.3),
+    "mm": 1000.0 * load_hand("human", points="landmarks").points(load_hand("human").rest),
+}
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
+def test_bad_landmarks_are_refused_and_change_nothing(bad: np.ndarray) -> None:
+    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.18))
+    disturbed, calm = LandmarkFitter(), LandmarkFitter()
+    for fitter in (disturbed, calm):
+        fitter.fit(recording.landmarks[0])
+    with pytest.raises(InvalidInputError, match="landmarks: expected"):
+        disturbed.fit(bad)
+    with pytest.raises(InvalidInputError, match="landmarks: expected"):
+        LandmarkFitter().fit(bad)
+    np.testing.assert_array_equal(
+        disturbed.fit(recording.landmarks[1])[0], calm.fit(recording.landmarks[1])[0]
+    )
+
+
+def test_real_hands_are_fitted_within_their_limits(recordings: Path) -> None:
+    for path in sorted(recordings.glob("*.npz")):
+        recording = read_recording(path)
+        motion = fit_recording(recording)
+        np.testing.assert_array_equal(motion.valid, recording.valid)
+        assert (motion.q >= motion.human.lower_limits - 1e-9).all()
+        assert (motion.q <= motion.human.upper_limits + 1e-9).all()
+        # The issue's bound is 6 mm; what is measured is 0.5 to 2.1 mm, the most on the noisy video.
+        assert np.nanmean(motion.fit_error[:, TIPS]) < 3e-3, path.stem

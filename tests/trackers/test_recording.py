@@ -1,0 +1,100 @@
+"""Reading recordings.
+
+What is there is read as it is, and what cannot be used is refused in one line.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmap_qp import RecordingError, read_recording
+
+
+def arrays(count: int = 5) -> dict[str, np.ndarray]:
+    """A small recording that is in order."""
+    rng = np.random.default_rng(0)
+    return {
+        "time": np.arange(count) / 60.0,
+        "landmarks": rng.normal(size=(count, 21, 3)).astype(np.float32),
+        "valid": np.ones(count, dtype=bool),
+        "handedness": np.array("right"),
+    }
+
+
+def write(folder: Path, **changes: np.ndarray | None) -> Path:
+    """The small recording with arrays changed, or dropped where None."""
+    path = folder / "hand.npz"
+    np.savez(
+        path,
+        **{name: value for name, value in {**arrays(), **changes}.items() if value is not None},
+    )
+    return path
+
+
+def test_reads_what_was_written(tmp_path: Path) -> None:
+    recording = read_recording(write(tmp_path))
+    expected = arrays()
+    assert (recording.name, recording.side, len(recording)) == ("hand", "right", 5)
+    np.testing.assert_array_equal(recording.landmarks, expected["landmarks"].astype(float))
+    np.testing.assert_allclose(recording.steps, 1.0 / 60.0)
+
+
+def test_samples_with_holes_are_not_valid(tmp_path: Path) -> None:
+    landmarks = arrays()["landmarks"]
+    landmarks[2, 7, 1] = np.nan
+    recording = read_recording(write(tmp_path, landmarks=landmarks, valid=None))
+    np.testing.assert_array_equal(recording.valid, [True, True, False, True, True])
+
+
+BAD = {
+    "no time": {"time": None},
+    "no landmarks": {"landmarks": None},
+    "no side": {"handedness": None},
+    "unknown side": {"handedness": np.array("both")},
+    "landmark count": {"landmarks": np.zeros((5, 20, 3))},
+    "sample count": {"landmarks": np.zeros((4, 21, 3))},
+    "valid count": {"valid": np.ones(4, dtype=bool)},
+    "time stands still": {"time": np.zeros(5)},
+    "time is not finite": {"time": np.array([0.0, 1.0, np.nan, 3.0, 4.0])},
+    "no samples": {
+        "time": np.zeros(0),
+        "landmarks": np.zeros((0, 21, 3)),
+        "valid": np.zeros(0, dtype=bool),
+    },
+    "nothing valid": {"valid": np.zeros(5, dtype=bool)},
+    "words for landmarks": {"landmarks": np.full((5, 21, 3), "x")},
+    "pickled objects": {"landmarks": np.full((5, 21, 3), None)},
+}
+
+
+@pytest.mark.parametrize("changes", BAD.values(), ids=BAD.keys())
+def test_a_bad_recording_is_refused_in_one_line(tmp_path: Path, changes: dict) -> None:
+    path = write(tmp_path, **changes)
+    with pytest.raises(RecordingError) as caught:
+        read_recording(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"not a zip", b"PK\x03\x04torn"], ids=["empty", "text", "torn"]
+)
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "hand.npz"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"hand\.npz"):
+        read_recording(path)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "absent.npz", tmp_path):
+        with pytest.raises(RecordingError, match="cannot be read"):
+            read_recording(path)
+
+
+def test_real_recordings_are_read(recordings: Path) -> None:
+    for path in sorted(recordings.glob("*.npz")):
+        recording = read_recording(path)
+        assert np.isfinite(recording.landmarks[recording.valid]).all()
+        assert path.stem.endswith(recording.side)

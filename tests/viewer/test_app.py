@@ -1,0 +1,435 @@
+"""The live view: what it draws, what its controls do, the page it writes.
+
+And the same in a browser.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from viewer_cases import COUNT, GAP, closing_motion, make_replay, press
+
+from handmap_qp import (
+    HandMapper,
+    IkOptions,
+    InvalidInputError,
+    InvalidOptionsError,
+    MappingOptions,
+    load_hand,
+)
+from handmap_qp.hands.library import hand_names
+from handmap_qp.offline.trajectory import map_motion
+from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.gauges import short_names
+from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls, Options
+from handmap_qp.viewer.replay import Replay
+from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
+from handmap_qp.viewer.serving import drawing, serving
+
+QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    with serving() as running:
+        yield running
+
+
+@pytest.fixture
+def viewer(server: Any) -> ReplayViewer:
+    """A viewer that stands still at its first sample."""
+    shown = ReplayViewer(server, make_replay())
+    shown.play_bar.toggle()
+    return shown
+
+
+def pose_in_scene(server: Any, node: str) -> np.ndarray:
+    """Where a node is in the scene, from the poses of all nodes above it."""
+    pose, path = np.eye(4), ""
+    for part in node.strip("/").split("/"):
+        path += f"/{part}"
+        handle = server.scene.get_handle_by_name(path)
+        pose = pose @ affine(rotation_from_quat_wxyz(handle.wxyz), np.array(handle.position))
+    return pose
+
+
+def in_scene(server: Any, node: str, points: np.ndarray) -> np.ndarray:
+    return transform_points(pose_in_scene(server, node), points)
+
+
+def seek(viewer: ReplayViewer, index: int) -> None:
+    viewer.play_bar.slider.value = float(viewer.replay.time[index])
+    viewer.tick(0.0)
+
+
+# -- what is mapped
+# -----------------------------------------------------------------------------------------------------
+
+
+def test_replay_gives_the_commands_of_map_motion() -> None:
+    replay, motion = make_replay(), closing_motion()
+    expected = map_motion(HandMapper(motion.human, replay.robot), motion)
+    np.testing.assert_allclose(
+        [sample.robot_q for sample in replay.samples], expected.q, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        [sample.is_seen for sample in replay.samples], motion.valid, atol=1e-12
+    )
+
+
+def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
+    valid = np.arange(COUNT) >= 7
+    motion = replace(closing_motion(), valid=valid)
+    replay = Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
+    for sample in replay.samples[:7]:
+        np.testing.assert_allclose(sample.robot_q, replay.samples[7].robot_q, atol=1e-12)
+    assert [sample.is_seen for sample in replay.samples] == valid.tolist()
+
+
+def test_replay_refuses_a_motion_without_a_hand() -> None:
+    motion = replace(closing_motion(), valid=np.zeros(COUNT, dtype=bool))
+    with pytest.raises(InvalidInputError, match="no sample is valid"):
+        Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
+
+
+def test_options_that_cannot_be_used_leave_the_replay_as_it_was() -> None:
+    replay = make_replay()
+    before = replay.samples
+    with pytest.raises(InvalidOptionsError, match="abacus"):
+        replay.remap(MappingOptions(ridge=0.3), IkOptions(solver="abacus"))
+    assert replay.samples is before
+    assert replay.mapping == MappingOptions()
+
+
+# -- what is drawn
+# ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", ["three_finger", "allegro_right"])
+@pytest.mark.parametrize("alignment", ["world", "palm"])
+def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
+    server: Any, robot: str, alignment: str
+) -> None:
+    replay = make_replay(robot, alignment=alignment)
+    sample = replay.samples[-1]
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.draw(sample)
+    nodes = [handle.name for handle in server.scene._handle_from_node_name.values()]
+    for side, hand, points in (
+        ("human", replay.human, sample.human_points),
+        ("robot", replay.robot, sample.robot_points),
+    ):
+        for i, point in enumerate(hand.reference_points):
+            (link,) = (
+                name
+                for name in nodes
+                if name.startswith(f"/{side}/body/") and name.endswith(f"/{point.link}")
+            )
+            drawn = in_scene(server, link, np.array([point.xyz]))[0]
+            sphere = pose_in_scene(server, f"/{side}/points/{i}")[:3, 3]
+            # The joints' nodes are placed by yourdfpy, the spheres by Pinocchio.
+            np.testing.assert_allclose(drawn, sphere, atol=1e-9)
+            np.testing.assert_allclose(
+                in_scene(server, f"/{side}", points[[i]])[0], sphere, atol=1e-9
+            )
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> None:
+    hand = load_hand(name)
+    q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
+    drawn = load_urdf(hand)
+    drawn.update_cfg(in_order(joint_places(hand, drawn.actuated_joint_names), q))
+    links = list(drawn.link_map)
+    wrist = np.eye(4) if hand.is_floating else None
+    poses = np.array(hand.link_poses(links, q, wrist))
+    root = hand.link_poses([drawn.base_link], q, wrist)[0]
+    # yourdfpy moves followers by itself, as their mimic tags say.
+    np.testing.assert_allclose(
+        [root @ drawn.get_transform(link) for link in links], poses, atol=1e-12
+    )
+
+
+def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
+    replay = make_replay(alignment="palm")
+    first = replay.samples[0]
+    HandScene(server, replay.human, replay.robot, first, replay.mapping).draw(first)
+    for side, hand, wrist in (
+        ("human", replay.human, first.human_wrist),
+        ("robot", replay.robot, first.robot_wrist),
+    ):
+        palm = pose_in_scene(server, f"/{side}") @ wrist @ hand.wrist_to_palm
+        np.testing.assert_allclose(palm[:3, :3], np.eye(3), atol=1e-9)
+
+
+def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> None:
+    replay = make_replay()
+    sample = replay.samples[-1]
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.draw(sample)
+    handle = server.scene.get_handle_by_name("/human/ellipsoid")
+    assert sample.deformation is not None
+    axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
+    # Two maps make the same body of a ball if they agree in A A^T.
+    np.testing.assert_allclose(axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9)
+    assert sample.pivot is not None
+    np.testing.assert_allclose(handle.position, sample.pivot, atol=1e-12)
+    assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
+
+
+def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
+    replay = make_replay(rigid_from="wrist")
+    sample = replay.samples[-1]
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.deformation_shape = "cube"
+    scene.draw(sample)
+    cube = server.scene.get_handle_by_name("/human/cube")
+    assert cube.visible
+    assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
+    assert sample.deformation is not None
+    corners = np.linalg.solve(sample.deformation, cube.points.reshape(-1, 3).T).T
+    # Points travel as floats of 32 bits.
+    np.testing.assert_allclose(np.abs(corners), np.abs(corners).max(), rtol=1e-4)
+    assert len(np.unique(np.sign(corners), axis=0)) == 8
+
+
+@pytest.mark.parametrize("follow", ["hands", "world"])
+def test_hands_stay_in_place_or_travel_as_asked(
+    server: Any, follow: Literal["hands", "world"]
+) -> None:
+    replay = make_replay()
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.follow = follow
+    places = []
+    for sample in (replay.samples[0], replay.samples[-1]):
+        scene.draw(sample)
+        places.append(server.scene.get_handle_by_name("/human_name").position.copy())
+    moved = float(np.linalg.norm(places[1] - places[0]))
+    assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
+
+
+@pytest.mark.parametrize("follow", ["hands", "world"])
+def test_both_hands_are_in_the_picture_of_a_page_that_stands_upright(
+    server: Any, follow: Literal["hands", "world"]
+) -> None:
+    replay = make_replay()
+    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene.foresee(replay.samples)
+    scene.follow = follow
+    for sample in replay.samples:
+        scene.draw(sample)
+        camera = server.initial_camera
+        forward = (camera.look_at - camera.position) / np.linalg.norm(
+            camera.look_at - camera.position
+        )
+        right = np.cross(forward, (0.0, 1.0, 0.0))
+        for side, points in (("human", sample.human_points), ("robot", sample.robot_points)):
+            seen = in_scene(server, f"/{side}", points) - camera.position
+            depth = seen @ forward
+            half_height = np.tan(0.5 * camera.fov)
+            assert np.abs(seen @ right / depth).max() < 0.75 * half_height * np.linalg.norm(right)
+            assert np.abs(seen @ np.cross(right, forward) / depth).max() < half_height
+
+
+def test_caption_says_that_the_hand_was_not_seen() -> None:
+    samples = make_replay().samples
+    assert "no hand seen" in caption(samples[GAP.start])
+    assert "no hand seen" not in caption(samples[0])
+
+
+# -- what the controls do
+# -----------------------------------------------------------------------------------------------
+
+
+def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
+    seek(viewer, COUNT - 1)
+    before, drawn = viewer.sample.robot_q, pose_in_scene(viewer.server, "/robot/points/0")
+    viewer.steering.options.handles["deformation_gain"].value = 0.0
+    viewer.tick(0.0)
+    assert viewer.replay.mapping == MappingOptions(deformation_gain=0.0)
+    assert np.abs(viewer.sample.robot_q - before).max() > 0.05
+    assert np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3]) > 1e-3
+
+
+def test_every_control_reaches_its_option(server: Any) -> None:
+    options = Options(MappingOptions(pivot="point", pivot_point=(0.0, 0.0, 0.0)), IkOptions())
+    controls = OptionControls(server, load_hand("allegro_right"), options)
+    assert controls.take_changes() == {}
+    for name, handle in controls.handles.items():
+        value = handle.value
+        choices = getattr(handle, "options", ())
+        if choices:
+            handle.value = next(choice for choice in choices if choice != value)
+        elif isinstance(value, bool):
+            handle.value = not value
+        elif isinstance(value, tuple):
+            handle.value = (0.0, 0.5, 0.0)
+        else:
+            handle.value = (
+                value + handle.step if value + handle.step <= handle.max else value - handle.step
+            )
+        changes = controls.take_changes()
+        assert changes.keys() == ({"pivot", "pivot_point"} if name == "pivot" else {name})
+        assert options.changes_to(options.with_changes(changes)) == changes
+        controls.show(options)
+        assert handle.value == value
+        assert controls.take_changes() == {}
+
+
+def test_every_option_has_a_control_or_is_left_out_by_name(server: Any) -> None:
+    controls = OptionControls(
+        server, load_hand("allegro_right"), Options(MappingOptions(), IkOptions())
+    )
+    assert sorted((*controls.handles, *LEFT_OUT)) == sorted(
+        (*MappingOptions.__slots__, *IkOptions.__slots__)
+    )
+    with_nothing_to_keep_apart = OptionControls(
+        server, load_hand("hey5"), Options(MappingOptions(), IkOptions())
+    )
+    assert controls.handles.keys() - with_nothing_to_keep_apart.handles.keys() == {
+        "avoids_self_collision"
+    }
+
+
+def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
+    given = MappingOptions(
+        ridge=7.0,
+        stretch_max=np.inf,
+        pivot="point",
+        pivot_point=(0.0, 1.0, 0.0),
+        alignment=QUARTER_TURN,
+    )
+    replay = make_replay()
+    replay.remap(given, IkOptions())
+    viewer = ReplayViewer(server, replay)
+    viewer.steering.options.handles["pivot"].value = "palm"
+    viewer.tick(0.0)
+    assert replay.mapping == replace(given, pivot="palm", pivot_point=None)
+    viewer.steering.options.handles["alignment"].value = "palm"
+    viewer.tick(0.0)
+    viewer.steering.options.handles["alignment"].value = "as given"
+    press(viewer.steering.reset)
+    viewer.tick(0.0)
+    assert replay.mapping == given
+
+
+def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -> None:
+    replay = make_replay()
+    replay.human = replay.human.with_points(("thumb_tip", "index_tip", "middle_tip"))
+    replay.remap(MappingOptions(), IkOptions())
+    viewer = ReplayViewer(server, replay)
+    samples = replay.samples
+    viewer.steering.options.handles["ridge"].value = 0.0
+    viewer.tick(0.0)
+    assert replay.samples is samples
+    assert viewer.steering.message.visible
+    assert "ridge=0 needs 4" in viewer.steering.message.content
+    viewer.steering.options.handles["ridge"].value = 0.2
+    viewer.tick(0.0)
+    assert replay.mapping == MappingOptions(ridge=0.2)
+    assert not viewer.steering.message.visible
+
+
+def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayViewer) -> None:
+    seek(viewer, 30)
+    press(viewer.steering.release)
+    viewer.tick(0.0)
+    assert viewer.steering.release.disabled
+    seek(viewer, 45)
+    press(viewer.steering.clutch)
+    viewer.tick(0.0)
+    samples = viewer.replay.samples
+    held = np.array([sample.robot_q for sample in samples[29:45]])
+    np.testing.assert_allclose(held, np.tile(held[0], (16, 1)))
+    assert {sample.status for sample in samples[30:45]} == {"released"}
+    # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
+    assert samples[45].targets is not None
+    np.testing.assert_allclose(samples[45].targets, samples[44].robot_points, atol=1e-9)
+    assert viewer.steering.clutch.disabled
+    press(viewer.steering.reset)
+    viewer.tick(0.0)
+    assert not viewer.replay.switches
+    assert viewer.replay.samples[40].status != "released"
+
+
+def test_a_picture_that_viser_stumbles_at_loses_no_wish(
+    viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stumble() -> None:
+        # As `asyncio.Event.set` does while another thread begins to wait for it.
+        waiters = deque([0])
+        for _ in waiters:
+            waiters.append(0)
+
+    viewer.steering.options.handles["ridge"].value = 0.3
+    with monkeypatch.context() as once:
+        once.setattr(viewer.server, "flush", stumble)
+        with drawing():
+            viewer.tick(0.0)
+        assert viewer.replay.mapping.ridge == 0.1
+    viewer.tick(0.0)
+    assert viewer.replay.mapping.ridge == 0.3
+    with pytest.raises(RuntimeError, match="another"), drawing():
+        raise RuntimeError("another mistake")
+
+
+def test_time_runs_at_the_chosen_speed_and_starts_over(viewer: ReplayViewer) -> None:
+    viewer.tick(0.5)
+    assert viewer.index == 0, "paused"
+    press(viewer.play_bar.button)
+    viewer.tick(0.5)
+    assert viewer.sample.time == pytest.approx(0.5, abs=1 / 30)
+    viewer.play_bar.speed.value = "2"
+    viewer.tick(0.5)
+    assert viewer.sample.time == pytest.approx(1.5, abs=1 / 30)
+    viewer.tick(0.5)
+    assert viewer.index == 0
+
+
+def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
+    seek(viewer, 40)
+    samples = viewer.replay.samples
+    error = viewer.gauges.error.data
+    np.testing.assert_allclose(
+        error[1], [1e3 * sample.point_error.mean() for sample in samples], atol=1e-12
+    )
+    assert np.flatnonzero(np.isfinite(error[-1])).tolist() == [40]
+    np.testing.assert_allclose(
+        viewer.gauges.timing.data[1], [1e6 * sample.duration for sample in samples], atol=1e-12
+    )
+    bars = viewer.gauges.joints.content
+    for name, q in zip(viewer.replay.robot.joint_names, samples[40].robot_q, strict=True):
+        assert name in bars
+        assert f"{np.degrees(q):.0f}°" in bars
+
+
+def test_long_names_of_joints_stay_different() -> None:
+    for name in ("hey5", "tiago_arm", "allegro_right", "ur5_allegro"):
+        joints = load_hand(name).joint_names
+        short = short_names(joints)
+        assert len(set(short)) == len(joints)
+        assert max(map(len, short)) <= 19
+    assert short_names(["only_one_joint"]) == ["only_one_joint"]
+
+
+def test_mapping_anew_is_said(viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    remap = viewer.replay.remap
+    monkeypatch.setattr(
+        viewer.replay,
+        "remap",
+        lambda *options: (said.append(viewer.steering.message.content), remap(*options)),
+    )
+    viewer.steering.options.handles["ridge"].value = 0.3
+    viewer.tick(0.0)
+    assert said == ["mapping …"]
+    assert not viewer.steering.message.visible

@@ -1,0 +1,298 @@
+"""The view of a mapping that runs elsewhere, with a source made for the purpose."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from patience import PATIENCE, wait_until
+from viewer_cases import make_replay, press
+
+from handmap_qp import HandmapError, InvalidInputError, MappingOptions
+from handmap_qp.transform import rotation_from_quat_wxyz
+from handmap_qp.viewer.live import LiveViewer, show_live
+from handmap_qp.viewer.option_controls import Options
+from handmap_qp.viewer.replay import ViewSample
+from handmap_qp.viewer.serving import serving
+
+QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class Source:
+    """Gives what it is handed: samples, an error to raise, or None for the end."""
+
+    def __init__(self, robot: str = "three_finger") -> None:
+        replay = make_replay(robot)
+        self.human, self.robot, self.samples = replay.human, replay.robot, replay.samples
+        self.options = Options(replay.mapping, replay.ik)
+        self.is_shared, self.is_released, self.is_busy, self.is_outdated = True, False, False, False
+        self.trouble: HandmapError | None = None
+        self.asked: list[dict[str, Any]] = []
+        self.given: queue.Queue[ViewSample | HandmapError | None] = queue.Queue()
+
+    def __iter__(self) -> Iterator[ViewSample]:
+        while (item := self.given.get()) is not None:
+            if isinstance(item, HandmapError):
+                raise item
+            yield item
+
+    def release(self) -> None:
+        self.is_released = True
+
+    def clutch(self) -> None:
+        self.is_released = False
+
+    def configure(self, changes: dict[str, Any]) -> None:
+        self.asked.append(changes)
+        options = self.options.with_changes(changes)
+        self.trouble = (
+            InvalidInputError("the service does not want that")
+            if options.mapping.scale > 2.0
+            else None
+        )
+        self.options = self.options if self.trouble else options
+
+    def close(self) -> None:
+        self.given.put(None)
+
+
+@pytest.fixture
+def source() -> Iterator[Source]:
+    source = Source()
+    yield source
+    source.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    with serving() as running:
+        yield running
+
+
+def test_the_newest_sample_is_drawn_and_all_are_plotted(
+    server: Any, source: Source, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", PATIENCE)
+    for sample in source.samples[:39]:
+        source.given.put(sample)
+    viewer = LiveViewer(server, source)
+    source.given.put(source.samples[39])
+    wait_until(lambda: len(viewer.rows) == 40)
+    viewer.tick()
+    for i, point in enumerate(source.samples[39].robot_points):
+        np.testing.assert_array_equal(
+            server.scene.get_handle_by_name(f"/robot/points/{i}").position, point
+        )
+    ago = [sample.time - source.samples[39].time for sample in source.samples[:40]]
+    np.testing.assert_allclose(viewer.gauges.error.data[0], ago)
+    assert "30 samples a second" in viewer.news.content
+    viewer.close()
+
+
+def test_silence_is_said(server: Any, source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", 0.0)
+    viewer.tick()
+    assert "No sample comes" in viewer.news.content
+    viewer.close()
+
+
+def test_the_end_of_the_source_is_said_and_its_last_sample_stays(
+    server: Any, source: Source
+) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    source.given.put(None)
+    wait_until(lambda: not viewer._thread.is_alive())
+    viewer.tick()
+    assert "has ended" in viewer.news.content
+
+
+def test_what_the_source_raises_reaches_the_user(server: Any, source: Source) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    source.given.put(InvalidInputError("the service has gone"))
+    wait_until(lambda: not viewer._thread.is_alive())
+    with pytest.raises(InvalidInputError, match="the service has gone"):
+        viewer.tick()
+
+
+def test_a_source_without_samples_is_given_up(server: Any, source: Source) -> None:
+    with pytest.raises(InvalidInputError, match="no sample came"):
+        LiveViewer(server, source, patience=0.1)
+
+
+def test_a_source_that_says_only_commands_is_drawn_without_targets(
+    server: Any, source: Source
+) -> None:
+    source.given.put(replace(source.samples[-1], targets=None, deformation=None, pivot=None))
+    viewer = LiveViewer(server, source)
+    viewer.tick()
+    assert not server.scene.get_handle_by_name("/robot/targets/0").visible
+    assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
+    assert server.scene.get_handle_by_name("/robot/points/0").visible
+    viewer.close()
+
+
+def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    assert viewer.steering is not None
+    handles = viewer.steering.options.handles
+    press(viewer.steering.release)
+    handles["ridge"].value = 0.5
+    viewer.tick()
+    viewer.tick()
+    assert (source.is_released, source.options.mapping) == (True, MappingOptions(ridge=0.5))
+    assert (viewer.steering.release.disabled, viewer.steering.clutch.disabled) == (True, False)
+    press(viewer.steering.release)
+    viewer.tick()
+    assert source.is_released, (
+        "whoever presses Release means it, also where somebody else has let go a moment ago"
+    )
+    handles["scale"].value = 2.5
+    viewer.tick()
+    viewer.tick()
+    assert viewer.steering.message.visible
+    assert "does not want that" in viewer.steering.message.content
+    assert source.options.mapping == MappingOptions(ridge=0.5)
+    assert handles["scale"].value == 1.0, "what is in force"
+    press(viewer.steering.reset)
+    viewer.tick()
+    viewer.tick()
+    assert (source.is_released, source.options.mapping) == (False, MappingOptions())
+    assert not viewer.steering.message.visible
+    assert handles["ridge"].value == 0.1
+    viewer.close()
+
+
+def test_only_what_was_changed_here_is_asked_for_and_what_others_change_is_shown(
+    server: Any, source: Source
+) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    assert viewer.steering is not None
+    handles = viewer.steering.options.handles
+    theirs = {
+        "ridge": 7.0,
+        "max_acceleration": 50.0,
+        "alignment": QUARTER_TURN,
+        "pivot": "point",
+        "pivot_point": (0.0, 1.0, 0.0),
+    }
+    source.options = source.options.with_changes(theirs)
+    viewer.tick()
+    assert {name: handles[name].value for name in theirs} == theirs | {"alignment": "as given"}
+    assert source.asked == []
+    handles["scale"].value = 1.5
+    viewer.tick()
+    viewer.tick()
+    assert source.asked == [{"scale": 1.5}]
+    viewer.close()
+
+
+def test_while_the_source_is_busy_the_controls_keep_what_is_wished_for(
+    server: Any, source: Source
+) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    assert viewer.steering is not None
+    source.is_busy = True
+    for value in (0.2, 0.3, 0.4):
+        viewer.steering.options.handles["ridge"].value = value
+        viewer.tick()
+    assert source.asked == []
+    source.is_busy = False
+    viewer.tick()
+    assert source.asked == [{"ridge": 0.4}]
+    viewer.close()
+
+
+def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: Source) -> None:
+    for i in range(12000):
+        source.given.put(
+            replace(source.samples[0], time=1e-3 * i, duration=1.0 if i == 7000 else 1e-4)
+        )
+    viewer = LiveViewer(server, source)
+    wait_until(lambda: viewer.sample.time >= 11.999)
+    viewer.tick()
+    time, step, _ = viewer.gauges.timing.data
+    assert len(time) <= 600
+    assert (time[0], time[-1]) == pytest.approx((-10.0, 0.0), abs=0.05)
+    assert step.max() == 1e6, "the worst step is not thinned out"
+    assert "largest 1000000 (cut off)" in viewer.gauges.timing_note.content
+    viewer.close()
+
+
+def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    viewer.picture.follow.value = "world"
+    viewer.tick()
+    near = np.linalg.norm(server.initial_camera.position)
+    shift = np.array([0.8, 0.0, 0.0])
+    far = source.samples[0].human_wrist.copy()
+    far[:3, 3] += shift
+    source.given.put(
+        replace(
+            source.samples[0],
+            time=0.1,
+            human_wrist=far,
+            human_points=source.samples[0].human_points + shift,
+        )
+    )
+    wait_until(lambda: viewer.sample.time == 0.1)
+    viewer.tick()
+    assert np.linalg.norm(server.initial_camera.position) > near + 0.5
+    viewer.close()
+
+
+def test_a_hand_of_which_only_points_are_known_is_not_drawn(server: Any, source: Source) -> None:
+    first = replace(
+        source.samples[0], human_q=None, human_points=source.samples[0].human_points + 3.0
+    )
+    source.given.put(first)
+    viewer = LiveViewer(server, source)
+    viewer.tick()
+    assert not server.scene.get_handle_by_name("/human/body").visible
+    human = server.scene.get_handle_by_name("/human")
+    middle = rotation_from_quat_wxyz(human.wxyz) @ first.human_points.mean(axis=0) + human.position
+    assert abs(middle[0]) < 0.3, "the points are beside the robot"
+    np.testing.assert_allclose(middle[1:], 0.0, atol=1e-9)
+    viewer.close()
+
+
+def test_the_view_begins_anew_when_other_hands_are_mapped(server: Any) -> None:
+    made: list[Source] = []
+
+    def make_source(before: Any) -> Source:
+        assert before is (made[-1] if made else None)
+        if len(made) == 2:
+            raise InvalidInputError("enough")
+        made.append(Source("three_finger" if made else "allegro_right"))
+        made[-1].given.put(made[-1].samples[0])
+        # Seen when the view runs: it ends at once.
+        made[-1].is_outdated = True
+        return made[-1]
+
+    with pytest.raises(InvalidInputError, match="enough"):
+        show_live(server, make_source)
+    assert [source.robot.name for source in made] == ["allegro_right", "three_finger"]
+    assert server.scene.get_handle_by_name("/robot") is None
+
+
+def test_a_source_that_is_not_shared_is_looked_at_only(server: Any, source: Source) -> None:
+    source.is_shared = False
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    viewer.tick()
+    assert viewer.steering is None
+    viewer.close()

@@ -1,0 +1,296 @@
+"""The view as people meet it: the command, the page it writes, and both in a headless Chromium."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from browser import DRAWING, Browser, find_chromium
+from patience import wait_until
+from viewer_cases import make_replay, write_recording
+
+from handmap_qp import (
+    HandError,
+    HandmapError,
+    InvalidInputError,
+    MappingOptions,
+    MissingExtraError,
+    RecordingError,
+)
+from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.cli import View
+from handmap_qp.viewer.page import write_page
+from handmap_qp.viewer.serving import serving
+
+# Where the hands are, between the panels, and the least of its 420 x 540 pixels that a hand covers.
+MIDDLE = np.s_[160:, 340:760]
+FEWEST_PIXELS = 1000
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return write_recording(tmp_path / "closing.npz")
+
+
+def test_the_command_writes_one_page_that_needs_no_network(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.html"
+    View(recording, "three_finger", html=page).run()
+    assert capsys.readouterr().out == f"wrote {page}\n"
+    text = page.read_text(encoding="utf-8")
+    assert "__VISER_EMBED_DATA__" in text
+    assert "<title>handmap view</title>" in text
+    for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):
+        assert attribute not in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["closing.npz", "page.html"]
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
+    "no recording": ({"recording": Path("absent.npz")}, RecordingError),
+    "no such robot": ({"robot": "tentacle"}, HandError),
+    "page is no html": ({"html": Path("page.txt")}, InvalidInputError),
+    "page in no folder": ({"html": Path("nowhere/page.html")}, InvalidInputError),
+    "no such port": ({"port": 70000}, InvalidInputError),
+    "neither recording nor service": ({"recording": None}, InvalidInputError),
+    "recording and service": ({"live": "127.0.0.1"}, InvalidInputError),
+    "page of a service": (
+        {"recording": None, "live": "127.0.0.1", "html": Path("page.html")},
+        InvalidInputError,
+    ),
+    "service nowhere": ({"recording": None, "live": "127.0.0.1:no"}, InvalidInputError),
+    "no such keys": (
+        {"recording": None, "live": "127.0.0.1", "keys": (Path("a"), Path("b"))},
+        InvalidInputError,
+    ),
+    "keys for a recording": ({"keys": (Path("a"), Path("b"))}, InvalidInputError),
+    "session of a recording": ({"session": "lab"}, InvalidInputError),
+    "address of a page": ({"html": Path("page.html"), "host": "127.0.0.2"}, InvalidInputError),
+    "points for a service": (
+        {"recording": None, "live": "127.0.0.1", "human_points": "fingertips"},
+        InvalidInputError,
+    ),
+    "options for a service": (
+        {"recording": None, "live": "127.0.0.1", "mapping": MappingOptions(ridge=0.3)},
+        InvalidInputError,
+    ),
+    "all addresses": ({"host": ""}, InvalidInputError),
+    "service of no name": ({"recording": None, "live": ""}, InvalidInputError),
+    "not our address": ({"host": "192.0.2.1"}, InvalidInputError),
+}
+
+
+@pytest.mark.parametrize(("changes", "error"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_a_mistake_is_said_before_anything_is_shown(
+    recording: Path, changes: dict[str, Any], error: type[HandmapError]
+) -> None:
+    words: dict[str, Any] = {"recording": recording, "robot": "three_finger", **changes}
+    with pytest.raises(error):
+        View(**words).run()
+
+
+def test_without_viser_the_command_names_the_extra(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"handmap-qp\[view\]"):
+        View(recording, "three_finger").run()
+
+
+def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> None:
+    assert View(recording, "three_finger").host == "127.0.0.1"
+    with serving() as server:
+        assert server.get_host() == "127.0.0.1"
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "taken.html"
+    folder.mkdir()
+    with serving() as server, pytest.raises(InvalidInputError, match=r"taken\.html"):
+        write_page(folder, server, make_replay())
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+# -- in a browser
+# -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = find_chromium()
+    if program is None:
+        pytest.skip(
+            "no Chromium: install one (on Debian: chromium), or name one in HANDMAP_CHROMIUM"
+        )
+    with Browser(program) as page:
+        yield page
+
+
+@pytest.fixture
+def viewer() -> Iterator[ReplayViewer]:
+    """A viewer that stands still, kept going by a thread."""
+    with serving() as server:
+        shown = ReplayViewer(server, make_replay())
+        shown.play_bar.toggle()
+        shown.play_bar.slider.value = 1.6
+        shown.tick(0.0)
+        with kept_going(lambda: shown.tick(0.05)):
+            yield shown
+
+
+@contextmanager
+def kept_going(act: Callable[[], object]) -> Iterator[None]:
+    """A thread that does something again and again."""
+    is_over = threading.Event()
+
+    def keep_going() -> None:
+        while not is_over.wait(0.05):
+            act()
+
+    thread = threading.Thread(target=keep_going)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
+
+
+def skin(pixels: np.ndarray) -> int:
+    """Pixels in the colour of the human hand's skin, in light and shade."""
+    red, green, blue = pixels.astype(int).transpose(2, 0, 1)
+    return int(
+        (
+            (red - blue > 25) & (red > green) & (green > blue) & (red - green < 80) & (red > 110)
+        ).sum()
+    )
+
+
+def reference_points(pixels: np.ndarray) -> int:
+    """Pixels in the colour of the robot's reference points."""
+    red, green, blue = pixels.astype(int).transpose(2, 0, 1)
+    return int(((red > 110) & (green < 0.45 * red) & (blue < 0.45 * red)).sum())
+
+
+def picture_of(browser: Browser) -> np.ndarray:
+    return browser.screenshot()[1][MIDDLE].astype(int)
+
+
+def settled_picture(browser: Browser) -> np.ndarray:
+    """The hands, once two pictures of them are the same."""
+    pictures = [picture_of(browser)]
+
+    def has_settled() -> bool:
+        # So that a page that draws slowly has drawn again.
+        time.sleep(0.5)
+        pictures.append(picture_of(browser))
+        return skin(pictures[-1]) > FEWEST_PIXELS and np.array_equal(pictures[-2], pictures[-1])
+
+    wait_until(has_settled, "the picture does not settle, or shows no hand", DRAWING)
+    return pictures[-1]
+
+
+def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
+    browser: Browser, viewer: ReplayViewer
+) -> None:
+    browser.resize(1100, 700)
+    browser.open(f"http://127.0.0.1:{viewer.server.get_port()}")
+    browser.wait_for("!!document.querySelector('canvas')")
+    before = settled_picture(browser)
+    half = before.shape[1] // 2
+    assert skin(before[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
+    assert reference_points(before[:, half:]) > 100, "the robot's points, on the right"
+    browser.wait_for("document.body.innerText.includes('deformation gain')")
+    # As a user does: focus the slider, and use the keyboard.
+    labels = "[...document.querySelectorAll('label')]"
+    browser.evaluate(
+        f"{labels}.find(e => e.innerText.trim() == 'deformation gain')"
+        ".closest('.mantine-Flex-root, .mantine-Box-root, div').parentElement.querySelector('[role=slider]').focus()"
+    )
+    robot_q = viewer.sample.robot_q
+    browser.press("Home", 36)
+    wait_until(lambda: viewer.replay.mapping.deformation_gain == 0.0, "the slider does not move")
+    wait_until(
+        lambda: np.abs(viewer.sample.robot_q - robot_q).max() > 0.05,
+        "the robot's joints do not move",
+    )
+
+    def robot_has_moved() -> bool:
+        changed = np.abs(picture_of(browser) - before).max(axis=2) > 30
+        return int(changed[:, half:].sum()) > 500
+
+    wait_until(robot_has_moved, "the robot does not move in the picture", DRAWING)
+    assert not browser.errors
+
+
+def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) -> None:
+    pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+    import service_tools
+
+    from handmap_qp.viewer.live import LiveViewer
+    from handmap_qp.viewer.remote import ServiceSession
+
+    with (
+        service_tools.serving() as service,
+        service_tools.connected(service, name="lab", is_shared=True) as client,
+        serving() as server,
+    ):
+        browser.resize(1000, 600)
+        with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))):
+            viewer = LiveViewer(
+                server, ServiceSession(service_tools.address_of(service).removeprefix("tcp://"))
+            )
+        with kept_going(viewer.tick):
+            browser.open(f"http://127.0.0.1:{server.get_port()}")
+            browser.wait_for("!!document.querySelector('canvas')")
+            # It never settles: time goes on.
+            wait_until(
+                lambda: has_both_hands(browser.screenshot()[1][160:, 340:660]),
+                "no human hand on the left, or no robot's points on the right",
+                DRAWING,
+            )
+            button = "[...document.querySelectorAll('button')].find(e => e.innerText.trim() == '{}' && !e.disabled)"
+            browser.wait_for(f"!!{button.format('Release')}")
+            browser.evaluate(f"{button.format('Release')}.click()")
+            browser.wait_for(f"!!{button.format('Clutch')}")
+        viewer.close()
+    assert not browser.errors
+
+
+def has_both_hands(pixels: np.ndarray) -> bool:
+    half = pixels.shape[1] // 2
+    return skin(pixels[:, :half]) > 500 and reference_points(pixels[:, half:]) > 50
+
+
+def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    with serving() as server:
+        write_page(page, server, make_replay())
+    # Small, for a picture that moves takes long to be drawn without a graphics card.
+    browser.resize(600, 400)
+    browser.open(page.as_uri(), offline=True)
+    browser.wait_for("!!document.querySelector('canvas')")
+    # The lower edge is the play bar, which moves whatever happens above.
+    pictures: list[np.ndarray] = []
+
+    def hands_move() -> bool:
+        pictures.append(browser.screenshot()[1][:340])
+        return has_moved(pictures)
+
+    wait_until(hands_move, "the hands do not move by themselves", DRAWING)
+    assert not browser.errors
+
+
+def has_moved(pictures: list[np.ndarray]) -> bool:
+    """Whether two pictures show a hand, and not the same."""
+    hands = [picture.astype(int) for picture in pictures if skin(picture) > 500]
+    return len(hands) > 1 and int((np.abs(hands[0] - hands[-1]).max(axis=2) > 30).sum()) > 300

@@ -1,0 +1,363 @@
+"""A session of a real mapping service in the view.
+
+What is shown of it, and how it is steered from there.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+
+import service_tools
+from patience import PATIENCE, wait_until
+from service_tools import address_of, client_of, connected, human_q, in_loop, lose_sessions
+
+from handmap_qp import InvalidInputError, MappingOptions, load_hand
+from handmap_qp.client import Client, Command
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.service.keys import make_keys
+from handmap_qp.service.messages import About
+from handmap_qp.service.server import Server
+from handmap_qp.transform import affine, rotation_from_quat_wxyz
+from handmap_qp.viewer.live import LiveViewer
+from handmap_qp.viewer.remote import ServiceSession
+from handmap_qp.viewer.replay import ViewSample
+from handmap_qp.viewer.serving import serving
+
+WRIST = np.eye(4)
+WRIST[:3, 3] = 0.1, 0.2, 0.3
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers take their time on a busy machine."""
+    monkeypatch.setattr("handmap_qp.viewer.remote._TIMEOUT", PATIENCE)
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[Server]:
+    with service_tools.serving() as running:
+        yield running
+
+
+def host_of(service: Server) -> str:
+    return address_of(service).removeprefix("tcp://")
+
+
+@contextmanager
+def moving(
+    client: Client, sample: Callable[[int], dict[str, Any]] | None = None
+) -> Iterator[list[Command]]:
+    """A client that moves all the time; its commands."""
+    is_over, commands = threading.Event(), list[Command]()
+
+    def move() -> None:
+        while not is_over.wait(0.01):
+            i = len(commands)
+            commands.append(
+                client.step(
+                    **({"q": human_q(0.05 * i), "wrist": WRIST} if sample is None else sample(i))
+                )
+            )
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    try:
+        yield commands
+    finally:
+        is_over.set()
+        thread.join()
+
+
+@contextmanager
+def watching(
+    service: Server, **choices: Any
+) -> Iterator[tuple[ServiceSession, Iterator[ViewSample]]]:
+    session = ServiceSession(host_of(service), patience=PATIENCE, **choices)
+    samples = iter(session)
+    try:
+        yield session, samples
+    finally:
+        session.close()
+        for _ in samples:
+            pass
+
+
+# One that has followers, one on an arm, and one whose wrist stays.
+@pytest.mark.parametrize("robot", ["allegro_right", "panda_gripper", "ur5_allegro", "tiago_arm"])
+def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
+    options = {"ridge": 0.3, "pivot": "palm"}
+    with (
+        connected(service, robot=robot, name="lab", has_detail=True, mapping=options) as client,
+        moving(client) as commands,
+        watching(service, session="lab") as (session, samples),
+    ):
+        # Where its client was silent for a moment, the service repeats the robot's posture alone.
+        shown = list(islice((sample for sample in samples if sample.is_seen), 5))
+    assert (session.robot.name, session.options.mapping) == (
+        robot,
+        MappingOptions(ridge=0.3, pivot="palm"),
+    )
+    sent = {command.q: command for command in commands}
+    for sample in shown:
+        command = sent[tuple(sample.robot_q.tolist())]
+        assert command.detail is not None
+        # What the service says about its points, and where this side's own model has them.
+        np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
+        assert sample.human_q is not None
+        np.testing.assert_allclose(
+            sample.human_points, session.human.points(sample.human_q, sample.human_wrist), atol=1e-9
+        )
+        np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)
+        np.testing.assert_allclose(sample.human_wrist, WRIST, atol=1e-12)
+        # The palm is the pivot, and does not move with this motion of the fingers.
+        assert sample.pivot is not None
+        np.testing.assert_allclose(
+            sample.pivot, (WRIST @ session.human.wrist_to_palm)[:3, 3], atol=0.03
+        )
+
+
+def test_the_human_hand_has_the_lengths_that_the_service_measured(service: Server) -> None:
+    person = load_hand("human", points="landmarks", hand_length=0.21)
+
+    def landmarks(i: int) -> dict[str, Any]:
+        return {"landmarks": person.points(human_q(0.05 * i), WRIST)}
+
+    with (
+        connected(service, name="lab", input="landmarks", is_shared=True) as client,
+        moving(client, landmarks),
+        watching(service, session="lab") as (session, samples),
+    ):
+        next(samples)
+    measured = HumanLengths.from_urdf(session.human.urdf_text)
+    np.testing.assert_allclose(
+        measured.segments, HumanLengths.from_hand_length(0.21).segments, atol=2e-3
+    )
+
+
+def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
+    with (
+        connected(service, name="lab", is_shared=True) as client,
+        moving(client) as commands,
+        serving() as page,
+    ):
+        viewer = LiveViewer(page, ServiceSession(host_of(service)))
+        assert viewer.steering is not None
+        try:
+            viewer.steering.options.handles["deformation_gain"].value = 0.0
+            viewer.tick()
+            wait_until(lambda: mapping_of(service)["deformation_gain"] == 0.0)
+            viewer.steering.release.value = True
+            tick_until(viewer, lambda: commands[-1].status == "released")
+            wait_until(lambda: viewer.sample.status == "released")
+            viewer.tick()
+            assert not viewer.steering.clutch.disabled
+            viewer.steering.clutch.value = True
+            tick_until(viewer, lambda: commands[-1].status != "released")
+        finally:
+            viewer.close()
+    assert commands[-1].detail is not None
+
+
+def about_lab(service: Server) -> About:
+    """What the session `lab` is."""
+    about = in_loop(
+        service, lambda: service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about
+    )
+    assert about is not None
+    return about
+
+
+def mapping_of(service: Server) -> dict[str, Any]:
+    """The options that are in force there."""
+    return about_lab(service).mapping
+
+
+def tick_until(viewer: LiveViewer, is_done: Callable[[], bool]) -> None:
+    def tick_and_see() -> bool:
+        viewer.tick()
+        return is_done()
+
+    wait_until(tick_and_see)
+
+
+def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Server) -> None:
+    with (
+        connected(service, name="lab", is_shared=True) as client,
+        moving(client),
+        serving() as one,
+        serving() as other,
+    ):
+        viewers = [LiveViewer(page, ServiceSession(host_of(service))) for page in (one, other)]
+        first, second = (
+            viewer.steering.options.handles for viewer in viewers if viewer.steering is not None
+        )
+        try:
+            first["ridge"].value = 0.5
+            tick_until(viewers[0], lambda: mapping_of(service)["ridge"] == 0.5)
+            second["scale"].value = 2.0
+            tick_until(viewers[1], lambda: mapping_of(service)["scale"] == 2.0)
+            assert mapping_of(service)["ridge"] == 0.5
+            tick_until(viewers[0], lambda: first["scale"].value == 2.0)
+            tick_until(viewers[1], lambda: second["ridge"].value == 0.5)
+            assert (mapping_of(service)["ridge"], mapping_of(service)["scale"]) == (0.5, 2.0)
+        finally:
+            for viewer in viewers:
+                viewer.close()
+
+
+def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(service: Server) -> None:
+    with (
+        connected(service, name="lab", is_shared=True) as client,
+        moving(client),
+        serving() as page,
+    ):
+        session = ServiceSession(host_of(service))
+        viewer = LiveViewer(page, session)
+        assert viewer.steering is not None
+        handles = viewer.steering.options.handles
+        try:
+            handles["ridge"].value = 0.5
+            # The view has seen it too: losing the session any earlier would show 0.1 as the value
+            # from before.
+            tick_until(viewer, lambda: session.options.mapping.ridge == 0.5)
+            lose_sessions(service)
+            tick_until(viewer, lambda: handles["ridge"].value == 0.1)
+            assert mapping_of(service)["ridge"] == 0.1
+        finally:
+            viewer.close()
+    assert client.reopened == 1
+
+
+OTHER_HANDS: dict[str, dict[str, Any]] = {
+    "robot": {"robot": "three_finger"},
+    "side of the robot": {"robot": "allegro_left"},
+    "human points": {"human_points": "fingertips"},
+    "robot points": {"robot_points": "fingertips_middle"},
+    "side of the human": {"side": "left"},
+}
+
+
+@pytest.mark.parametrize("changes", OTHER_HANDS.values(), ids=OTHER_HANDS.keys())
+def test_a_session_that_comes_back_with_other_hands_ends_the_view_of_the_old_ones(
+    service: Server, changes: dict[str, Any]
+) -> None:
+    usual = {"robot": "allegro_right", "name": "lab", "is_shared": True}
+    with watching_after(service, usual) as (session, samples):
+        with connected(service, **(usual | changes)) as client, moving(client):
+            for sample in samples:
+                assert len(sample.human_points) == len(session.human.reference_points)
+                assert len(sample.robot_points) == len(session.robot.reference_points)
+        assert session.is_outdated
+
+
+@contextmanager
+def watching_after(
+    service: Server, choices: dict[str, Any]
+) -> Iterator[tuple[ServiceSession, Iterator[ViewSample]]]:
+    """A view of a session that has just been closed."""
+    with ExitStack() as stack:
+        with connected(service, **choices) as client, moving(client):
+            session, samples = stack.enter_context(watching(service))
+            next(samples)
+        yield session, samples
+
+
+def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> None:
+    human = load_hand("human")
+    pose = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), WRIST[:3, 3])
+
+    def points(i: int) -> dict[str, Any]:
+        return {"points": human.points(human.rest + 1e-4 * np.sin(i), pose)}
+
+    with (
+        connected(
+            service, name="lab", input="points", is_shared=True, robot_wrist=np.eye(4)
+        ) as client,
+        moving(client, points),
+        watching(service) as (_, samples),
+    ):
+        sample = next(samples)
+    assert sample.human_q is None
+    np.testing.assert_allclose(sample.human_wrist, pose, atol=2e-3)
+
+
+def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(
+    service: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Not by the look that is due every second.
+    monkeypatch.setattr("handmap_qp.viewer.remote._LOOK_PERIOD", np.inf)
+    with (
+        connected(service, name="lab", is_shared=True) as client,
+        moving(client),
+        watching(service) as (_, samples),
+    ):
+        assert next(samples).is_seen
+        lose_sessions(service)
+        wait_until(lambda: client.reopened)
+        wait_until(lambda: next(samples) and about_lab(service).has_detail)
+        wait_until(lambda: next(samples).is_seen)
+
+
+def test_an_encrypted_service_is_seen_with_keys_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_keys(tmp_path, ["tracker", "viewer"])
+    tracker, viewer = (
+        (tmp_path / f"{name}.key_secret", tmp_path / "server.key") for name in ("tracker", "viewer")
+    )
+    with (
+        service_tools.serving(keys=tmp_path) as service,
+        client_of(service, keys=tracker) as client,
+    ):
+        client.open("three_finger", name="lab", is_shared=True)
+        with moving(client), watching(service, keys=viewer) as (session, samples):
+            assert next(samples).is_seen
+            session.release()
+            wait_until(lambda: next(samples).status == "released")
+            assert session.is_released
+        monkeypatch.setattr("handmap_qp.viewer.remote._TIMEOUT", 0.1)
+        with pytest.raises(InvalidInputError, match="no answer"):
+            ServiceSession(host_of(service))
+
+
+def test_sessions_that_cannot_be_shown_are_explained(service: Server) -> None:
+    def show(**choices: Any) -> None:
+        ServiceSession(host_of(service), patience=0.2, **choices)
+
+    with pytest.raises(InvalidInputError, match="no session is open"):
+        show()
+    with connected(service, name="a"):
+        with pytest.raises(
+            InvalidInputError, match="open it with has_detail=True or is_shared=True"
+        ):
+            show()
+        with pytest.raises(InvalidInputError, match="no session 'c'"):
+            show(session="c")
+        with (
+            connected(service, name="b"),
+            pytest.raises(InvalidInputError, match="--session: a, b"),
+        ):
+            show()
+    with (
+        connected(service, name="a", input="landmarks", is_shared=True),
+        pytest.raises(InvalidInputError, match="not been measured"),
+    ):
+        show()
+    with (
+        connected(service, name="a", is_shared=True) as client,
+        moving(client),
+        watching(service, robot="allegro_right") as (_, samples),
+        pytest.raises(InvalidInputError, match="of another hand"),
+    ):
+        next(samples)

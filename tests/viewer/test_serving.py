@@ -1,0 +1,95 @@
+"""Who may talk to the view's server: its own page, and whoever is no page at all."""
+
+from __future__ import annotations
+
+import http.client
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+import viser
+from patience import wait_until
+from websockets.asyncio import server as listener
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
+
+from handmap_qp import InvalidInputError
+from handmap_qp.viewer.serving import is_own_page, serving
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Any]:
+    with serving() as running:
+        yield running
+
+
+@pytest.mark.parametrize(
+    ("origin", "is_let_in"),
+    [
+        (None, True),
+        ("http://127.0.0.1:{port}", True),
+        ("https://somewhere.example", False),
+        ("http://127.0.0.1:1", False),
+        ("null", False),
+    ],
+)
+def test_a_page_of_another_site_cannot_steer(
+    server: Any, origin: str | None, is_let_in: bool
+) -> None:
+    port, page = server.get_port(), Subprotocol(f"viser-v{viser.__version__}")
+    said = None if origin is None else Origin(origin.format(port=port))
+
+    def knock() -> None:
+        with connect(
+            f"ws://127.0.0.1:{port}", origin=said, subprotocols=[page], max_size=None
+        ) as connection:
+            connection.recv(timeout=30.0)
+
+    if is_let_in:
+        knock()
+        wait_until(lambda: not server.get_clients())
+    else:
+        with pytest.raises(InvalidStatus, match="403"):
+            knock()
+
+
+@pytest.mark.parametrize(("name", "status"), [("localhost", 200), ("somewhere.example", 403)])
+def test_a_name_that_was_made_to_lead_to_loopback_is_refused(
+    server: Any, name: str, status: int
+) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=30.0)
+    connection.request("GET", "/", headers={"Host": f"{name}:{server.get_port()}"})
+    assert connection.getresponse().status == status
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "asked", "origins", "expected"),
+    [
+        ("127.0.0.1", "localhost:9000", ["http://localhost:9000"], True),
+        ("::1", "[::1]:8080", ["http://[::1]:8080"], True),
+        ("127.0.0.1", "", [], False),
+        ("127.0.0.1", "[::1:8080", [], False),
+        ("0.0.0.0", "lab-pc:8080", ["http://lab-pc:8080"], True),
+        ("0.0.0.0", "lab-pc:8080", ["http://somewhere.example"], False),
+        (
+            "127.0.0.1",
+            "localhost:8080",
+            ["http://localhost:8080", "https://somewhere.example"],
+            False,
+        ),
+    ],
+)
+def test_whose_page_it_is(host: str, asked: str, origins: list[str], expected: bool) -> None:
+    assert is_own_page(host, asked, origins) is expected
+
+
+def test_others_that_listen_are_left_alone(server: Any) -> None:
+    assert listener.serve.__module__.startswith("websockets")
+    with pytest.raises(InvalidInputError, match="cannot be served on"), serving("192.0.2.1"):
+        pass
+    assert listener.serve.__module__.startswith("websockets")
