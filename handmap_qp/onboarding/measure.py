@@ -97,8 +97,7 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     Returns:
         One row a point.
     """
-    wrist = hand.v_indices if not hand.has_moving_wrist or hand.is_floating else None
-    fingers = np.array([wrist is not None or not _moves_wrist(hand, v) for v in hand.v_indices])
+    fingers = np.array([not _moves_wrist(hand, v) for v in hand.v_indices])
     generator = np.random.default_rng(0)
     shares = np.vstack(
         [

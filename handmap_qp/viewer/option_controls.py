@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.options import Alignment, MappingOptions, Pivot, Reference, RigidFrom
 
 if TYPE_CHECKING:
     import viser
@@ -115,13 +115,10 @@ _IK_SLIDERS = (
     ),
 )
 _CHOICES = {
-    "rigid_from": (("points", "wrist", "none"), "Where the rigid part T_rb comes from"),
-    "pivot": (
-        ("centroid", "palm", "world", "point"),
-        "The point about which rotation and deformation act",
-    ),
-    "alignment": (("world", "palm"), "Rotation from the human's world axes to the robot's"),
-    "reference": (("initial", "previous"), "Configuration that T starts from"),
+    "rigid_from": (get_args(RigidFrom), "Source of the rigid part T_rb"),
+    "pivot": (get_args(Pivot), "Point about which rotation and deformation act"),
+    "alignment": (get_args(Alignment), "Rotation from the human's world axes to the robot's"),
+    "reference": (get_args(Reference), "Configuration that T starts from"),
 }
 _GIVEN = "as given"
 
@@ -168,9 +165,9 @@ class OptionControls:
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Mapping"):
             for name, (choices, hint) in _CHOICES.items():
-                self._add_choice(
-                    name, choices if robot.is_floating or name != "rigid_from" else ("none",), hint
-                )
+                if name == "rigid_from" and not robot.has_moving_wrist:
+                    choices = ("none",)
+                self._add_choice(name, choices, hint)
                 if name == "pivot":
                     self._add_point()
             for slider in _MAPPING_SLIDERS:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
@@ -26,6 +26,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.library import hand_names
+from handmap_qp.mapping.options import RigidFrom
 from handmap_qp.offline.trajectory import map_motion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
@@ -298,6 +299,23 @@ def test_every_option_has_a_control_or_is_left_out_by_name(server: Any) -> None:
     assert controls.handles.keys() - with_nothing_to_keep_apart.handles.keys() == {
         "avoids_self_collision"
     }
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_the_wrist_choices_offered_are_those_that_the_mapper_accepts(
+    server: Any, name: str
+) -> None:
+    human, robot = load_hand("human"), load_hand(name)
+    controls = OptionControls(
+        server, robot, Options(MappingOptions(rigid_from="none"), IkOptions())
+    )
+    for choice in get_args(RigidFrom):
+        is_accepted = True
+        try:
+            HandMapper(human, robot, MappingOptions(rigid_from=choice))
+        except InvalidOptionsError:
+            is_accepted = False
+        assert (choice in controls.handles["rigid_from"].options) == is_accepted, choice
 
 
 def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
