@@ -1,53 +1,74 @@
 """Every error that `handmap_qp` raises on purpose.
 
-An error carries its evidence as attributes, so that a program can act on it, and says in one line
-what was expected, where, and what came instead. Whatever raises one leaves its object as it was
-before the call.
+An error carries its evidence as attributes, so that a program can act on it, and composes its text
+from them: `argument: expected X, got Y: advice`. Nothing has to parse that text. A call that raises
+one leaves its object as it was.
 """
 
 from __future__ import annotations
 
+import enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+
+_LONGEST_VALUE = 80  # characters
+
+
+class _Missing(enum.Enum):
+    """Stands for a value that was not given, because None is a value."""
+
+    MISSING = enum.auto()
+
+
+MISSING: Final = _Missing.MISSING
 
 
 class HandmapError(Exception):
     """Base of all errors of this package: catch it to catch them all."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Exceptions are unpickled by calling their class with `args`, which cannot give keywords.
+        return _rebuilt, (type(self), self.args, self.__dict__)
+
 
 class _DescribedError(HandmapError, ValueError):
-    """What is wrong with one named thing, kept as attributes; the text is composed of them."""
+    """What is wrong with one named thing, as attributes from which the text is composed."""
 
     def __init__(
         self, name: str, problem: str, expected: str, value: Any, got: str, advice: str
     ) -> None:
-        # All arguments go to `Exception`, which rebuilds the error from them when it is unpickled.
-        super().__init__(name, problem, expected, value, got, advice)
+        super().__init__(name, problem, expected, got, advice)
+        self._name = name
         self.problem = problem
         self.expected = expected
-        self.value = value
-        self.got = got or (_shortened(value) if value is not None else "")
+        self.value = None if value is MISSING else value
+        self.got = got or ("" if value is MISSING else describe_value(value))
         self.advice = advice
 
     def __str__(self) -> str:
         """Compose `name: expected X, got Y: advice` in one line."""
-        name = self.args[0]
-        what = self.problem or f"expected {self.expected}" + (
-            f", got {self.got}" if self.got else ""
-        )
-        text = f"{name}: {what}" if name else what
-        return f"{text}: {self.advice}" if self.advice else text
+        got = f", got {self.got}" if self.got else ""
+        what = self.problem or f"expected {self.expected}{got}"
+        return ": ".join(part for part in (self._name, what, self.advice) if part)
 
 
 class InvalidInputError(_DescribedError):
     """A value given to a public function cannot be used.
 
-    Attributes:
-        argument: The argument at fault, `human_q` or `points[3]`; empty where there is none.
+    Args:
+        problem: What is wrong, where "expected X, got Y" does not say it.
+        argument: The argument at fault, such as `human_q` or `points[3]`.
         expected: What it must be.
-        value: What it is, where that is short enough to be worth keeping.
+        value: What it is.
+        got: The same as text; a short form of `value` if omitted.
+        advice: What to do about it.
+
+    Attributes:
+        argument: The argument at fault; empty where there is none.
+        expected: What it must be.
+        value: What it is; None where it was not given.
         got: The same as text.
         problem: What is wrong, where "expected X, got Y" does not say it.
         advice: What to do about it.
@@ -59,24 +80,29 @@ class InvalidInputError(_DescribedError):
         *,
         argument: str = "",
         expected: str = "",
-        value: Any = None,
+        value: Any = MISSING,
         got: str = "",
         advice: str = "",
     ) -> None:
         super().__init__(argument, problem, expected, value, got, advice)
         self.argument = argument
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (type(self), self.args)
-
 
 class InvalidOptionsError(_DescribedError):
     """Options that contradict each other or the hands they are used with.
 
+    Args:
+        problem: What is wrong, where "expected X, got Y" does not say it.
+        option: The option at fault.
+        expected: What it must be.
+        value: What it is.
+        got: The same as text; a short form of `value` if omitted.
+        advice: What to do about it.
+
     Attributes:
         option: The option at fault; empty where there is no single one.
         expected: What it must be.
-        value: What it is.
+        value: What it is; None where it was not given.
         got: The same as text.
         problem: What is wrong, where "expected X, got Y" does not say it.
         advice: What to do about it.
@@ -88,72 +114,87 @@ class InvalidOptionsError(_DescribedError):
         *,
         option: str = "",
         expected: str = "",
-        value: Any = None,
+        value: Any = MISSING,
         got: str = "",
         advice: str = "",
     ) -> None:
         super().__init__(option, problem, expected, value, got, advice)
         self.option = option
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (type(self), self.args)
-
-
-def _rebuilt(kind: type[_DescribedError], arguments: tuple[Any, ...]) -> _DescribedError:
-    """Unpickle an error of keyword arguments."""
-    name, problem, expected, value, got, advice = arguments
-    key = "argument" if kind is InvalidInputError else "option"
-    return kind(problem, **{key: name}, expected=expected, value=value, got=got, advice=advice)
-
-
-def _shortened(value: Any) -> str:
-    """The value as text of one line and at most 80 characters."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else f"{text[:77]}..."
-
 
 class HandError(HandmapError, ValueError):
     """A hand description (`hand.yaml` or URDF) cannot be used.
 
     Attributes:
+        problem: What is wrong, without the place.
         file: The file at fault, if the description came from one.
         key: The path of the key inside it, such as `points[2].link`.
         value: The value found there.
     """
 
     def __init__(
-        self, message: str, *, file: Path | None = None, key: str | None = None, value: Any = None
+        self, problem: str, *, file: Path | None = None, key: str | None = None, value: Any = None
     ) -> None:
-        place = ": ".join(str(part) for part in (file, key) if part is not None)
-        super().__init__(f"{place}: {message}" if place else message)
+        super().__init__(problem)
+        self.problem = problem
         self.file = file
         self.key = key
         self.value = value
+
+    def __str__(self) -> str:
+        """Compose `file: key: problem` in one line."""
+        place = [str(part) for part in (self.file, self.key) if part is not None]
+        return ": ".join([*place, self.problem])
 
 
 class RecordingError(HandmapError, ValueError):
     """A recording of a human hand cannot be read.
 
     Attributes:
+        problem: What is wrong, without the place.
         file: The recording.
+        array: The array inside it that is at fault; empty where there is none.
     """
 
-    def __init__(self, message: str, *, file: Path) -> None:
-        super().__init__(f"{file}: {message}")
+    def __init__(self, problem: str, *, file: Path, array: str = "") -> None:
+        super().__init__(problem)
+        self.problem = problem
         self.file = file
+        self.array = array
+
+    def __str__(self) -> str:
+        """Compose `file: array: problem` in one line."""
+        return ": ".join(part for part in (str(self.file), self.array, self.problem) if part)
 
 
 class DegeneratePointsError(HandmapError, ValueError):
     """The reference points do not determine the motion (eq. 6 has no unique solution).
 
     Attributes:
+        problem: What is wrong, without the singular values.
         singular_values: Of the weighted, centred points, largest first [m], shape (3,).
     """
 
-    def __init__(self, message: str, *, singular_values: np.ndarray) -> None:
-        values = ", ".join(f"{1e3 * value:.3g}" for value in singular_values)
-        super().__init__(f"{message} (singular values {values} mm)")
+    def __init__(self, problem: str, *, singular_values: np.ndarray) -> None:
+        super().__init__(problem)
+        self.problem = problem
         self.singular_values = singular_values
+
+    def __str__(self) -> str:
+        """Compose `problem (singular values in mm)` in one line."""
+        values = ", ".join(f"{1e3 * value:.3g}" for value in self.singular_values)
+        return f"{self.problem} (singular values {values} mm)"
+
+
+class StaleJacobianError(HandmapError, RuntimeError):
+    """A Jacobian was asked for that belongs to an earlier posture.
+
+    `Configuration.place_frames` moves frames only; `place_with_jacobians` makes Jacobians valid.
+    """
+
+    def __str__(self) -> str:
+        """Say what to call first."""
+        return "the Jacobians belong to an earlier posture: call place_with_jacobians(q) first"
 
 
 class MissingExtraError(HandmapError, ImportError):
@@ -182,3 +223,29 @@ class RefusedError(HandmapError):
         super().__init__(message)
         self.code = code
         self.field = field
+
+
+def describe_value(value: Any) -> str:
+    """Describe a value in one line of at most 80 characters.
+
+    Args:
+        value: Anything. Of an array with more than four numbers, the shape is told.
+
+    Returns:
+        The text.
+    """
+    if isinstance(value, np.ndarray) and (value.size > 4 or value.dtype.kind not in "biuf"):
+        return f"an array of {value.dtype} of shape {value.shape}"
+    try:
+        text = repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
+    except Exception:  # an object's own __repr__ may raise anything
+        text = f"<{type(value).__name__}>"
+    text = " ".join(text.split())
+    return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 3]}..."
+
+
+def _rebuilt(kind: type[HandmapError], args: tuple[Any, ...], state: dict[str, Any]) -> Exception:
+    """Unpickle an error: its arguments as `Exception` holds them, and its attributes."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(state)
+    return error

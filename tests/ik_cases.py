@@ -126,7 +126,7 @@ def random_cases(
         vector = hand.configuration_vector(
             _posture(hand, i % 4, rng, is_inside), _pose(rng) if hand.is_floating else None
         )
-        configuration.update(vector)
+        configuration.place_with_jacobians(vector)
         reach = 10.0 ** rng.uniform(-4, 0)
         targets = configuration.points + reach * rng.normal(size=(len(hand.reference_points), 3))
         # At least 1e-3 rad: nearer ones are mink's on MuJoCo to round off (see

@@ -1,9 +1,7 @@
-"""A hand in one posture.
+"""A hand in one posture: the workspace of everything that runs sample by sample.
 
-Pinocchio's data, the reference points and their Jacobian, with all memory allocated once.
-
-This is the workspace of everything that runs sample by sample. It also offers what `mink.build_ik`
-reads from a configuration (`model.nv`, `nv`, `q`).
+It holds Pinocchio's data, the reference points and their Jacobian; all memory is allocated once. It
+also offers what `mink.build_ik` reads from a configuration (`model.nv`, `nv`, `q`).
 """
 
 from __future__ import annotations
@@ -13,15 +11,21 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.errors import InvalidInputError, StaleJacobianError
+
 # Rows of -[p]x, flattened, are linear in p: p @ _CROSS == (-skew(p)).ravel().
 _CROSS = np.zeros((3, 9))
 _CROSS[0, [5, 7]] = 1.0, -1.0
 _CROSS[1, [2, 6]] = -1.0, 1.0
 _CROSS[2, [1, 3]] = 1.0, -1.0
+_IDENTITY_6 = np.eye(6)
 
 
 class Configuration:
     """One posture of a model, with its reference points.
+
+    `place_frames` and `place_with_jacobians` put it somewhere else. Jacobians can be read only
+    after the second one; after the first one they raise `StaleJacobianError`.
 
     Args:
         model: Pinocchio model whose last frames are the reference points.
@@ -32,13 +36,13 @@ class Configuration:
 
     Attributes:
         model: The model.
-        data: Its Pinocchio data.
-        q: Configuration last placed, shape (nq,).
-        points: Reference points in the world [m], shape (m, 3); a view that follows every
-            placement.
+        data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
+        q: Configuration last placed, shape (nq,); a read-only view that follows every placement.
+        points: Reference points in the world [m], shape (m, 3); a read-only view that follows
+            every placement.
         wrist: Wrist frame, a `pinocchio.SE3` view that follows every placement.
         support: 1 where a velocity coordinate of the model moves a point's row or the wrist's,
-            shape (3 m + 6, model.nv).
+            shape (3 m + 6, model.nv); read-only.
     """
 
     def __init__(
@@ -52,9 +56,12 @@ class Configuration:
         self.model = model
         self.expansion = expansion
         self.data = model.createData()
-        self.q = pin.neutral(model)
+        self._q = pin.neutral(model)
+        self.q = self._q.view()
+        self.q.setflags(write=False)
         self.points = _translation_view(self.data, first_point, len(model.frames))
         self.wrist = self.data.oMf[wrist_frame]
+        self._has_jacobians = False
         self._joint_columns = self.data.J
         count = len(self.points)
         # data.J holds the spatial velocity of each joint at the world's origin: [I, -[p]x] takes it
@@ -70,43 +77,106 @@ class Configuration:
         self.support = np.repeat(
             [_support(model, joint) for joint in joints], [3] * count + [6], axis=0
         )
+        self.support.setflags(write=False)
+        self.place_frames(self._q)
 
     @property
     def nv(self) -> int:
-        """Number of active velocity coordinates, k.
-
-        Those of the wrist and of the joints that follow no other.
-        """
+        """Number of active velocity coordinates, k: the wrist's and those of joints that lead."""
         return self.model.nv if self.expansion is None else self.expansion.shape[1]
 
-    def place(self, q: np.ndarray) -> None:
-        """Put the model at `q` and place its frames, without Jacobians."""
-        pin.framesForwardKinematics(self.model, self.data, q)
-        self.q[:] = q
+    def place_frames(self, q: np.ndarray) -> None:
+        """Put the model at a configuration and place its frames; Jacobians become invalid.
 
-    def update(self, q: np.ndarray) -> None:
-        """Put the model at `q`, place its frames and compute what the Jacobians need."""
-        pin.computeJointJacobians(self.model, self.data, q)
+        Args:
+            q: Pinocchio configuration, shape (nq,); its values are not checked.
+
+        Raises:
+            InvalidInputError: On a wrong shape or type.
+        """
+        try:
+            pin.framesForwardKinematics(self.model, self.data, q)
+        except (TypeError, ValueError) as error:
+            raise self._wrong(q) from error
+        self._has_jacobians = False
+        self._q[:] = q
+
+    def place_with_jacobians(self, q: np.ndarray) -> None:
+        """Put the model at a configuration, place its frames and make Jacobians valid.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,); its values are not checked.
+
+        Raises:
+            InvalidInputError: On a wrong shape or type.
+        """
+        try:
+            pin.computeJointJacobians(self.model, self.data, q)
+        except (TypeError, ValueError) as error:
+            raise self._wrong(q) from error
         pin.updateFramePlacements(self.model, self.data)
-        self.q[:] = q
+        self._has_jacobians = True
+        self._q[:] = q
 
     def displace(self, start: np.ndarray, displacement: np.ndarray) -> None:
-        """Update to where a displacement in the active coordinates, shape (k,), leads from a configuration."""
+        """Go from a configuration by a displacement; Jacobians become valid.
+
+        Args:
+            start: Pinocchio configuration, shape (nq,).
+            displacement: Displacement in the active coordinates [rad or m], shape (k,).
+        """
         step = displacement if self.expansion is None else self.expansion.dot(displacement)
-        self.update(pin.integrate(self.model, start, step))
+        self.place_with_jacobians(pin.integrate(self.model, start, step))
+
+    def joint_jacobian(self) -> np.ndarray:
+        """Spatial velocity at the world's origin per velocity of the model.
+
+        Returns:
+            Jacobian, linear rows first, shape (6, model.nv); Pinocchio's own array: do not write
+            to it.
+
+        Raises:
+            StaleJacobianError: If the model was placed without Jacobians.
+        """
+        if not self._has_jacobians:
+            raise StaleJacobianError
+        return self._joint_columns
 
     def point_jacobian(self) -> np.ndarray:
-        """Jacobian of the points in the active coordinates, world axes [m per unit], shape (3 m, k)."""
-        return self.contracted(
-            (self.stacked_jacobian(np.eye(6)) * self.support)[: 3 * len(self.points)]
-        )
+        """Jacobian of the points in the active coordinates, in world axes [m per unit].
+
+        Returns:
+            Jacobian, rows x, y, z of each point in turn, shape (3 m, k); a new array.
+
+        Raises:
+            StaleJacobianError: If the model was placed without Jacobians.
+        """
+        jacobian = self.stacked_jacobian(_IDENTITY_6) * self.support
+        return self.contracted(jacobian[: 3 * len(self.points)])
 
     def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
-        """Body Jacobian of the wrist in the active coordinates, with `error_jacobian` (6, 6) on its left, shape (6, k)."""
+        """Body Jacobian of the wrist in the active coordinates.
+
+        Args:
+            error_jacobian: Factor on its left, shape (6, 6).
+
+        Returns:
+            `error_jacobian @ J_wrist`, shape (6, k); a new array.
+
+        Raises:
+            StaleJacobianError: If the model was placed without Jacobians.
+        """
         return self.contracted((self.stacked_jacobian(error_jacobian) * self.support)[-6:])
 
     def contracted(self, jacobian: np.ndarray) -> np.ndarray:
-        """A Jacobian over the model's tangent space, shape (r, model.nv), over the active coordinates, shape (r, k)."""
+        """Take a Jacobian over the model's tangent space to the active coordinates.
+
+        Args:
+            jacobian: Shape (r, model.nv).
+
+        Returns:
+            Jacobian, shape (r, k); the same array if all coordinates are active.
+        """
         return jacobian if self.expansion is None else jacobian @ self.expansion
 
     def stacked_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
@@ -119,15 +189,24 @@ class Configuration:
         Returns:
             Unmasked Jacobian, shape (3 m + 6, model.nv); an internal buffer, overwritten by the
             next call.
+
+        Raises:
+            StaleJacobianError: If the model was placed without Jacobians.
         """
+        if not self._has_jacobians:
+            raise StaleJacobianError
         np.dot(self.points, _CROSS, out=self._crosses)
         self._angular[:] = self._crosses_3
         np.dot(error_jacobian, self.wrist.toActionMatrixInverse(), out=self._rows[-6:])
         return np.dot(self._rows, self._joint_columns, out=self._jacobian)
 
+    def _wrong(self, q: object) -> InvalidInputError:
+        expected = f"a Pinocchio configuration of shape ({self.model.nq},)"
+        return InvalidInputError(argument="q", expected=expected, value=q)
+
 
 def _support(model: pin.Model, joint: int) -> np.ndarray:
-    """1 for every velocity coordinate that moves a joint's frame, shape (nv,)."""
+    """Return 1 for every velocity coordinate that moves a joint's frame, shape (nv,)."""
     moved = np.zeros(model.nv)
     for ancestor in model.supports[joint]:
         start = model.joints[ancestor].idx_v
@@ -136,17 +215,15 @@ def _support(model: pin.Model, joint: int) -> np.ndarray:
 
 
 def _translation_view(data: pin.Data, first: int, stop: int) -> np.ndarray:
-    """All translations of consecutive frames as one array that shares Pinocchio's memory.
+    """Translations of consecutive frames as one read-only array that shares Pinocchio's memory.
 
     `data.oMf` is a vector of SE3, each twelve doubles in one block, so consecutive translations lie
-    a fixed stride apart. That is checked here rather than believed.
+    a fixed stride apart. That is checked here, because Pinocchio does not document it.
     """
     placements = data.oMf
     views = [placements[frame].translation for frame in range(first, stop)]
-    if len(views) == 1:
-        return views[0].reshape(1, 3)
     addresses = [view.__array_interface__["data"][0] for view in views]
-    stride = addresses[1] - addresses[0]
+    stride = addresses[1] - addresses[0] if len(views) > 1 else 0
     if any(after - before != stride for before, after in pairwise(addresses)):
         raise RuntimeError("Pinocchio's frame placements are not evenly spaced in memory")
-    return np.lib.stride_tricks.as_strided(views[0], (len(views), 3), (stride, 8))
+    return np.lib.stride_tricks.as_strided(views[0], (len(views), 3), (stride, 8), writeable=False)

@@ -38,7 +38,7 @@ class Hand:
     """A hand.
 
     A URDF in Pinocchio, the order of its joints, its palm and wrist frames and its reference
-    points.
+    points. Sessions may share it: its arrays are read-only, and its methods return new ones.
 
     Args:
         spec: What the hand is.
@@ -111,12 +111,12 @@ class Hand:
         )
         joint_ids = [self._joint_id(name) for name in self.joint_names]
         follower_ids = [self._joint_id(name) for name in followers]
-        self.q_indices = np.array([self.model.joints[i].idx_q for i in joint_ids])
-        self.v_indices = np.array([self.model.joints[i].idx_v for i in joint_ids])
+        self.q_indices = _frozen([self.model.joints[i].idx_q for i in joint_ids], int)
+        self.v_indices = _frozen([self.model.joints[i].idx_v for i in joint_ids], int)
         self._follower_q = np.array([self.model.joints[i].idx_q for i in follower_ids], dtype=int)
         follower_v = [self.model.joints[i].idx_v for i in follower_ids]
-        self.active_columns = np.setdiff1d(np.arange(self.model.nv), follower_v)
-        self.joint_columns = np.searchsorted(self.active_columns, self.v_indices)
+        self.active_columns = _frozen(np.setdiff1d(np.arange(self.model.nv), follower_v), int)
+        self.joint_columns = _frozen(np.searchsorted(self.active_columns, self.v_indices), int)
         self._expansion = expansion_matrix((*self.joint_names, *followers), self.joint_names, rules)
         self.expansion = (
             _tangent_expansion(self._expansion, self.active_columns, self.joint_columns, follower_v)
@@ -148,7 +148,7 @@ class Hand:
         )
         self._check_wrist(wrist, palm)
         self._wrist_to_root = wrist.placement.inverse()
-        self.wrist_to_palm = (self._wrist_to_root * palm.placement).homogeneous
+        self.wrist_to_palm = _frozen((self._wrist_to_root * palm.placement).homogeneous)
         self._scratch = self.configuration()
 
     @property
@@ -257,7 +257,7 @@ class Hand:
         Returns:
             Points in the world [m], shape (m, 3).
         """
-        self._scratch.place(self.configuration_vector(q, wrist_pose))
+        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         return self._scratch.points.copy()
 
     def point_jacobian(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
@@ -271,7 +271,7 @@ class Hand:
             Jacobian [m/rad], rows x, y, z of each point in turn, columns in the order of
             `joint_names`, shape (3 m, n).
         """
-        self._scratch.update(self.configuration_vector(q, wrist_pose))
+        self._scratch.place_with_jacobians(self.configuration_vector(q, wrist_pose))
         return self._scratch.point_jacobian()[:, self.joint_columns]
 
     def frame_pose(
@@ -298,7 +298,7 @@ class Hand:
             ):
                 return self.link_poses([frame], q, wrist_pose)[0]
             own = frame
-        self._scratch.place(self.configuration_vector(q, wrist_pose))
+        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         return self._scratch.data.oMf[self.model.getFrameId(own)].homogeneous
 
     def link_poses(
@@ -320,7 +320,7 @@ class Hand:
         for link in links:
             if not self.model.existFrame(link, pin.FrameType.BODY):
                 raise InvalidInputError(f"{self.name} has no link {link!r}", value=link)
-        self._scratch.place(self.configuration_vector(q, wrist_pose))
+        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         frames = [self.model.getFrameId(link, pin.FrameType.BODY) for link in links]
         return np.array([self._scratch.data.oMf[frame].homogeneous for frame in frames]).reshape(
             -1, 4, 4
@@ -495,7 +495,8 @@ def _palm_in_link(spec: HandSpec) -> np.ndarray:
     )
 
 
-def _frozen(values: npt.ArrayLike) -> np.ndarray:
-    array = np.array(values, dtype=float)
+def _frozen(values: npt.ArrayLike, dtype: type = float) -> np.ndarray:
+    """Return a write-protected copy."""
+    array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array

@@ -85,7 +85,7 @@ class CollisionLimit:
         """Rows `G dq <= h`, one a pair, in an order that never changes.
 
         Args:
-            configuration: Of the hand, updated to where it is.
+            configuration: Of the hand, placed with Jacobians.
 
         Returns:
             G, shape (k, n) over the active coordinates; h [m], shape (k,), negative where a pair is
@@ -93,7 +93,7 @@ class CollisionLimit:
         """
         self._measure(configuration)
         G = configuration.contracted(
-            -(self._wrenches @ configuration.data.J) * self._relative_support
+            -(self._wrenches @ configuration.joint_jacobian()) * self._relative_support
         )
         return G, self._gain * (self._distances - self.margin)
 
@@ -108,7 +108,7 @@ class CollisionLimit:
         others, that is what they are held to.
 
         Args:
-            configuration: Of the hand, updated to where it is.
+            configuration: Of the hand, placed with Jacobians.
             lower: Lower bound of the displacement, shape (n,).
             upper: Upper bound, shape (n,).
 

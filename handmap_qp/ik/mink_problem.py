@@ -129,7 +129,7 @@ def build_problem(
     Args:
         hand: The hand.
         options: The weights.
-        configuration: Of the hand, updated to where it is.
+        configuration: Of the hand, placed with Jacobians.
         point_targets: Where the reference points shall be [m], shape (m, 3).
         wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
         dt: Time for the displacement [s].

@@ -92,7 +92,7 @@ class PseudoinverseIk:
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
-        self.configuration.update(q)
+        self.configuration.place_with_jacobians(q)
 
     def step(self, point_targets: np.ndarray, wrist_target: np.ndarray | None) -> np.ndarray:
         """Eq. (8) at the present configuration.

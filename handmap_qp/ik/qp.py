@@ -156,12 +156,12 @@ class PointIk:
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
-        self.configuration.update(q)
+        self.configuration.place_with_jacobians(q)
         self._velocity = self._zero_step
 
     def take_over(self, before: PointIk) -> None:
         """Go on where another one of the same hand is, and as fast."""
-        self.configuration.update(before.configuration.q)
+        self.configuration.place_with_jacobians(before.configuration.q)
         self._velocity = before._velocity
 
     def solve(

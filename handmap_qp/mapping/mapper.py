@@ -353,7 +353,7 @@ class HandMapper:
     def _human_points(self, angles: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Human reference points in its world (eq. 4), shape (n_h, 3)."""
         self.human.write_configuration(self._human_vector, angles, wrist)
-        self._human.place(self._human_vector)
+        self._human.place_frames(self._human_vector)
         return self._human.points.copy()
 
     def _estimator(self, human_points: np.ndarray) -> MotionEstimator:

@@ -193,7 +193,7 @@ class _Scene:
     def _sticks(self, wrist: int) -> list[Triangles]:
         hand, model = self.hand, self.hand.model
         workspace = hand.configuration()
-        workspace.place(hand.configuration_vector(hand.rest))
+        workspace.place_frames(hand.configuration_vector(hand.rest))
         grey, thickness = (0.62, 0.64, 0.67), 0.015 * self.size
         joints = [
             i

@@ -73,7 +73,7 @@ class SpeedGuard:
         if self._robot.is_floating:
             return self._wrist
         self._robot.write_configuration(self._last, self.q, np.eye(4))
-        self._workspace.place(self._last)
+        self._workspace.place_frames(self._last)
         return self._workspace.wrist.homogeneous
 
     def advance(
@@ -117,7 +117,7 @@ class SpeedGuard:
         self._is_written = False
         self.q = reached[self._robot.q_indices].copy()
         if self._wrist is not None:
-            self._workspace.place(reached)
+            self._workspace.place_frames(reached)
             self._wrist = self._workspace.wrist.homogeneous.copy()
         return False
 

@@ -136,11 +136,11 @@ def test_the_jacobian_of_the_active_coordinates_moves_the_points(
 ) -> None:
     assert hand.expansion is not None
     workspace = hand.configuration()
-    workspace.update(hand.configuration_vector(q))
+    workspace.place_with_jacobians(hand.configuration_vector(q))
     slope = workspace.point_jacobian() @ (step := generator.normal(size=len(hand.active_columns)))
     ends = []
     for sign in (1e-6, -1e-6):
-        workspace.place(
+        workspace.place_frames(
             pin.integrate(
                 hand.model, hand.configuration_vector(q), hand.expansion.matrix @ (sign * step)
             )

@@ -61,12 +61,12 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
         q = hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits), np.eye(4))
         dq = rng.normal(size=len(hand.active_columns))
         dq *= small / np.linalg.norm(dq)
-        configuration.update(q)
+        configuration.place_with_jacobians(q)
         G, h = limit.rows(configuration)
         np.testing.assert_allclose(h, limit.distances(configuration) - limit.margin, atol=1e-8)
         distances = []
         for sign in (1.0, -1.0):
-            configuration.update(pin.integrate(hand.model, q, sign * dq))
+            configuration.place_with_jacobians(pin.integrate(hand.model, q, sign * dq))
             distances.append(limit.distances(configuration))
         errors.append(np.abs((distances[0] - distances[1]) / 2.0 + G @ dq) / small)
     # coal stops within 1e-9 m, here of 1e-5 m. At the edges of flat faces the distance has no
@@ -77,7 +77,7 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
 def test_moving_the_wrist_changes_no_distance() -> None:
     hand = load("three_finger", "floating")
     configuration = hand.configuration()
-    configuration.update(hand.configuration_vector(hand.rest, np.eye(4)))
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest, np.eye(4)))
     G, _ = CollisionLimit(hand).rows(configuration)
     np.testing.assert_array_equal(G[:, :6], 0.0)
     assert (np.abs(G).max(axis=1) > 1e-3).all()
@@ -87,7 +87,7 @@ def test_moving_the_wrist_changes_no_distance() -> None:
 def test_a_hand_at_rest_keeps_its_margin(name: str) -> None:
     hand = load(name)
     limit, configuration = CollisionLimit(hand), hand.configuration()
-    configuration.update(hand.configuration_vector(hand.rest))
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
     assert limit.distances(configuration).min() > limit.margin
 
 
@@ -114,7 +114,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
     ik.place(hand.configuration_vector(hand.rest))
     limit, nearest = CollisionLimit(hand), np.inf
     for i in range(12):
-        elsewhere.update(
+        elsewhere.place_with_jacobians(
             hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
         )
         targets = elsewhere.points.copy()
@@ -137,7 +137,7 @@ def test_rows_never_contradict_the_box(name: str) -> None:
     )
     overlaps = 0
     for case in random_cases(hand, 40, seed=1):
-        configuration.update(case.q)
+        configuration.place_with_jacobians(case.q)
         overlaps += limit.distances(configuration).min() < 0.0
         problem = build_problem(
             hand, AVOIDING, configuration, case.point_targets, None, case.dt, limits=limits
@@ -155,7 +155,7 @@ def test_overlapping_links_part() -> None:
     )
     rng, starts = np.random.default_rng(0), 0
     while starts < 5:
-        configuration.update(
+        configuration.place_with_jacobians(
             hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
         )
         distances = limit.distances(configuration)
@@ -169,14 +169,14 @@ def test_overlapping_links_part() -> None:
                 build_problem(hand, AVOIDING, configuration, targets, None, DT, limits=limits)
             )
             assert dq is not None
-            configuration.update(pin.integrate(hand.model, configuration.q, dq))
+            configuration.place_with_jacobians(pin.integrate(hand.model, configuration.q, dq))
         assert limit.distances(configuration).min() > 0.9 * limit.margin
 
 
 def test_far_rows_change_no_step() -> None:
     hand = load("three_finger")
     configuration = hand.configuration()
-    configuration.update(hand.configuration_vector(hand.rest))
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
     targets = configuration.points + 0.01
     steps = [
         solve_problem(build_problem(hand, options, configuration, targets, None, DT))
@@ -216,7 +216,7 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
         )
         configuration, limit = boxy.configuration(), CollisionLimit(boxy)
         for q in (hand.rest, hand.upper_limits):
-            configuration.update(boxy.configuration_vector(q))
+            configuration.place_with_jacobians(boxy.configuration_vector(q))
             distances.append(limit.distances(configuration))
     assert min(distances[1]) < 0.0
     np.testing.assert_allclose(distances[2:], distances[:2], atol=1e-7)

@@ -40,7 +40,7 @@ def reference_of(
     """Both hands at rest, their wrists as given."""
     points = HUMAN.points(HUMAN.rest, human_wrist)
     robot = ROBOT.configuration()
-    robot.place(ROBOT.configuration_vector(ROBOT.rest, robot_wrist))
+    robot.place_frames(ROBOT.configuration_vector(ROBOT.rest, robot_wrist))
     estimator = MotionEstimator(
         points, ridge=options.ridge, has_prior=options.rigid_from == "wrist"
     )
