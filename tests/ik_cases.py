@@ -51,6 +51,22 @@ HANDS: tuple[tuple[str, str, str | None], ...] = (
     ("arm", "fixed", "fingertips_middle"),
 )
 each_hand = pytest.mark.parametrize("which", HANDS, ids=lambda which: "-".join(filter(None, which)))
+_TWINS = ("allegro_left", "g1_right", "human_left", "romeo_right")
+# One hand of each mirrored pair. A hand whose wrist may float does so with its default points, and
+# is held with the other set; a hand that is always held takes both.
+DISTINCT_HANDS: tuple[tuple[str, str, str | None], ...] = tuple(
+    (name, mount, points)
+    for name, mount, points in HANDS
+    if name not in _TWINS
+    and (
+        (name, "floating", None) not in HANDS
+        or (mount == "floating") == (points is None)
+        or (name, mount, "fingertips_middle") not in HANDS
+    )
+)
+each_distinct_hand = pytest.mark.parametrize(
+    "which", DISTINCT_HANDS, ids=lambda which: "-".join(filter(None, which))
+)
 # Without followers, and without a whole robot's arm, whose levers of half a metre make the weighted
 # task too badly conditioned for statements about vanishing weights.
 _PLAIN = (

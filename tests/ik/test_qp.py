@@ -14,6 +14,7 @@ from strategies import generators
 from handmap_qp import HandError, HandMapper, IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver
@@ -214,6 +215,32 @@ def test_a_step_does_not_depend_on_the_steps_before_it() -> None:
             ik.place(case.q)
             ik.solve(case.point_targets, case.wrist_target, case.dt)
         np.testing.assert_allclose(warm.configuration.q, cold.configuration.q, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["three_finger", "allegro_right"])
+def test_a_point_of_weight_4_counts_as_four_equal_points(name: str) -> None:
+    # The weight counts squared errors, as in the estimation of T: sum_j w_j |J_j dq - e_j|^2.
+    spec = load_hand(name).spec
+    first, *others = load_hand(name).reference_points
+
+    def hand_with(*points: PointSpec) -> Hand:
+        sets = {spec.reference: tuple(point.name for point in points)}
+        return Hand(msgspec.structs.replace(spec, points=points, sets=sets), mount="floating")
+
+    heavy = hand_with(msgspec.structs.replace(first, weight=4.0), *others)
+    copies = (msgspec.structs.replace(first, name=f"copy_{i}") for i in range(4))
+    fourfold = hand_with(*copies, *others)
+    for case in random_cases(heavy, 10, seed=13):
+        displacements = []
+        for one, targets in (
+            (heavy, case.point_targets),
+            (fourfold, np.vstack([np.tile(case.point_targets[0], (3, 1)), case.point_targets])),
+        ):
+            ik = PointIk(one, IkOptions(max_iterations=1))
+            ik.place(case.q)
+            displacements.append(ik.solve(targets, case.wrist_target, case.dt).displacement)
+        np.testing.assert_allclose(*displacements, atol=1e-9)
+        assert np.abs(displacements[0]).max() > 1e-6
 
 
 # -- on an arm

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
-from ik_cases import HANDS, Case, each_hand, hand_of, random_cases
+from ik_cases import HANDS, Case, each_distinct_hand, hand_of, random_cases
 
 from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
@@ -66,7 +66,7 @@ def relative(actual: np.ndarray, expected: np.ndarray) -> float:
     return float(np.abs(actual - expected).max() / max(1.0, np.abs(expected).max()))
 
 
-@each_hand
+@each_distinct_hand
 @pytest.mark.parametrize("options", [ONE_STEP, UNEQUAL], ids=["default", "unequal"])
 def test_ways_1_and_2_pose_the_same_problem(
     which: tuple[str, str, str | None], options: IkOptions
@@ -83,7 +83,7 @@ def test_ways_1_and_2_pose_the_same_problem(
         np.testing.assert_allclose(problem.h, np.concatenate([upper, -lower]), atol=1e-9)
 
 
-@each_hand
+@each_distinct_hand
 def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> None:
     hand = hand_of(which)
     for case in random_cases(hand, 20, seed=1):
@@ -93,7 +93,7 @@ def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> 
         np.testing.assert_allclose(step_of(ik, case), expected, atol=1e-9)
 
 
-@each_hand
+@each_distinct_hand
 def test_ways_1_and_2_agree_on_self_collision_and_acceleration(
     which: tuple[str, str, str | None],
 ) -> None:
@@ -128,7 +128,7 @@ def test_ways_1_and_2_agree_on_self_collision_and_acceleration(
             velocity = step / case.dt
 
 
-@each_hand
+@each_distinct_hand
 def test_way_3_takes_the_same_step(which: tuple[str, str, str | None]) -> None:
     # Inside the limits: outside them mink's stacked limits contradict each other.
     hand = hand_of(which)
@@ -175,7 +175,7 @@ def test_every_solver_serves_the_default_way(solver: str) -> None:
         )
 
 
-@each_hand
+@each_distinct_hand
 def test_every_step_is_optimal(which: tuple[str, str, str | None]) -> None:
     # Karush-Kuhn-Tucker: feasible, no slope where free, and a slope only outwards where at a bound.
     hand = hand_of(which)
@@ -191,7 +191,7 @@ def test_every_step_is_optimal(which: tuple[str, str, str | None]) -> None:
         np.testing.assert_allclose(np.clip(x - slope, lower, upper), x, atol=1e-9)
 
 
-@each_hand
+@each_distinct_hand
 def test_tangent_map_takes_steps_from_one_library_to_the_other(
     which: tuple[str, str, str | None],
 ) -> None:
