@@ -1,18 +1,18 @@
 """Client of the mapping service (`handmap serve`).
 
-One file that needs numpy, msgspec and pyzmq, and may be copied anywhere.
+This file needs numpy, msgspec and pyzmq, and nothing else: copy it to where you need it.
 
     with Client() as client:
         client.open("allegro_right", mapping={"rigid_from": "wrist"})
-        command = client.step(q=human_q, wrist=wrist_pose)    # every sample is answered
-        client.send(q=human_q, wrist=wrist_pose)              # or samples in and commands out,
-        where the newest counts command = client.latest(timeout=0.1)
+        command = client.step(q=human_q, wrist=wrist_pose)    # wait for the answer to each sample
+        client.send(q=human_q, wrist=wrist_pose)              # or send without waiting,
+        command = client.latest(timeout=0.1)                  # and read the newest command
 
-Another process, say the robot's driver, calls `watch` with the session's name, and `latest`.
-`AsyncClient` is the same with `await`. A call without an answer in time raises
-`ServiceTimeoutError`. On a server that was restarted, the session is opened anew where the robot
-is. SI and radians; `handmap serve --schema` describes all fields. A client is for one thread, or
-one event loop.
+In another process, such as the robot's driver, call `watch` with the name of the session and then
+`latest`. `AsyncClient` has the same methods as coroutines. A call raises `ServiceTimeoutError` if
+no answer arrives in time, and `ServiceError` if the server refuses the request. If the server was
+restarted, the client reopens its session where the robot is. Units are SI and radians; `handmap
+serve --schema` describes all fields. Use one client per thread or per event loop.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ import asyncio
 import math
 import secrets
 import time as clock
-from collections.abc import Callable, Generator
-from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
-from functools import wraps
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 import zmq
+import zmq.asyncio
 import zmq.auth
 
 PROTOCOL = 1
@@ -38,17 +38,18 @@ ADDRESS = "tcp://127.0.0.1:5570"
 Numbers = tuple[float, ...]
 Names = tuple[str, ...]
 KeyFiles = tuple[Path | str, Path | str]
+Request = dict[str, Any]
 
 
 class Pose(msgspec.Struct, frozen=True):
-    """A pose: origin [m] and unit quaternion, its scalar last."""
+    """A pose: position [m] and unit quaternion, scalar last."""
 
     position: tuple[float, float, float]
     quat_xyzw: tuple[float, float, float, float]
 
     @property
     def matrix(self) -> np.ndarray:
-        """The same as (4, 4)."""
+        """Return the pose as a homogeneous matrix, shape (4, 4)."""
         x, y, z, w = np.array(self.quat_xyzw) / np.linalg.norm(self.quat_xyzw)
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         rotation = np.eye(3) + 2.0 * (w * cross + cross @ cross)
@@ -56,13 +57,21 @@ class Pose(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, pose: Pose | npt.ArrayLike, name: str = "pose") -> Pose:
-        """The pose of a (4, 4) matrix, or of seven numbers x y z qx qy qz qw.
+        """Convert a homogeneous matrix, or seven numbers.
 
-        Raises `ValueError` if it is none.
+        Args:
+            pose: Shape (4, 4), or shape (7,): x y z qx qy qz qw.
+            name: Name of the argument, for the error message.
+
+        Raises:
+            ValueError: If it is not a rigid pose.
         """
         if isinstance(pose, Pose):
             return pose
-        values = np.asarray(pose, dtype=float)
+        try:
+            values = np.asarray(pose, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name}: expected numbers, got {type(pose).__name__}") from error
         if values.shape == (7,):
             return cls(tuple(values[:3].tolist()), tuple(values[3:].tolist()))
         if values.shape != (4, 4):
@@ -70,7 +79,7 @@ class Pose(msgspec.Struct, frozen=True):
                 f"{name}: expected shape (4, 4), or 7 numbers, got shape {values.shape}"
             )
         R, K = values[:3, :3], np.empty((4, 4))
-        # Of a hand that is lost, many trackers send zeros.
+        # Many trackers send zeros when tracking is lost. `not a <= b` also rejects NaN.
         if not (
             np.abs(R.T @ R - np.eye(3)).max() <= 1e-3
             and np.linalg.det(R) > 0.0
@@ -79,21 +88,24 @@ class Pose(msgspec.Struct, frozen=True):
             raise ValueError(
                 f"{name}: expected a rotation and a translation, got {values.tolist()}"
             )
-        # The quaternion is an eigenvector of this matrix (Bar-Itzhack 2000), which has no singular
-        # case; its lower half will do.
+        # The quaternion is the dominant eigenvector of this matrix (Bar-Itzhack 2000). The method
+        # has no singular case, and `eigh` needs the lower triangle only.
         K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
         K[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)
         return cls(tuple(values[:3, 3].tolist()), tuple(np.linalg.eigh(K)[1][:, 3].tolist()))
 
 
-class _Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
+class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
+    """Base of all replies; `seq` is the number of the request that it answers."""
+
     seq: int = 0
 
 
-class Opened(_Reply, frozen=True):
+class Opened(Reply, frozen=True):
     """An open session.
 
-    Its name, the robot's joints with their limits, and where the robot is taken to be [rad].
+    It names the session, the robot's joints with their limits, and the posture `q` [rad] at which
+    the server assumes the robot.
     """
 
     name: str
@@ -108,10 +120,10 @@ class Opened(_Reply, frozen=True):
     stream_port: int = 0
 
 
-class Command(_Reply, frozen=True):
-    """What a robot's driver takes.
+class Command(Reply, frozen=True):
+    """A command for the robot's driver.
 
-    `q` [rad] in the order of `joint_names`, the wrist's pose, and how they came about.
+    It has `q` [rad] in the order of `joint_names`, the pose of the wrist, and diagnostics.
     """
 
     name: str
@@ -132,8 +144,8 @@ class Command(_Reply, frozen=True):
     detail: dict[str, Any] | None = None
 
 
-class State(_Reply, frozen=True):
-    """How a session is, or the server."""
+class State(Reply, frozen=True):
+    """The state of a session or of the server."""
 
     version: str
     uptime: float
@@ -147,12 +159,12 @@ class State(_Reply, frozen=True):
     about: dict[str, Any] | None = None
 
 
-class Done(_Reply, frozen=True):
-    """A request was carried out."""
+class Done(Reply, frozen=True):
+    """The server carried the request out."""
 
 
-class Error(_Reply, frozen=True):
-    """A request was refused; the session goes on as it was."""
+class Error(Reply, frozen=True):
+    """The server refused the request; the session is unchanged."""
 
     code: str
     message: str
@@ -160,7 +172,7 @@ class Error(_Reply, frozen=True):
 
 
 class ServiceError(RuntimeError):
-    """The server has refused a request: `error` says why, and names the field."""
+    """The server refused a request; `error` has the reason and the field at fault."""
 
     def __init__(self, error: Error) -> None:
         super().__init__(
@@ -170,42 +182,44 @@ class ServiceError(RuntimeError):
 
 
 class ServiceTimeoutError(TimeoutError):
-    """No answer came in time."""
+    """No answer arrived in time."""
 
 
-# Heartbeats find out about lines that are dead, of which nobody tells.
-_OPTIONS = (
-    (zmq.IPV6, 1),
-    (zmq.LINGER, 0),
-    (zmq.RECONNECT_IVL, 50),
-    (zmq.HEARTBEAT_IVL, 1000),
-    (zmq.HEARTBEAT_TIMEOUT, 3000),
-)
-# Arrays of any kind, wherever they are, travel as lists.
-_ENCODE = msgspec.msgpack.Encoder(enc_hook=lambda value: np.asarray(value).tolist()).encode
-R = TypeVar("R")
-_Work = Generator[tuple[zmq.Socket, int, float], bool, R]
-"""What a call does, but for the waiting.
-
-It yields a socket, an event and until when, and is sent whether the event came.
-"""
+R = TypeVar("R", bound=Reply)
+S = TypeVar("S", bound=zmq.Socket[Any])
+Use = Literal["requests", "samples", "stream"]
 
 
-def _call(work: Callable[..., _Work[Any]]) -> Callable[..., Any]:
-    """A method of both clients, written once.
+class _Endpoint(NamedTuple):
+    """Where a socket connects, and for which session; `key` differs if a new socket is needed."""
 
-    It gives the answer itself in `Client`, and what can be awaited in `AsyncClient`.
-    """
-    return wraps(work)(lambda client, *args, **kwargs: client._run(work(client, *args, **kwargs)))
+    address: str
+    kind: int
+    key: str
 
 
-class _Connection:
-    """Sockets and messages: all that `Client` and `AsyncClient` share.
+def _plain(value: Any) -> Any:
+    """Convert an array, scalar or sequence of numpy's to lists and numbers."""
+    plain = np.asarray(value)
+    if plain.dtype == object:
+        raise ValueError(f"expected numbers, got {type(value).__name__}")
+    return plain.tolist()
 
-    A call takes `timeout` [s] at most, over `attempts` connections one after the other. `keys` are
-    files of `handmap keys`: this client's `NAME.key_secret`, and `server.key`. `opened` is the
-    session, and `reopened` how often it had to be opened anew.
-    """
+
+_ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+_DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
+
+
+def _given(**fields: Any) -> Request:
+    """Return the fields that are not None, with poses in any form as `Pose`."""
+    given = {name: value for name, value in fields.items() if value is not None}
+    return given | {
+        name: Pose.of(given[name], name) for name in ("wrist", "robot_wrist") if name in given
+    }
+
+
+class _Core:
+    """Build requests and interpret replies: the state of both clients, without sockets."""
 
     def __init__(
         self,
@@ -218,310 +232,745 @@ class _Connection:
         if "://" not in address or not address.rpartition(":")[2].isdigit():
             raise ValueError(f"expected an address such as {ADDRESS}, got {address!r}")
         self.address, self.timeout, self.attempts = address, timeout, attempts
-        self._keys = (
-            None
-            if keys is None
-            else (*zmq.auth.load_certificate(keys[0]), zmq.auth.load_certificate(keys[1])[0])
-        )
-        if self._keys is not None and self._keys[1] is None:
-            raise ValueError(
-                f"{keys}: expected NAME.key_secret and server.key; the first holds no secret key"
-            )
         self.opened: Opened | None = None
-        self._decode = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-        self._sockets, self._waits = dict[str, zmq.Socket](), dict[zmq.Socket, asyncio.Event]()
-        self._request, self._last = dict[str, Any](), None
-        self.reopened, self._seq, self._who, self._stream = 0, 0, {"session": ""}, ("", 0)
-        self._acted, self._turns = 0, (asyncio.Lock(), asyncio.Lock())
+        self.reopened = 0
+        self._keys = None if keys is None else _load_keys(keys)
+        self._seq = 0
+        self._addressee: Request = {"session": ""}  # or the public name of a watched session
+        self._stream_name, self._stream_port = "", 0
+        self._open_request: Request = {}  # as it must be repeated to reopen the session
+        self._last_command: Command | None = None
+        self._released_at = 0  # number of the last request that changed `is_released`
 
-    def _socket(self, use: str) -> zmq.Socket:
-        """The socket for `requests`, `samples` or the `stream`, made when it is first needed."""
-        if use in self._sockets:
-            return self._sockets[use]
-        socket = self._sockets[use] = zmq.Context.instance().socket(
-            zmq.SUB if use == "stream" else zmq.DEALER
-        )
-        host, _, port = self.address.rpartition(":")
-        # A request waits here until there is a connection; of samples and commands, the newest one
-        # waits in the socket.
-        socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
-        for option, value in _OPTIONS:
-            socket.setsockopt(option, value)
-        if self._keys is not None:
-            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
-        if use == "stream":
-            name, port = self._stream
-            socket.setsockopt(zmq.SUBSCRIBE, name.encode() + b"\0")
-        socket.connect(f"{host}:{port}")
-        return socket
+    def _sample(self, kind: str, time: float | None, **data: Any) -> Request:
+        stamp = clock.monotonic() if time is None else time
+        return {"type": kind, "time": stamp} | _given(**data)
 
-    def _drop(self, *uses: str) -> None:
-        for use in self._sockets.keys() & uses:
-            # A task that waits for it goes on, before its descriptor becomes another socket's.
-            if changed := self._waits.pop(socket := self._sockets.pop(use), None):
-                asyncio.get_running_loop().remove_reader(socket.FD)
-                changed.set()
-            socket.close(linger=0)
-
-    def _number(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The request as it is sent next: its number, and the session that it is for."""
+    def _numbered(self, request: Request) -> Request:
+        """Add the next number and the session to a request."""
         self._seq += 1
+        addressee = {} if request["type"] == "open" else self._addressee
+        return addressee | request | {"protocol": PROTOCOL, "seq": self._seq}
+
+    def _reopen_request(self) -> Request:
+        """Return a request that opens the session again, at the robot's last known posture.
+
+        `restore` lets the server use its own record if it has one.
+        """
+        start: Request = {"session": secrets.token_urlsafe(24)}
+        if self.opened is not None:
+            last = self._last_command
+            start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
+            if last is not None and self.opened.is_floating:
+                start["robot_wrist"] = last.wrist
+        return self._open_request | start
+
+    def _endpoint(self, use: Use) -> _Endpoint:
+        if use == "stream":
+            address = f"{self.address.rpartition(':')[0]}:{self._stream_port}"
+            return _Endpoint(address, zmq.SUB, self._stream_name)
+        session = self._addressee.get("session", "") if use == "samples" else ""
+        return _Endpoint(self.address, zmq.DEALER, session)
+
+    def _attempt_ends(self, deadline: float) -> Iterator[float]:
+        """Give each attempt an equal share of the time that is left [s, monotonic]."""
+        for left in range(self.attempts, 0, -1):
+            now = clock.monotonic()
+            yield now + (deadline - now) / left
+
+    def _read(self, payload: bytes, use: Use) -> Reply:
+        """Decode a reply, and remember the last command for `_reopen_request`."""
+        # In the stream, the name of the session precedes the message.
+        reply = _DECODE(payload.split(b"\0", 1)[1] if use == "stream" else payload)
+        last = self._last_command
+        if isinstance(reply, Command) and (last is None or reply.seq >= last.seq):
+            self._last_command = reply
+            # Other clients may release a shared session too. A request of this client is newer than
+            # a command that answers an earlier sample.
+            if self._open_request and reply.seq > self._released_at:
+                self._open_request["is_released"] = "released" in reply.flags
+        return reply
+
+    def _is_lost(self, request: Request, reply: Reply) -> bool:
+        """Return whether the server has lost the session, so that it must be reopened."""
         return (
-            ({} if request["type"] == "open" else self._who)
-            | request
-            | {"protocol": PROTOCOL, "seq": self._seq}
+            isinstance(reply, Error)
+            and reply.code == "no_session"
+            and bool(self._open_request)
+            and request["type"] not in ("open", "close")
         )
 
-    open = _call(
-        lambda self, robot, **choices: self._exchange(
-            _message("open", robot=robot, **choices), Opened
-        )
-    )
-    open.__doc__ = "Open a session on `robot`; choices are the fields of `open`: `input`, `robot_q`, `mapping` and so on."
-    step = _call(lambda self, **sample: self._exchange(_message("step", **sample), Command))
-    step.__doc__ = "Map one sample: `q` [rad] and `wrist` (4, 4), `landmarks` (21, 3) [m], or `points` (n, 3) [m]; `time` [s]."
-    clutch = _call(lambda self: self._exchange(_message("clutch"), Done))
-    clutch.__doc__ = "Take hold (again): the next sample is the reference, and the robot goes on from where it is."
-    release = _call(lambda self: self._exchange(_message("release"), Done))
-    release.__doc__ = "Let go: the robot holds still until `clutch`."
-    reset = _call(lambda self, **start: self._exchange(_message("reset", **start), Done))
-    reset.__doc__ = "Start anew where `robot_q` and `robot_wrist` say the robot is; without them it goes to rest within its limits."
-    configure = _call(
-        lambda self, **changes: self._exchange(_message("configure", **changes), Done)
-    )
-    configure.__doc__ = "Change `mapping`, `ik`, `has_detail` as of `open`; options not named, and the reference, stay as they are."
-    status = _call(lambda self: self._exchange(_message("status"), State))
-    status.__doc__ = "How the session is; the server, if none is open."
+    def _accept(self, request: Request, reply: Reply, kind: type[R]) -> R:
+        """Return the reply if it is of the kind expected, and update the state.
 
-    @_call
-    def send(self, **sample: Any) -> _Work[None]:
-        """Send a sample as of `step` and do not wait for its command, which comes in the stream.
-
-        The newest counts.
+        Raises:
+            ServiceError: If it is not.
         """
-        if self.opened is None:
-            raise RuntimeError("open a session first")
-        if self._socket("samples").poll(0) and isinstance(reply := self._take("samples"), Error):
-            # Of an earlier sample; what is wrong inside one is told in the stream.
-            if reply.code != "no_session":
-                raise ServiceError(reply)
-            yield from self._reopen(clock.monotonic() + self.timeout)
-        self._socket("samples").send(
-            _ENCODE(self._number(_message("sample", **sample))), zmq.NOBLOCK
-        )
+        if isinstance(reply, Error):
+            raise ServiceError(reply)
+        if not isinstance(reply, kind):
+            raise ServiceError(Error(code="protocol", message=f"unexpected {reply}"))
+        if isinstance(reply, Opened):
+            self._open_request, self.opened = request, reply
+            self._last_command, self._released_at = None, reply.seq
+            self._addressee = {"session": request["session"]}
+            self._stream_name, self._stream_port = reply.name, reply.stream_port
+        elif self._open_request and request["type"] in ("clutch", "release", "reset"):
+            self._open_request["is_released"] = request["type"] == "release"
+            self._released_at = reply.seq
+        elif self._open_request and request["type"] == "configure":
+            for field in request.keys() & {"mapping", "ik"}:
+                self._open_request[field] = self._open_request.get(field, {}) | request[field]
+            if "has_detail" in request:
+                self._open_request["has_detail"] = request["has_detail"]
+        return reply
 
-    @_call
-    def latest(self, timeout: float = 0.0) -> _Work[Command | None]:
-        """The newest command of the stream.
+    def _accept_watched(self, name: str, state: State) -> State:
+        self._addressee = {"name": name}
+        self._stream_name, self._stream_port = name, state.stream_port
+        return state
 
-        None if there has been none since the last call, nor is within `timeout` [s].
+    def _accept_streamed(self, reply: Reply) -> Command | None:
+        """Return a command of the stream; None if the message says that the session ended.
+
+        Raises:
+            ServiceError: If the server could not use a streamed sample.
         """
-        until = clock.monotonic() + timeout
-        if not self._stream[1]:
-            raise RuntimeError("open a session first, or watch one")
-        while not (yield self._socket("stream"), zmq.POLLIN, until):
-            # Another task's call may have put another socket in its place, or closed the client.
-            if not self._stream[1] or clock.monotonic() >= until:
-                return None
-        reply = self._take("stream")
         if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
             raise ServiceError(reply)
         return reply if isinstance(reply, Command) else None
 
-    @_call
-    def watch(self, name: str) -> _Work[State]:
-        """Look on another's session.
+    def _must_reopen_before_sample(self, reply: Reply) -> bool:
+        """Return whether the answer to an earlier streamed sample says that the session is lost.
 
-        `latest` gives its commands, and if it is shared, it can be steered from here.
+        Only samples that could not be read, or that are of no session, are answered. The stream
+        reports samples that the mapping rejected.
+
+        Raises:
+            ServiceError: If the earlier sample was refused for another reason.
         """
+        if isinstance(reply, Error) and reply.code != "no_session":
+            raise ServiceError(reply)
+        return isinstance(reply, Error)
+
+    def _forget(self) -> None:
+        """Forget the session."""
+        self.opened, self._last_command = None, None
+        self._open_request, self._addressee = {}, {"session": ""}
+        self._stream_name, self._stream_port = "", 0
+
+    def _check_open(self) -> None:
+        if self.opened is None:
+            raise RuntimeError("open a session first")
+
+    def _check_stream(self) -> None:
+        if not self._stream_port:
+            raise RuntimeError("open a session first, or watch one")
+
+    def _check_watch(self) -> None:
         if self.opened is not None:
             raise RuntimeError("this client has a session of its own; watch with another one")
-        state = yield from self._exchange(_message("status", name=name), State)
-        self._who = {"name": name}
-        self._listen(name, state.stream_port)
-        return state
 
-    @_call
-    def close(self) -> _Work[None]:
-        """End the session, if there is one and the server can be reached, and let go of the sockets."""
-        try:
-            with suppress(ServiceError, ServiceTimeoutError):
-                if self.opened is not None:
-                    yield from self._exchange(_message("close"), Done)
-        finally:
-            self.opened, self._request, self._last, self._who, self._stream = (
-                None,
-                {},
-                None,
-                {"session": ""},
-                ("", 0),
-            )
-            self._drop(*tuple(self._sockets))
-
-    def _exchange(
-        self, request: dict[str, Any], kind: type[R], deadline: float | None = None
-    ) -> _Work[R]:
-        """Ask, and once more in a new session if the server has lost the old one."""
-        deadline = clock.monotonic() + self.timeout if deadline is None else deadline
-        reply = yield from self._ask(numbered := self._number(request), deadline)
-        if (
-            isinstance(reply, Error)
-            and reply.code == "no_session"
-            and self._request
-            and request["type"] not in ("open", "close")
-        ):
-            yield from self._reopen(deadline)
-            reply = yield from self._ask(self._number(request), deadline)
-        if not isinstance(reply, kind):
-            raise ServiceError(
-                reply
-                if isinstance(reply, Error)
-                else Error(code="protocol", message=f"unexpected {reply}")
-            )
-        if isinstance(reply, Opened):
-            self._request, self.opened, self._last, self._who = (
-                numbered,
-                reply,
-                None,
-                {"session": numbered["session"]},
-            )
-            self._acted = reply.seq
-            self._drop("samples")
-            self._listen(reply.name, reply.stream_port)
-        elif self._request and request["type"] in ("clutch", "release", "reset"):
-            self._request["is_released"], self._acted = request["type"] == "release", reply.seq
-        elif self._request and request["type"] == "configure":
-            for field in request.keys() & {"mapping", "ik", "has_detail"}:
-                self._request[field] = (
-                    request[field]
-                    if field == "has_detail"
-                    else self._request.get(field, {}) | request[field]
-                )
-        return reply
-
-    def _listen(self, name: str, port: int) -> None:
-        """Take a session's stream from now on."""
-        if self._stream != (name, port):
-            self._drop("stream")
-        self._stream = name, port
-        self._socket("stream")
-
-    def _take(self, use: str) -> _Reply:
-        """What waits in a socket.
-
-        Of commands it is kept what a session that has to be opened anew goes on from.
-        """
-        reply = self._decode(
-            self._socket(use).recv(zmq.NOBLOCK).split(b"\0", 1 if use == "stream" else 0)[-1]
-        )
-        if isinstance(reply, Command) and (self._last is None or reply.seq >= self._last.seq):
-            self._last = reply
-            # Others may let go of a shared session too; what was done here since the sample that
-            # this answers is newer.
-            if self._request and reply.seq > self._acted:
-                self._request["is_released"] = "released" in reply.flags
-        return reply
-
-    def _reopen(self, deadline: float) -> _Work[None]:
-        """The session anew, where it was.
-
-        A server that does not remember that takes where its last command left the robot.
-        """
-        if self._socket("stream").poll(0):
-            self._take("stream")
-        start, last = {"session": secrets.token_urlsafe(24)}, self._last
-        if self.opened is not None:
-            start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
-            start |= (
-                {"robot_wrist": last.wrist} if last is not None and self.opened.is_floating else {}
-            )
-        yield from self._exchange(self._request | start, Opened, deadline)
-        self._last, self.reopened = last, self.reopened + 1
-
-    def _ask(self, request: dict[str, Any], deadline: float) -> _Work[_Reply]:
-        """Send a request and wait for its answer, each time on a new connection."""
-        payload = _ENCODE(request)
-        for left in range(self.attempts, 0, -1):
-            until = (now := clock.monotonic()) + (deadline - now) / left
-            socket = self._socket("requests")
-            if (yield socket, zmq.POLLOUT, until):
-                socket.send(payload, zmq.NOBLOCK)
-                while (yield socket, zmq.POLLIN, until):
-                    reply = self._take("requests")
-                    # An answer to a request that was given up is of no use any more; 0 is a refusal
-                    # to look at this one.
-                    if reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error)):
-                        return reply
-            self._drop("requests")
-        raise ServiceTimeoutError(
+    def _timeout_error(self, request: Request) -> ServiceTimeoutError:
+        return ServiceTimeoutError(
             f"{self.address}: no answer to {request['type']!r} within {self.timeout:g} s"
         )
 
 
-def _message(kind: str, **fields: Any) -> dict[str, Any]:
-    """A request: poses in any form as `Pose`, and nothing where there is None."""
-    given = {name: value for name, value in fields.items() if value is not None}
-    poses = {name: Pose.of(given[name], name) for name in ("wrist", "robot_wrist") if name in given}
-    given |= {"session": secrets.token_urlsafe(24)} if kind == "open" else {}
-    return (
-        {"type": kind}
-        | ({"time": clock.monotonic()} if kind in ("step", "sample") else {})
-        | given
-        | poses
-    )
+def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:
+    """Return this client's public and secret key, and the server's public key."""
+    (public, secret), (server, _) = (zmq.auth.load_certificate(file) for file in files)
+    if secret is None:
+        raise ValueError(
+            f"{files}: expected NAME.key_secret and server.key; the first holds no secret key"
+        )
+    return public, secret, server
 
 
-class Client(_Connection, AbstractContextManager["Client"]):
-    """A client that waits for answers; also a context manager.
+def _answers(reply: Reply, request: Request) -> bool:
+    """Return whether a reply is for this request, and not for one that timed out before.
 
-    Any method may raise `ServiceError` or `ServiceTimeoutError`.
+    An error with number 0 says that the server did not read the request.
+    """
+    return reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error))
+
+
+def _milliseconds(until: float) -> int:
+    """Return the time left, at least 0."""
+    return max(0, math.ceil(1e3 * (until - clock.monotonic())))
+
+
+class _Sockets(Generic[S]):
+    """Sockets by their use, connected when they are first needed.
+
+    Args:
+        context: Returns the ZeroMQ context.
+        keys: Keys of an encrypted connection: public, secret, the server's.
     """
 
-    def _run(self, work: _Work[R]) -> R:
-        try:
-            socket, event, until = next(work)
-            while True:
-                socket, event, until = work.send(
-                    socket.poll(max(0, math.ceil(1e3 * (until - clock.monotonic()))), event) != 0
-                )
-        except StopIteration as end:
-            return end.value
+    # Heartbeats detect a connection that died without notice.
+    _OPTIONS = (
+        (zmq.IPV6, 1),
+        (zmq.LINGER, 0),
+        (zmq.RECONNECT_IVL, 50),
+        (zmq.HEARTBEAT_IVL, 1000),
+        (zmq.HEARTBEAT_TIMEOUT, 3000),
+    )
+
+    def __init__(
+        self, context: Callable[[], zmq.Context[S]], keys: tuple[bytes, bytes, bytes] | None
+    ) -> None:
+        self._context, self._keys = context, keys
+        self._held: dict[Use, tuple[_Endpoint, S]] = {}
+
+    def get(self, use: Use, endpoint: _Endpoint) -> S:
+        """Return the socket for this use; replace one that belongs to another endpoint."""
+        if use in self._held:
+            if self._held[use][0] == endpoint:
+                return self._held[use][1]
+            self.drop(use)
+        socket = self._context().socket(endpoint.kind)
+        self._held[use] = endpoint, socket
+        # A request waits in the client until there is a connection. Of samples and commands, the
+        # socket keeps the newest one.
+        socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
+        for option, value in self._OPTIONS:
+            socket.setsockopt(option, value)
+        if self._keys is not None:
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
+        if use == "stream":
+            socket.setsockopt(zmq.SUBSCRIBE, endpoint.key.encode() + b"\0")
+        socket.connect(endpoint.address)
+        return socket
+
+    def drop(self, use: Use) -> None:
+        """Close the socket for this use, if there is one."""
+        if use in self._held:
+            self._held.pop(use)[1].close(linger=0)
+
+    def close(self) -> None:
+        """Close all sockets."""
+        for use in tuple(self._held):
+            self.drop(use)
+
+
+class Client(_Core):
+    """Client that blocks until the answer arrives; also a context manager.
+
+    Every method that asks the server raises `ServiceError` if the server refuses, and
+    `ServiceTimeoutError` if no answer arrives in time.
+
+    Args:
+        address: Address of the server's requests, `tcp://HOST:PORT`.
+        timeout: Longest time of a call [s].
+        attempts: Number of connections that a call tries, one after the other, within `timeout`.
+        keys: Files of `handmap keys`: `NAME.key_secret` of this client, and `server.key`.
+
+    Attributes:
+        opened: The open session; None if there is none.
+        reopened: How often the client had to reopen its session.
+
+    Raises:
+        ValueError: If `address` or `keys` cannot be used.
+    """
+
+    def __init__(
+        self,
+        address: str = ADDRESS,
+        *,
+        timeout: float = 2.0,
+        attempts: int = 2,
+        keys: KeyFiles | None = None,
+    ) -> None:
+        super().__init__(address, timeout=timeout, attempts=attempts, keys=keys)
+        self._sockets = _Sockets[zmq.Socket[bytes]](zmq.Context.instance, self._keys)
+
+    def __enter__(self) -> Client:
+        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def open(
+        self,
+        robot: str,
+        *,
+        name: str | None = None,
+        input: Literal["q", "landmarks", "points"] | None = None,
+        side: Literal["right", "left"] | None = None,
+        hand_length: float | None = None,
+        lengths: dict[str, Any] | None = None,
+        human_points: str | None = None,
+        robot_points: str | None = None,
+        mount: Literal["floating", "fixed"] | None = None,
+        mapping: dict[str, Any] | None = None,
+        ik: dict[str, Any] | None = None,
+        robot_q: npt.ArrayLike | None = None,
+        robot_wrist: Pose | npt.ArrayLike | None = None,
+        restore: bool | None = None,
+        is_released: bool | None = None,
+        max_dt: float | None = None,
+        time_from: Literal["server", "client"] | None = None,
+        watchdog: float | None = None,
+        return_after: float | None = None,
+        return_speed: float | None = None,
+        resume: Literal["follow", "clutch"] | None = None,
+        has_detail: bool | None = None,
+        is_shared: bool | None = None,
+    ) -> Opened:
+        """Open a session: one human hand that leads one robot hand.
 
-class AsyncClient(_Connection, AbstractAsyncContextManager["AsyncClient"]):
-    """The same for asyncio; calls of several tasks take turns."""
+        An argument that is None is left to the server; `handmap serve --schema` lists its defaults.
 
-    async def _run(self, work: _Work[R]) -> R:
-        # One task may wait for the stream while another sends what makes it flow.
-        async with self._turns[getattr(work, "__name__", "") == "latest"]:
-            try:
-                wanted = next(work)
-                while True:
-                    wanted = work.send(await self._wait(*wanted))
-            except StopIteration as end:
-                return end.value
+        Args:
+            robot: Name of a robot hand on the server.
+            name: Public name of the session and its stream.
+            input: What the samples hold.
+            side: The human hand.
+            hand_length: From wrist crease to middle fingertip [m].
+            lengths: The measured hand: `bases` (5, 3) and `segments` (5, 3) [m].
+            human_points: Set of reference points on the human hand.
+            robot_points: Set of reference points on the robot hand.
+            mount: The robot's wrist.
+            mapping: Fields of `MappingOptions`.
+            ik: Fields of `IkOptions`.
+            robot_q: Joint angles where the robot is now [rad], shape (n,).
+            robot_wrist: Pose of its wrist: (4, 4), seven numbers, or a `Pose`.
+            restore: Continue where the last session of this name left the robot.
+            is_released: Start released, so that the robot holds until `clutch`.
+            max_dt: Longest time that one command may account for [s].
+            time_from: Clock for the speed limits.
+            watchdog: Time without a sample after which the robot holds [s].
+            return_after: Time of a hold after which the robot returns to rest [s].
+            return_speed: Share of the speed limits that it returns at.
+            resume: What happens after a hold: follow the human, or take a new reference.
+            has_detail: Whether commands carry every stage of the mapping.
+            is_shared: Whether others may release, clutch and configure the session.
 
-    async def _wait(self, socket: zmq.Socket, event: int, until: float) -> bool:
-        """Whether the event comes in time.
+        Returns:
+            The session, also kept as `opened`.
 
-        ZeroMQ's descriptor tells that something has changed, and `EVENTS` what.
+        Raises:
+            ServiceError: If the server refuses; a session that was open before stays open.
+            ServiceTimeoutError: If no answer arrives in time.
         """
-        changed, loop, descriptor = asyncio.Event(), asyncio.get_running_loop(), socket.FD
-        loop.add_reader(descriptor, changed.set)
-        self._waits[socket] = changed
+        arguments = dict(locals())
+        del arguments["self"]
+        request = {"type": "open", "session": secrets.token_urlsafe(24)} | _given(**arguments)
+        return self._call(request, Opened)
+
+    def step(
+        self,
+        *,
+        q: npt.ArrayLike | None = None,
+        wrist: Pose | npt.ArrayLike | None = None,
+        landmarks: npt.ArrayLike | None = None,
+        points: npt.ArrayLike | None = None,
+        time: float | None = None,
+    ) -> Command:
+        """Map one sample and wait for its command.
+
+        Args:
+            q: Joint angles of the human hand [rad], in the order of `opened.human_joint_names`.
+            wrist: Pose of the human's wrist: (4, 4), seven numbers x y z qx qy qz qw, or a `Pose`.
+            landmarks: 21 landmarks in MediaPipe's order [m], shape (21, 3).
+            points: Reference points [m], in the order of `opened.human_point_names`, shape (n, 3).
+            time: Time stamp [s]; the monotonic clock of this machine if omitted.
+
+        Raises:
+            ServiceError: If the server refuses the sample.
+            ServiceTimeoutError: If no answer arrives in time.
+            ValueError: If `wrist` is not a pose.
+        """
+        sample = self._sample("step", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        return self._call(sample, Command)
+
+    def send(
+        self,
+        *,
+        q: npt.ArrayLike | None = None,
+        wrist: Pose | npt.ArrayLike | None = None,
+        landmarks: npt.ArrayLike | None = None,
+        points: npt.ArrayLike | None = None,
+        time: float | None = None,
+    ) -> None:
+        """Send a sample as in `step`, without waiting for its command.
+
+        Read the command with `latest`. If several samples wait, the server maps the newest.
+
+        Raises:
+            RuntimeError: If no session is open.
+            ServiceError: If the server refused an earlier sample.
+            ServiceTimeoutError: If a lost session cannot be reopened in time.
+            ValueError: If `wrist` is not a pose.
+        """
+        sample = self._sample("sample", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        self._check_open()
+        answer = self._receive(self._socket("samples"), 0.0)
+        if answer is not None and self._must_reopen_before_sample(self._read(answer, "samples")):
+            self._reopen(clock.monotonic() + self.timeout)
+        self._socket("samples").send(_ENCODE(self._numbered(sample)), zmq.NOBLOCK)
+
+    def latest(self, timeout: float = 0.0) -> Command | None:
+        """Return the newest command of the stream.
+
+        Args:
+            timeout: Longest time to wait for one [s].
+
+        Returns:
+            None if no command has arrived since the last call, nor arrives in time.
+
+        Raises:
+            RuntimeError: If this client neither opened nor watches a session.
+            ServiceError: If the server could not use a streamed sample.
+        """
+        self._check_stream()
+        payload = self._receive(self._socket("stream"), clock.monotonic() + timeout)
+        if payload is None:
+            return None
+        return self._accept_streamed(self._read(payload, "stream"))
+
+    def watch(self, name: str) -> State:
+        """Watch another client's session; `latest` returns its commands.
+
+        If the session is shared, `release`, `clutch` and `configure` act on it.
+
+        Raises:
+            RuntimeError: If this client has a session of its own.
+            ServiceError: If there is no such session.
+            ServiceTimeoutError: If no answer arrives in time.
+        """
+        self._check_watch()
+        request, deadline = {"type": "status", "name": name}, clock.monotonic() + self.timeout
+        state = self._accept_watched(name, self._exchange(request, State, deadline))
+        self._socket("stream")
+        return state
+
+    def clutch(self) -> None:
+        """Engage, or engage again: the next sample is the reference.
+
+        The robot continues from where it is.
+        """
+        self._call({"type": "clutch"}, Done)
+
+    def release(self) -> None:
+        """Disengage: the robot holds its posture until `clutch`."""
+        self._call({"type": "release"}, Done)
+
+    def reset(
+        self,
+        *,
+        robot_q: npt.ArrayLike | None = None,
+        robot_wrist: Pose | npt.ArrayLike | None = None,
+    ) -> None:
+        """Start again, with the next sample as the reference.
+
+        Without arguments, the robot goes to rest within its speed limits.
+
+        Args:
+            robot_q: Joint angles where the robot is now [rad], shape (n,).
+            robot_wrist: Pose of its wrist: (4, 4), seven numbers, or a `Pose`.
+        """
+        self._call({"type": "reset"} | _given(robot_q=robot_q, robot_wrist=robot_wrist), Done)
+
+    def configure(
+        self,
+        *,
+        mapping: dict[str, Any] | None = None,
+        ik: dict[str, Any] | None = None,
+        has_detail: bool | None = None,
+    ) -> None:
+        """Change options; options that are not named, and the reference, stay as they are.
+
+        Args:
+            mapping: Fields of `MappingOptions`.
+            ik: Fields of `IkOptions`.
+            has_detail: Whether commands carry every stage of the mapping.
+        """
+        changes = _given(mapping=mapping, ik=ik, has_detail=has_detail)
+        self._call({"type": "configure"} | changes, Done)
+
+    def status(self) -> State:
+        """Return the state of the session; of the server if no session is open."""
+        return self._call({"type": "status"}, State)
+
+    def close(self) -> None:
+        """End the session if the server can be reached, and close the sockets."""
         try:
-            with suppress(TimeoutError):
-                async with asyncio.timeout_at(loop.time() + until - clock.monotonic()):
-                    while not (socket.closed or int(socket.EVENTS) & event):
-                        await changed.wait()
-                        changed.clear()
-            return not socket.closed and int(socket.EVENTS) & event != 0
+            if self.opened is not None:
+                with suppress(ServiceError, ServiceTimeoutError):
+                    self._exchange({"type": "close"}, Done, clock.monotonic() + self.timeout)
         finally:
-            if self._waits.pop(socket, None):
-                loop.remove_reader(descriptor)
+            self._forget()
+            self._sockets.close()
+
+    def _call(self, request: Request, kind: type[R]) -> R:
+        return self._exchange(request, kind, clock.monotonic() + self.timeout)
+
+    def _exchange(self, request: Request, kind: type[R], deadline: float) -> R:
+        """Send a request; if the server has lost the session, reopen it and send it again."""
+        reply = self._ask(numbered := self._numbered(request), deadline)
+        if self._is_lost(request, reply):
+            self._reopen(deadline)
+            reply = self._ask(numbered := self._numbered(request), deadline)
+        accepted = self._accept(numbered, reply, kind)
+        if isinstance(accepted, Opened):
+            self._socket("stream")  # subscribe before the first command
+        return accepted
+
+    def _reopen(self, deadline: float) -> None:
+        """Open the lost session again, where its robot is."""
+        if (payload := self._receive(self._socket("stream"), 0.0)) is not None:
+            self._read(payload, "stream")
+        last = self._last_command
+        self._exchange(self._reopen_request(), Opened, deadline)
+        self._last_command, self.reopened = last, self.reopened + 1
+
+    def _ask(self, request: Request, deadline: float) -> Reply:
+        """Send a request and wait for its answer, each attempt on a new connection."""
+        payload = _ENCODE(request)
+        for until in self._attempt_ends(deadline):
+            socket = self._socket("requests")
+            if self._is_ready(socket, zmq.POLLOUT, until):
+                socket.send(payload, zmq.NOBLOCK)
+                while (answer := self._receive(socket, until)) is not None:
+                    reply = self._read(answer, "requests")
+                    if _answers(reply, request):
+                        return reply
+            self._sockets.drop("requests")
+        raise self._timeout_error(request)
+
+    def _socket(self, use: Use) -> zmq.Socket[bytes]:
+        return self._sockets.get(use, self._endpoint(use))
+
+    def _receive(self, socket: zmq.Socket[bytes], until: float) -> bytes | None:
+        """Return a message; None if none arrives in time."""
+        if self._is_ready(socket, zmq.POLLIN, until):
+            return socket.recv(zmq.NOBLOCK)
+        return None
+
+    def _is_ready(self, socket: zmq.Socket[bytes], event: int, until: float) -> bool:
+        """Return whether the event comes in time."""
+        poller = zmq.Poller()
+        poller.register(socket, event)
+        return bool(poller.poll(_milliseconds(until)))
+
+
+class AsyncClient(_Core):
+    """Client for asyncio: `Client` with coroutines.
+
+    Calls of several tasks take turns. Arguments, attributes and errors are those of `Client`.
+    """
+
+    def __init__(
+        self,
+        address: str = ADDRESS,
+        *,
+        timeout: float = 2.0,
+        attempts: int = 2,
+        keys: KeyFiles | None = None,
+    ) -> None:
+        super().__init__(address, timeout=timeout, attempts=attempts, keys=keys)
+        self._sockets = _Sockets[zmq.asyncio.Socket](zmq.asyncio.Context.instance, self._keys)
+        # Calls of several tasks take turns. One task may wait for the stream meanwhile.
+        self._turn, self._stream_turn = asyncio.Lock(), asyncio.Lock()
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
+
+    async def open(
+        self,
+        robot: str,
+        *,
+        name: str | None = None,
+        input: Literal["q", "landmarks", "points"] | None = None,
+        side: Literal["right", "left"] | None = None,
+        hand_length: float | None = None,
+        lengths: dict[str, Any] | None = None,
+        human_points: str | None = None,
+        robot_points: str | None = None,
+        mount: Literal["floating", "fixed"] | None = None,
+        mapping: dict[str, Any] | None = None,
+        ik: dict[str, Any] | None = None,
+        robot_q: npt.ArrayLike | None = None,
+        robot_wrist: Pose | npt.ArrayLike | None = None,
+        restore: bool | None = None,
+        is_released: bool | None = None,
+        max_dt: float | None = None,
+        time_from: Literal["server", "client"] | None = None,
+        watchdog: float | None = None,
+        return_after: float | None = None,
+        return_speed: float | None = None,
+        resume: Literal["follow", "clutch"] | None = None,
+        has_detail: bool | None = None,
+        is_shared: bool | None = None,
+    ) -> Opened:
+        """Open a session: one human hand that leads one robot hand; see `Client.open`."""
+        arguments = dict(locals())
+        del arguments["self"]
+        request = {"type": "open", "session": secrets.token_urlsafe(24)} | _given(**arguments)
+        return await self._call(request, Opened)
+
+    async def step(
+        self,
+        *,
+        q: npt.ArrayLike | None = None,
+        wrist: Pose | npt.ArrayLike | None = None,
+        landmarks: npt.ArrayLike | None = None,
+        points: npt.ArrayLike | None = None,
+        time: float | None = None,
+    ) -> Command:
+        """Map one sample and wait for its command; see `Client.step`."""
+        sample = self._sample("step", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        return await self._call(sample, Command)
+
+    async def send(
+        self,
+        *,
+        q: npt.ArrayLike | None = None,
+        wrist: Pose | npt.ArrayLike | None = None,
+        landmarks: npt.ArrayLike | None = None,
+        points: npt.ArrayLike | None = None,
+        time: float | None = None,
+    ) -> None:
+        """Send a sample as in `step`, without waiting for its command; see `Client.send`."""
+        sample = self._sample("sample", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        async with self._turn:
+            self._check_open()
+            answer = await self._receive(self._socket("samples"), 0.0)
+            if answer is not None and self._must_reopen_before_sample(
+                self._read(answer, "samples")
+            ):
+                await self._reopen(clock.monotonic() + self.timeout)
+            await self._socket("samples").send(_ENCODE(self._numbered(sample)), zmq.NOBLOCK)
+
+    async def latest(self, timeout: float = 0.0) -> Command | None:
+        """Return the newest command of the stream; see `Client.latest`."""
+        self._check_stream()
+        until = clock.monotonic() + timeout
+        async with self._stream_turn:
+            # Another task may replace the stream by opening a session, or end it by closing.
+            while self._stream_port:
+                payload = await self._receive(self._socket("stream"), until)
+                if payload is not None:
+                    return self._accept_streamed(self._read(payload, "stream"))
+                if clock.monotonic() >= until:
+                    break
+            return None
+
+    async def watch(self, name: str) -> State:
+        """Watch another client's session; see `Client.watch`."""
+        async with self._turn:
+            self._check_watch()
+            request, deadline = {"type": "status", "name": name}, clock.monotonic() + self.timeout
+            state = self._accept_watched(name, await self._exchange(request, State, deadline))
+            self._socket("stream")
+            return state
+
+    async def clutch(self) -> None:
+        """Engage, or engage again; see `Client.clutch`."""
+        await self._call({"type": "clutch"}, Done)
+
+    async def release(self) -> None:
+        """Disengage; see `Client.release`."""
+        await self._call({"type": "release"}, Done)
+
+    async def reset(
+        self,
+        *,
+        robot_q: npt.ArrayLike | None = None,
+        robot_wrist: Pose | npt.ArrayLike | None = None,
+    ) -> None:
+        """Start again, with the next sample as the reference; see `Client.reset`."""
+        await self._call({"type": "reset"} | _given(robot_q=robot_q, robot_wrist=robot_wrist), Done)
+
+    async def configure(
+        self,
+        *,
+        mapping: dict[str, Any] | None = None,
+        ik: dict[str, Any] | None = None,
+        has_detail: bool | None = None,
+    ) -> None:
+        """Change options; see `Client.configure`."""
+        changes = _given(mapping=mapping, ik=ik, has_detail=has_detail)
+        await self._call({"type": "configure"} | changes, Done)
+
+    async def status(self) -> State:
+        """Return the state of the session or the server; see `Client.status`."""
+        return await self._call({"type": "status"}, State)
+
+    async def close(self) -> None:
+        """End the session and close the sockets; see `Client.close`."""
+        async with self._turn:
+            try:
+                if self.opened is not None:
+                    with suppress(ServiceError, ServiceTimeoutError):
+                        await self._exchange(
+                            {"type": "close"}, Done, clock.monotonic() + self.timeout
+                        )
+            finally:
+                self._forget()
+                self._sockets.close()
+
+    async def _call(self, request: Request, kind: type[R]) -> R:
+        async with self._turn:
+            return await self._exchange(request, kind, clock.monotonic() + self.timeout)
+
+    async def _exchange(self, request: Request, kind: type[R], deadline: float) -> R:
+        """Send a request; if the server has lost the session, reopen it and send it again."""
+        reply = await self._ask(numbered := self._numbered(request), deadline)
+        if self._is_lost(request, reply):
+            await self._reopen(deadline)
+            reply = await self._ask(numbered := self._numbered(request), deadline)
+        accepted = self._accept(numbered, reply, kind)
+        if isinstance(accepted, Opened):
+            self._socket("stream")  # subscribe before the first command
+        return accepted
+
+    async def _reopen(self, deadline: float) -> None:
+        """Open the lost session again, where its robot is."""
+        if (payload := await self._receive(self._socket("stream"), 0.0)) is not None:
+            self._read(payload, "stream")
+        last = self._last_command
+        await self._exchange(self._reopen_request(), Opened, deadline)
+        self._last_command, self.reopened = last, self.reopened + 1
+
+    async def _ask(self, request: Request, deadline: float) -> Reply:
+        """Send a request and wait for its answer, each attempt on a new connection."""
+        payload = _ENCODE(request)
+        for until in self._attempt_ends(deadline):
+            socket = self._socket("requests")
+            if await self._is_ready(socket, zmq.POLLOUT, until):
+                await socket.send(payload, zmq.NOBLOCK)
+                while (answer := await self._receive(socket, until)) is not None:
+                    reply = self._read(answer, "requests")
+                    if _answers(reply, request):
+                        return reply
+            self._sockets.drop("requests")
+        raise self._timeout_error(request)
+
+    def _socket(self, use: Use) -> zmq.asyncio.Socket:
+        return self._sockets.get(use, self._endpoint(use))
+
+    async def _receive(self, socket: zmq.asyncio.Socket, until: float) -> bytes | None:
+        """Return a message; None if none arrives in time, or if the socket is closed."""
+        while await self._is_ready(socket, zmq.POLLIN, until):
+            # Another task may take the message between the event and this call.
+            with suppress(zmq.Again):
+                return await socket.recv(zmq.NOBLOCK)
+        return None
+
+    async def _is_ready(self, socket: zmq.asyncio.Socket, event: int, until: float) -> bool:
+        """Return whether the event comes in time; False if another task closes the socket."""
+        poller = zmq.asyncio.Poller()
+        poller.register(socket, event)
+        # Closing the socket cancels this future. `wait` keeps that apart from a cancelled task.
+        polled = asyncio.ensure_future(poller.poll(_milliseconds(until)))
+        try:
+            await asyncio.wait([polled])
+            return not (polled.cancelled() or socket.closed) and bool(polled.result())
+        finally:
+            polled.cancel()

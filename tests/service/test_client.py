@@ -12,9 +12,10 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,6 +38,9 @@ from strategies import motion_of, rotations, translations
 
 import handmap_qp.client
 from handmap_qp.client import AsyncClient, Client, Pose, ServiceError, ServiceTimeoutError
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.service import messages
+from handmap_qp.service.messages import Request
 from handmap_qp.service.server import Server
 
 FILE = Path(handmap_qp.client.__file__)
@@ -234,11 +238,81 @@ def test_closing_twice_is_closing_once(server: Server) -> None:
         client.close()
 
 
-def test_methods_say_what_they_do() -> None:
-    methods = {
+def public_methods(kind: type) -> dict[str, Callable[..., Any]]:
+    return {
         name: method
-        for name, method in inspect.getmembers(Client, inspect.isfunction)
+        for name, method in inspect.getmembers(kind, inspect.isfunction)
         if not name.startswith("_")
     }
-    assert {"open", "step", "watch"} <= methods.keys()
-    assert [name for name, method in methods.items() if not method.__doc__] == []
+
+
+def test_both_clients_have_the_same_documented_methods_and_signatures() -> None:
+    methods, coroutines = public_methods(Client), public_methods(AsyncClient)
+    assert {"open", "step", "send", "latest", "watch", "configure"} <= methods.keys()
+    assert methods.keys() == coroutines.keys()
+    for name, method in methods.items():
+        coroutine = coroutines[name]
+        assert method.__doc__
+        assert coroutine.__doc__
+        assert method.__name__ == coroutine.__name__ == name
+        assert inspect.iscoroutinefunction(coroutine)
+        assert not inspect.iscoroutinefunction(method)
+        assert inspect.signature(method) == inspect.signature(coroutine)
+
+
+@pytest.mark.parametrize(
+    ("name", "request_type"),
+    [
+        ("open", messages.Open),
+        ("step", messages.Step),
+        ("send", messages.Sample),
+        ("reset", messages.Reset),
+        ("configure", messages.Configure),
+    ],
+)
+def test_parameters_are_the_fields_of_the_request(name: str, request_type: type[Request]) -> None:
+    parameters = inspect.signature(getattr(Client, name)).parameters.keys() - {"self"}
+    fields = set(request_type.__struct_fields__) - set(Request.__struct_fields__)
+    # `watch` chooses the session of requests that others may send too.
+    assert parameters == (fields if name == "open" else fields - {"name"})
+
+
+def test_every_argument_of_open_reaches_the_server(server: Server) -> None:
+    lengths = HumanLengths.from_hand_length(0.2)
+    with client_of(server) as client:
+        opened = client.open(
+            "three_finger",
+            name="every-argument",
+            input="points",
+            side="left",
+            lengths={"bases": lengths.bases, "segments": lengths.segments},
+            mount="floating",
+            mapping={"ridge": 0.3},
+            ik={"damping": 0.2},
+            robot_q=np.full(8, 0.1),
+            robot_wrist=WRIST,
+            is_released=True,
+            has_detail=True,
+            is_shared=True,
+        )
+        state = client.status()
+    about = state.about
+    assert about is not None
+    assert (opened.name, opened.q, state.is_released) == ("every-argument", (0.1,) * 8, True)
+    assert (about["input"], about["side"], about["mount"]) == ("points", "left", "floating")
+    assert (about["mapping"]["ridge"], about["ik"]["damping"]) == (0.3, 0.2)
+    assert about["has_detail"]
+    assert about["is_shared"]
+    np.testing.assert_allclose(about["lengths"]["bases"], lengths.bases)
+
+
+@pytest.mark.parametrize("values", [{1.0}, object(), [[0.0], "x", None]], ids=repr)
+def test_values_that_are_not_numbers_are_rejected_before_sending(
+    server: Server, values: Any
+) -> None:
+    with connected(server) as client:
+        with pytest.raises((ValueError, ServiceError)):
+            client.step(q=values, wrist=WRIST)
+        with pytest.raises(ValueError, match=r"^wrist: expected"):
+            client.step(q=human_q(), wrist=values)
+        assert client.step(q=human_q(), wrist=WRIST).status == "converged"
