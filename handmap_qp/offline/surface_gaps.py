@@ -1,0 +1,176 @@
+"""Distances between a robot hand's surfaces over time: pinches and self-penetration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.hand import Hand
+from handmap_qp.offline.finger_traces import THUMB, FingerChain, find_fingers
+
+FAR = 0.01
+"""Distances between links that do not pinch are measured up to here [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceGaps:
+    """Signed distances between surfaces over time, negative where they overlap.
+
+    Attributes:
+        pinches: Gap between the distal links of the thumb and of each other finger [m], shape (T,)
+            each, by the finger's name.
+        nearest: Smallest distance between any two links that can collide [m], 10 mm at most,
+            shape (T,).
+    """
+
+    pinches: dict[str, np.ndarray]
+    nearest: np.ndarray
+
+
+def measure_gaps(
+    hand: Hand,
+    q: np.ndarray,
+    chains: dict[str, FingerChain] | None = None,
+) -> SurfaceGaps:
+    """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
+
+    Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
+    stretched are not counted as self-penetration.
+
+    Args:
+        hand: The robot hand.
+        q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
+        chains: Its fingers, if they have been found before.
+
+    Returns:
+        The gaps. Fingers whose distal links have no shapes are left out.
+
+    Raises:
+        HandError: If a shape cannot be read.
+    """
+    chains = chains or find_fingers(hand)
+    geometry, groups = _pinch_pairs(hand, chains)
+    pinching = _NearestPairs(hand, geometry)
+    colliding = _NearestPairs(hand, _body_pairs(hand))
+    pinches = {finger: np.empty(len(q)) for finger in groups}
+    nearest = np.empty(len(q))
+    data, vector = hand.model.createData(), np.zeros(hand.model.nq)
+    for t, angles in enumerate(q):
+        hand.write_configuration(vector, angles, np.eye(4))
+        pin.forwardKinematics(hand.model, data, vector)
+        pinching.place(data)
+        for finger, pairs in groups.items():
+            pinches[finger][t] = pinching.smallest(pairs, np.inf)
+        colliding.place(data)
+        nearest[t] = colliding.smallest(slice(None), FAR)
+    return SurfaceGaps(pinches, nearest)
+
+
+def distal_shapes(hand: Hand, chain: FingerChain, geometry: pin.GeometryModel) -> list[int]:
+    """Indices of the shapes on a finger's last joint, or on the nearest one before it that has any.
+
+    Args:
+        hand: The hand.
+        chain: The finger.
+        geometry: Its collision shapes.
+
+    Returns:
+        Indices into `geometry.geometryObjects`; empty if the finger has no shapes.
+    """
+    for joint in reversed(chain.joints):
+        found = [
+            i for i, shape in enumerate(geometry.geometryObjects) if shape.parentJoint == joint
+        ]
+        if found:
+            return found
+    return []
+
+
+def _pinch_pairs(
+    hand: Hand, chains: dict[str, FingerChain]
+) -> tuple[pin.GeometryModel, dict[str, slice]]:
+    """All pairs of distal shapes of the thumb and another finger, and which pairs are whose."""
+    geometry, groups = read_collision_shapes(hand), {}
+    thumb = distal_shapes(hand, chains[THUMB], geometry) if THUMB in chains else []
+    for finger, chain in chains.items():
+        others = distal_shapes(hand, chain, geometry)
+        if finger == THUMB or not thumb or not others:
+            continue
+        first = len(geometry.collisionPairs)
+        for one in thumb:
+            for other in others:
+                geometry.addCollisionPair(pin.CollisionPair(one, other))
+        groups[finger] = slice(first, len(geometry.collisionPairs))
+    return geometry, groups
+
+
+def _body_pairs(hand: Hand) -> pin.GeometryModel:
+    """All pairs of shapes that may collide."""
+    geometry, parents = read_collision_shapes(hand), hand.model.parents
+    shapes = geometry.geometryObjects
+    for i, first in enumerate(shapes):
+        for j in range(i + 1, len(shapes)):
+            a, b = first.parentJoint, shapes[j].parentJoint
+            if a != b and parents[a] != b and parents[b] != a:
+                geometry.addCollisionPair(pin.CollisionPair(i, j))
+    data, geometry_data = hand.model.createData(), geometry.createData()
+    vector, overlaps = np.zeros(hand.model.nq), np.zeros(len(geometry.collisionPairs), dtype=bool)
+    for posture in (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits)):
+        hand.write_configuration(vector, posture, np.eye(4))
+        pin.forwardKinematics(hand.model, data, vector)
+        if len(overlaps):
+            overlaps |= _distances(hand, data, geometry, geometry_data) <= 0.0
+    pairs = list(geometry.collisionPairs)
+    geometry.removeAllCollisionPairs()
+    for pair, overlap in zip(pairs, overlaps, strict=True):
+        if not overlap:
+            geometry.addCollisionPair(pair)
+    return geometry
+
+
+class _NearestPairs:
+    """The smallest distance among pairs of shapes, nearest bounding spheres first."""
+
+    def __init__(self, hand: Hand, geometry: pin.GeometryModel) -> None:
+        self._model, self._geometry = hand.model, geometry
+        self._data = geometry.createData()
+        shapes = geometry.geometryObjects
+        for shape in shapes:
+            shape.geometry.computeLocalAABB()
+        self._centres = [shape.geometry.aabb_center for shape in shapes]
+        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
+        pairs = geometry.collisionPairs
+        self._first = np.array([pair.first for pair in pairs], dtype=int)
+        self._second = np.array([pair.second for pair in pairs], dtype=int)
+        self._radii = radii[self._first] + radii[self._second]
+        self._bounds = np.zeros(len(pairs))
+
+    def place(self, data: pin.Data) -> None:
+        """Move the shapes to where the model's joints are."""
+        pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
+        places = zip(self._data.oMg, self._centres, strict=True)
+        centres = np.array([pose.act(centre) for pose, centre in places]).reshape(-1, 3)
+        offsets = centres[self._first] - centres[self._second]
+        self._bounds = np.linalg.norm(offsets, axis=1) - self._radii
+
+    def smallest(self, pairs: slice, most: float) -> float:
+        """Smallest signed distance of some of the pairs, `most` at most [m]."""
+        bounds, first = self._bounds[pairs], pairs.start or 0
+        for i in np.argsort(bounds):
+            if bounds[i] >= most:
+                break
+            result = pin.computeDistance(self._geometry, self._data, int(first + i))
+            most = min(most, result.min_distance)
+        return most
+
+
+def _distances(
+    hand: Hand, data: pin.Data, geometry: pin.GeometryModel, geometry_data: pin.GeometryData
+) -> np.ndarray:
+    """Signed distances of all pairs [m]."""
+    pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data)
+    pin.computeDistances(geometry, geometry_data)
+    return np.array([result.min_distance for result in geometry_data.distanceResults])
