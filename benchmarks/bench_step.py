@@ -111,7 +111,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
         (ik.configuration, "stacked_jacobian", "Jacobians"),
         (ik, "_linearise", "assembly"),
         (ik._solver, "solve", "solve"),
-        (ik.configuration, "update", "integrate and place"),
+        (ik.configuration, "place_with_jacobians", "integrate and place"),
         (ik, "solve", "iteration and result"),
     ]
     originals = [(owner, name, getattr(owner, name)) for owner, name, _ in wrapped]

@@ -1,4 +1,4 @@
-"""Poses and affine motions as 4x4 matrices: the conventions of the whole project.
+"""Poses, rotations and affine motions as matrices: the conventions of the whole project.
 
 - Units are SI and radians, frames right-handed. Points are rows: `(n, 3)` [m].
 - A *pose* `pose_ab` (4, 4) is a rigid change of coordinates: it takes coordinates in `b` to
@@ -7,33 +7,44 @@
 - A *motion* (4, 4) is the paper's active transformation T (eq. 1): it moves points inside one
   frame, and may deform them.
 - Quaternions appear only where something enters or leaves, and then their order is in the name:
-  `quat_wxyz` or `quat_xyzw`.
+  `quat_wxyz` or `quat_xyzw`. Roll, pitch and yaw are those of URDF.
+
+`as_floats` and `check_pose` check what enters the package; the other functions expect arrays of
+finite numbers and check shapes only.
 """
 
 from __future__ import annotations
 
 import math
+import numbers
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import get_lapack_funcs
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, describe_value
 
 QuatOrder = Literal["wxyz", "xyzw"]
 
-# A rotation that came through float32 is orthogonal to about 1e-6; anything past 1e-3 is not meant
-# to be a rotation.
+# A rotation that came through float32 is orthogonal to about 1e-6; beyond 1e-3 a matrix is not
+# meant as a rotation.
 _ROTATION_TOLERANCE = 1e-3
 _ROTATION_EXACT = 1e-12
 
 FARTHEST = 1e9
-"""Coordinates beyond this are refused [m].
+"""Coordinates beyond this are rejected [m].
 
-No hand is there, and squares and differences of larger ones lose what matters.
+No hand is there, and squares and differences of larger ones lose the digits that matter.
 """
 
 _IDENTITY = np.eye(4)
+
+# LAPACK's own SVD takes less than half the time of numpy's on a 3x3 matrix.
+(_dgesdd,) = get_lapack_funcs(("gesdd",), dtype=np.float64)
+
+# What numpy and LAPACK raise on arrays of another shape or type.
+_ARRAY_ERRORS = (TypeError, ValueError, IndexError, AttributeError)
 
 
 @runtime_checkable
@@ -50,18 +61,24 @@ PoseLike = npt.ArrayLike | HasHomogeneous
 
 
 def affine(linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """The motion `x -> linear @ x + translation` as a 4x4 matrix (eq. 1).
+    """Compose the motion `x -> linear @ x + translation` (eq. 1).
 
     Args:
         linear: Linear part, shape (3, 3).
         translation: Translation [m], shape (3,).
 
     Returns:
-        Motion, shape (4, 4).
+        Motion, shape (4, 4); a new array.
+
+    Raises:
+        InvalidInputError: If an argument does not fit into its place.
     """
     motion = _IDENTITY.copy()
-    motion[:3, :3] = linear
-    motion[:3, 3] = translation
+    try:
+        motion[:3, :3] = linear
+        motion[:3, 3] = translation
+    except _ARRAY_ERRORS as error:
+        raise _mismatch("linear and translation", "shapes (3, 3) and (3,)") from error
     return motion
 
 
@@ -73,9 +90,15 @@ def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
         points: Points [m], shape (n, 3).
 
     Returns:
-        The moved points [m], shape (n, 3).
+        The moved points [m], shape (n, 3); a new array.
+
+    Raises:
+        InvalidInputError: If motion and points do not fit together.
     """
-    return points @ motion[:3, :3].T + motion[:3, 3]
+    try:
+        return points @ motion[:3, :3].T + motion[:3, 3]
+    except _ARRAY_ERRORS as error:
+        raise _mismatch("motion and points", "shapes (4, 4) and (n, 3)") from error
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
@@ -85,29 +108,167 @@ def inverse_pose(pose: np.ndarray) -> np.ndarray:
         pose: `pose_ab`, shape (4, 4).
 
     Returns:
-        `pose_ba`, shape (4, 4).
+        `pose_ba`, shape (4, 4); a new array.
+
+    Raises:
+        InvalidInputError: On a wrong shape.
     """
-    rotation_ba = pose[:3, :3].T
-    return affine(rotation_ba, -rotation_ba @ pose[:3, 3])
+    try:
+        rotation_ba = pose[:3, :3].T
+        return affine(rotation_ba, -rotation_ba @ pose[:3, 3])
+    except _ARRAY_ERRORS as error:
+        raise _mismatch("pose", "shape (4, 4)") from error
+
+
+def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Decompose a matrix with three columns into its thin singular value decomposition.
+
+    Args:
+        matrix: Shape (n, 3), finite; k = min(n, 3).
+
+    Returns:
+        Left singular vectors as columns, shape (n, k); singular values, largest first, shape (k,);
+        right singular vectors as rows, shape (k, 3).
+
+    Raises:
+        InvalidInputError: On numbers that are not finite, or something else than a matrix.
+    """
+    try:
+        if matrix.shape[1:] != (3,) or len(matrix) == 0:
+            raise ValueError(f"shape {matrix.shape}")
+        # Positional: keywords cost a tenth of the whole call. U and V^T, and no more of them than
+        # there are singular values.
+        left, values, right, info = _dgesdd(matrix, 1, 0)
+    except _ARRAY_ERRORS as error:
+        raise _mismatch("matrix", "numbers of shape (n, 3), n >= 1") from error
+    if info != 0:
+        raise InvalidInputError(argument="matrix", expected="finite numbers", value=matrix)
+    return left, values, right
+
+
+def determinant(matrix: np.ndarray) -> float:
+    """Compute the determinant of a 3x3 matrix in plain floats, which is quicker than numpy's.
+
+    Args:
+        matrix: Shape (3, 3).
+
+    Raises:
+        InvalidInputError: On a wrong shape.
+    """
+    try:
+        (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    except _ARRAY_ERRORS as error:
+        raise _mismatch("matrix", "numbers of shape (3, 3)") from error
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The proper rotation nearest to a matrix in the Frobenius norm.
+    """Return the proper rotation nearest to a matrix in the Frobenius norm.
+
+    Of the covariance `sum_k w_k y_k x_k^T` of centred points it is the rotation that best carries
+    the points x to y (Kabsch, Acta Cryst. A32, 1976).
 
     Args:
         matrix: Any matrix, shape (3, 3).
 
     Returns:
         Rotation in SO(3), shape (3, 3).
+
+    Raises:
+        InvalidInputError: On a wrong shape, or numbers that are not finite.
     """
-    left, _, right = np.linalg.svd(matrix)
-    if np.linalg.det(left @ right) < 0.0:
+    left, _, right = svd3(matrix)
+    rotation = left.dot(right)
+    if determinant(rotation) < 0.0:
         left[:, 2] *= -1.0
-    return left @ right
+        rotation = left.dot(right)
+    return rotation
+
+
+def rigid_fit(
+    points: npt.ArrayLike, onto: npt.ArrayLike, weights: npt.ArrayLike | None = None
+) -> np.ndarray:
+    """Fit the pose that best lays points onto others, in the weighted least-squares sense.
+
+    Args:
+        points: Points [m], shape (n, 3). Where they lie on a line, the turn about it is arbitrary.
+        onto: Where each of them should come to lie [m], shape (n, 3).
+        weights: Weight of each pair, not negative, shape (n,); equal if omitted.
+
+    Returns:
+        Pose that takes `points` to `onto`, shape (4, 4).
+
+    Raises:
+        InvalidInputError: On wrong shapes, numbers that are not finite, no points, or weights that
+            are negative or all zero.
+    """
+    before = as_floats(points, "points", shape=("n", 3), is_finite=True)
+    after = as_floats(onto, "onto", shape=(len(before), 3), is_finite=True)
+    if len(before) == 0:
+        raise InvalidInputError(argument="points", expected="at least one point", got="none")
+    share = np.full(len(before), 1.0 / len(before))
+    if weights is not None:
+        share = as_floats(weights, "weights", shape=(len(before),), is_finite=True)
+        if not (share.min() >= 0.0 and share.max() > 0.0):
+            expected = "numbers >= 0, not all of them zero"
+            raise InvalidInputError(argument="weights", expected=expected, value=weights)
+        share = share / share.max()
+        share = share / share.sum()
+    centre, centre_onto = share @ before, share @ after
+    rotation = nearest_rotation(((after - centre_onto).T * share) @ (before - centre))
+    return affine(rotation, centre_onto - rotation @ centre)
+
+
+def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
+    """Compose a rotation from roll, pitch and yaw as in a URDF: `Rz(yaw) Ry(pitch) Rx(roll)`.
+
+    Args:
+        rpy: Roll, pitch and yaw [rad], shape (3,).
+
+    Returns:
+        Rotation, shape (3, 3).
+
+    Raises:
+        InvalidInputError: If they are not three finite numbers.
+    """
+    angles = as_floats(rpy, "rpy", shape=(3,), is_finite=True)
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
+    """Find roll, pitch and yaw of a rotation, as in a URDF.
+
+    Where the pitch is a right angle, only yaw minus roll (or their sum) is determined; yaw is then
+    zero.
+
+    Args:
+        rotation: Rotation, shape (3, 3).
+
+    Returns:
+        Roll, pitch and yaw [rad], pitch within +-pi / 2, shape (3,).
+
+    Raises:
+        InvalidInputError: On a wrong shape, or numbers that are not finite.
+    """
+    (xx, _, _), (yx, yy, yz), (zx, zy, zz) = as_floats(
+        rotation, "rotation", shape=(3, 3), is_finite=True
+    )
+    flat = math.hypot(xx, yx)
+    pitch = math.atan2(-zx, flat)
+    if flat < 1e-9:
+        return np.array([math.atan2(-yz, yy), pitch, 0.0])
+    return np.array([math.atan2(zy, zz), pitch, math.atan2(yx, xx)])
 
 
 def rotation_from_quat_wxyz(quat_wxyz: npt.ArrayLike) -> np.ndarray:
-    """Rotation matrix of a quaternion, which is normalised first.
+    """Compose a rotation from a quaternion, which is normalised first.
 
     Args:
         quat_wxyz: Quaternion with its scalar first, shape (4,).
@@ -118,34 +279,27 @@ def rotation_from_quat_wxyz(quat_wxyz: npt.ArrayLike) -> np.ndarray:
     Raises:
         InvalidInputError: If it is not four finite numbers that can be normalised.
     """
-    quat = as_floats(quat_wxyz, "quaternion")
-    norm = math.hypot(*quat) if quat.shape == (4,) else math.nan
-    if not (math.isfinite(norm) and norm > 1e-6):
-        raise InvalidInputError(
-            f"quaternion: expected 4 finite numbers, not all zero; got {quat_wxyz}", value=quat_wxyz
-        )
-    w, x, y, z = quat / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return _rotation_of(as_floats(quat_wxyz, "quat_wxyz"), "quat_wxyz")
 
 
-def quat_wxyz_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion of a rotation, scalar first and not negative.
+def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
+    """Find the unit quaternion of a rotation, scalar first and not negative.
 
-    The eigenvector of Bar-Itzhack's matrix is used: it has no singular case.
+    It is the eigenvector of Bar-Itzhack's matrix (J. Guidance 23, 2000), which has no singular
+    case.
 
     Args:
         rotation: Rotation, shape (3, 3).
 
     Returns:
         Quaternion wxyz, shape (4,).
+
+    Raises:
+        InvalidInputError: On a wrong shape, or numbers that are not finite.
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(rotation, dtype=float)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = as_floats(
+        rotation, "rotation", shape=(3, 3), is_finite=True
+    )
     symmetric = np.array(
         [
             [xx + yy + zz, zy - yz, xz - zx, yx - xy],
@@ -159,7 +313,7 @@ def quat_wxyz_from_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def pose_from_xyz_quat(values: npt.ArrayLike, order: QuatOrder) -> np.ndarray:
-    """Pose of seven numbers: position, then a quaternion in the order that the caller names.
+    """Compose a pose from seven numbers: position, then a quaternion in the order named.
 
     Args:
         values: x, y, z [m] and four quaternion components, shape (7,).
@@ -169,19 +323,9 @@ def pose_from_xyz_quat(values: npt.ArrayLike, order: QuatOrder) -> np.ndarray:
         Pose, shape (4, 4).
 
     Raises:
-        InvalidInputError: If the numbers are no pose, or the order is unknown.
+        InvalidInputError: If the numbers are not a pose, or the order is unknown.
     """
-    array = as_floats(values, "pose")
-    if array.shape != (7,) or not np.isfinite(array).all():
-        raise InvalidInputError(
-            f"pose: expected 7 finite numbers (x, y, z, quaternion), got {values}", value=values
-        )
-    if order not in ("wxyz", "xyzw"):
-        raise InvalidInputError(
-            f"quaternion order: expected 'wxyz' or 'xyzw', got {order!r}", value=order
-        )
-    quat = array[3:] if order == "wxyz" else array[[6, 3, 4, 5]]
-    return affine(rotation_from_quat_wxyz(quat), array[:3])
+    return _pose_of_seven(as_floats(values, "values"), order, "values")
 
 
 def check_pose(
@@ -195,30 +339,27 @@ def check_pose(
     Args:
         value: A (4, 4) matrix, a `pinocchio.SE3`, or 7 numbers x, y, z, quaternion.
         name: What to call it in an error.
-        quat_order: The order of the quaternion in the 7-number form, which is refused without it.
+        quat_order: The order of the quaternion in the 7-number form, which is rejected without it.
 
     Returns:
         Pose, shape (4, 4); a new array unless `value` was an exact float pose already.
 
     Raises:
-        InvalidInputError: On a wrong shape, non-finite numbers, or a rotation that is none.
+        InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
+            `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    if isinstance(value, np.ndarray) and value.dtype == np.float64:
+    if type(value) is np.ndarray and value.dtype == np.float64:
         pose = value
     else:
         pose = as_floats(value.homogeneous if isinstance(value, HasHomogeneous) else value, name)
-    if pose.shape == (7,):
-        if quat_order is None:
-            raise InvalidInputError(
-                f"{name}: 7 numbers need a named quaternion order: give quat_order='wxyz' or 'xyzw'"
-            )
-        try:
-            return pose_from_xyz_quat(pose, quat_order)
-        except InvalidInputError as error:
-            raise InvalidInputError(f"{name}: {error}", value=error.value) from error
+    if pose.shape == (7,) and quat_order is not None:
+        return _pose_of_seven(pose, quat_order, name)
     if pose.shape != (4, 4):
+        has_order = pose.shape != (7,)
+        advice = "" if has_order else "7 numbers need quat_order='wxyz' or 'xyzw'"
+        expected, got = "shape (4, 4), a pinocchio.SE3 or 7 numbers", f"shape {pose.shape}"
         raise InvalidInputError(
-            f"{name}: expected shape (4, 4), a pinocchio.SE3 or 7 numbers, got shape {pose.shape}"
+            argument=name, expected=expected, value=value, got=got, advice=advice
         )
     # Nine scalar products in plain floats are quicker than numpy's calls on so small an array.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), bottom = pose.tolist()
@@ -230,46 +371,120 @@ def check_pose(
         abs(a * c + d * f + g * i),
         abs(b * c + e * f + h * i),
     )
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    # Written so that a NaN, which compares false with everything, is refused too.
-    if (
-        bottom != [0.0, 0.0, 0.0, 1.0]
-        or not max(abs(x), abs(y), abs(z)) + 0.0 * (x + y + z) <= FARTHEST
-    ):
+    # `not ... <= FARTHEST` also rejects NaN; adding zero times the sum makes the maximum NaN where
+    # any coordinate is NaN or infinite.
+    reach = max(abs(x), abs(y), abs(z)) + 0.0 * (x + y + z)
+    if bottom != [0.0, 0.0, 0.0, 1.0] or not reach <= FARTHEST:
+        expected = f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         raise InvalidInputError(
-            f"{name}: expected finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1, got {pose.tolist()}"
+            argument=name, expected=expected, value=value, got=str(pose.tolist())
         )
-    # Written so that a NaN, which compares false with everything, is refused too.
-    if not (defect <= _ROTATION_TOLERANCE and determinant > 0.0):
+    turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    # `not ... <= tolerance` also rejects NaN.
+    if not (defect <= _ROTATION_TOLERANCE and turn > 0.0):
+        got = f"a matrix with orthogonality off by {defect:.3g} and determinant {turn:.3g}"
         raise InvalidInputError(
-            f"{name}: its 3x3 part is no rotation (orthogonality off by {defect:.3g}, determinant {determinant:.3g})"
+            argument=name, expected="a rotation as its 3x3 part", value=value, got=got
         )
     if defect > _ROTATION_EXACT:
         pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
     return pose
 
 
-def as_floats(value: Any, name: str) -> np.ndarray:
-    """Take real numbers in whatever form as an array.
+def as_floats(
+    value: Any,
+    name: str,
+    *,
+    shape: tuple[int | str, ...] | None = None,
+    is_finite: bool = False,
+) -> np.ndarray:
+    """Take real numbers in whatever form as an array of floats.
 
-    Texts and complex numbers, which numpy would convert, are refused.
+    Texts, None and complex numbers, which numpy would convert, are rejected.
 
     Args:
         value: Number, nested sequence or array.
         name: What to call it in an error.
+        shape: Shape that it must have; a text such as `"n"` stands for any size.
+        is_finite: Whether to reject NaN and infinity.
 
     Returns:
         Array of floats; `value` itself if it is one already.
 
     Raises:
-        InvalidInputError: If these are no real numbers, or a ragged sequence of them.
+        InvalidInputError: If these are not real numbers, a ragged sequence of them, of another
+            shape, or not finite where they must be.
     """
+    kind = f"{'finite ' if is_finite else ''}numbers"
+    expected = kind if shape is None else f"{kind} of shape {_shape_text(shape)}"
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "biufO":
-            raise TypeError(f"{array.dtype} is no real number")
-        return array.astype(float, copy=False)
-    except (TypeError, ValueError) as error:
-        raise InvalidInputError(
-            f"{name}: expected numbers, got {type(value).__name__} {value!r:.60}"
-        ) from error
+        if not (array.dtype.kind in "biuf" or _holds_numbers(array)):
+            raise InvalidInputError(
+                argument=name,
+                expected=expected,
+                value=value,
+                got=f"{type(value).__name__} {describe_value(value)}",
+            )
+        array = array.astype(float, copy=False)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        if isinstance(error, InvalidInputError):
+            raise
+        raise InvalidInputError(argument=name, expected=expected, value=value) from error
+    if shape is not None and not _has_shape(array, shape):
+        got = f"shape {array.shape}"
+        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+    if is_finite and not np.isfinite(array).all():
+        place = tuple(map(int, np.argwhere(~np.isfinite(array))[0]))
+        got = f"{array[place]}" + (f" at {list(place)}" if place else "")
+        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+    return array
+
+
+def _holds_numbers(array: np.ndarray) -> bool:
+    """Whether an array of objects holds real numbers only, such as fractions or long integers."""
+    return array.dtype.kind == "O" and all(isinstance(item, numbers.Real) for item in array.flat)
+
+
+def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:
+    return array.ndim == len(shape) and all(
+        isinstance(wanted, str) or size == wanted
+        for size, wanted in zip(array.shape, shape, strict=True)
+    )
+
+
+def _shape_text(shape: tuple[int | str, ...]) -> str:
+    """Write a shape as Python does, with letters for sizes that are free."""
+    text = ", ".join(map(str, shape))
+    return f"({text},)" if len(shape) == 1 else f"({text})"
+
+
+def _mismatch(argument: str, expected: str) -> InvalidInputError:
+    return InvalidInputError(argument=argument, expected=expected, got="something else")
+
+
+def _rotation_of(quat_wxyz: np.ndarray, name: str) -> np.ndarray:
+    """Normalise a quaternion and compose its rotation, shape (3, 3)."""
+    norm = math.hypot(*quat_wxyz) if quat_wxyz.shape == (4,) else math.nan
+    if not (math.isfinite(norm) and norm > 1e-6):
+        expected = "a quaternion of 4 finite numbers, not all zero"
+        raise InvalidInputError(argument=name, expected=expected, value=quat_wxyz)
+    w, x, y, z = quat_wxyz / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _pose_of_seven(values: np.ndarray, order: QuatOrder, name: str) -> np.ndarray:
+    """Compose a pose from position and quaternion, with errors that name the argument."""
+    if values.shape != (7,) or not np.isfinite(values).all():
+        expected = "7 finite numbers (x, y, z, quaternion)"
+        raise InvalidInputError(argument=name, expected=expected, value=values.tolist())
+    if order not in ("wxyz", "xyzw"):
+        raise InvalidInputError(argument="order", expected="'wxyz' or 'xyzw'", value=order)
+    quat = values[3:] if order == "wxyz" else values[[6, 3, 4, 5]]
+    return affine(_rotation_of(quat, name), values[:3])

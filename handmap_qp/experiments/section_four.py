@@ -24,9 +24,9 @@ from handmap_qp.grasp.paper_cube import read_cube_figures, reference_grasp
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import load_synergies
 from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
-from handmap_qp.mapping.decomposition import about, decompose
-from handmap_qp.mapping.estimation import estimate_motion, kabsch_rotation
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.mapping.decomposition import decompose
+from handmap_qp.mapping.estimation import estimate_motion
+from handmap_qp.transform import affine, rigid_fit, transform_points
 
 ARC_LENGTH = 0.47
 """Length of the wrist's arc along x [m]."""
@@ -361,14 +361,9 @@ def _step_motion(
         "origin": np.zeros(3),
     }[setting.pivot]
     parts = decompose(motion, pivot=pivot)
-    rigid = _best_rigid(before, after) if setting.fingers == "frozen" else parts.rigid
+    rigid = rigid_fit(before, after) if setting.fingers == "frozen" else parts.rigid
     if setting.pivot == "own":
         there = affine(np.eye(3), robot_points.mean(axis=0) - pivot)
         back = affine(np.eye(3), pivot - robot_points.mean(axis=0))
         motion, rigid = there @ motion @ back, there @ rigid @ back
     return motion, rigid, parts.stretches
-
-
-def _best_rigid(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    centre, image = before.mean(axis=0), after.mean(axis=0)
-    return about(kabsch_rotation((after - image).T @ (before - centre)), centre, image)

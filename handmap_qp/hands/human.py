@@ -20,7 +20,7 @@ import numpy.typing as npt
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
 from handmap_qp.hands.urdf.package_data import urdf_directory
-from handmap_qp.transform import as_floats
+from handmap_qp.transform import as_floats, rotation_from_rpy
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""
@@ -382,7 +382,7 @@ def _palm_map(
 def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float) -> None:
     """Move a primitive's centre and ends with `move`, and its thickness with `size`."""
     origin, centre = _origin(shape), _position(shape)
-    axes = _rotation(get_numbers(origin, "rpy", 3, "0 0 0"))
+    axes = rotation_from_rpy(get_numbers(origin, "rpy", 3, "0 0 0"))
     primitive = shape.find("geometry/*")
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
@@ -414,15 +414,3 @@ def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], si
     # Any rotation that lays the cylinder's z axis on the new direction will do: a cylinder has no
     # roll.
     set_numbers(origin, "rpy", [0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))])
-
-
-def _rotation(rpy: list[float]) -> np.ndarray:
-    """URDF's `Rz(yaw) Ry(pitch) Rx(roll)`."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.mapping.estimation import determinant, dgesdd
-from handmap_qp.transform import affine, as_floats, quat_wxyz_from_rotation
+from handmap_qp.transform import affine, as_floats, determinant, quat_wxyz_from_rotation, svd3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +69,7 @@ def polar(linear: np.ndarray) -> PolarFactors:
     Returns:
         Rotation, axes and stretches.
     """
-    axes, stretches, right, _ = dgesdd(linear)
+    axes, stretches, right = svd3(linear)
     rotation = axes.dot(right)
     if determinant(rotation) < 0.0:
         right[2] *= -1.0

@@ -12,13 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import get_lapack_funcs
 
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
-from handmap_qp.transform import affine, as_floats
-
-# The SVD of LAPACK itself: more than twice as quick as numpy's on a 3x3 matrix.
-(dgesdd,) = get_lapack_funcs(("gesdd",), dtype=np.float64)
+from handmap_qp.transform import affine, as_floats, determinant, nearest_rotation, svd3
 
 # Below this ratio of smallest to largest singular value the points are a plane (or a line) for all
 # that doubles can tell.
@@ -87,7 +83,7 @@ class MotionEstimator:
         roots = np.sqrt(self.weights * len(points))
         # The SVD of the points, not of their normal matrix, which would square the condition of
         # points near a plane.
-        left, values, right, _ = dgesdd(self._centred * roots[:, None], full_matrices=0)
+        left, values, right = svd3(self._centred * roots[:, None])
         self.singular_values = np.zeros(3)
         self.singular_values[: len(values)] = values
         self.singular_values.setflags(write=False)
@@ -135,7 +131,7 @@ class MotionEstimator:
         moments = after.T.dot(self._moments)
         linear = moments[:, :3]
         if self.ridge != 0.0:
-            rotation = kabsch_rotation(moments[:, 3:]) if prior is None else prior
+            rotation = nearest_rotation(moments[:, 3:]) if prior is None else prior
             linear = linear + rotation.dot(self._prior_gain)
         motion = affine(linear, centroid_after - linear.dot(self.centroid))
         return MotionEstimate(motion, self.singular_values, after - self._centred.dot(linear.T))
@@ -187,29 +183,6 @@ def estimate_motion(
             f"prior: expected a rotation of shape (3, 3), got {prior}", value=prior
         )
     return estimator.estimate(after, rotation)
-
-
-def kabsch_rotation(covariance: np.ndarray) -> np.ndarray:
-    """The rotation that best carries points `x` to `y` (Kabsch 1976), from their weighted covariance.
-
-    Args:
-        covariance: `sum_k w_k y_k x_k^T`, shape (3, 3).
-
-    Returns:
-        Rotation in SO(3), shape (3, 3).
-    """
-    left, _, right, _ = dgesdd(covariance)
-    rotation = left.dot(right)
-    if determinant(rotation) < 0.0:
-        left[:, 2] *= -1.0
-        rotation = left.dot(right)
-    return rotation
-
-
-def determinant(matrix: np.ndarray) -> float:
-    """Determinant of a (3, 3) matrix, in plain floats: quicker than numpy's at this size."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:

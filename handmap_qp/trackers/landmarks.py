@@ -19,7 +19,7 @@ from handmap_qp.hands.spec import PointSpec, Side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.trackers.recording import LANDMARK_COUNT, HumanMotion, Recording
-from handmap_qp.transform import affine, nearest_rotation
+from handmap_qp.transform import rigid_fit
 
 PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks that move as one rigid body: the wrist and the MCP joints of the four fingers."""
@@ -109,7 +109,7 @@ class LandmarkFitter:
                 f"landmarks: expected metres and a palm as large as the hand's, got one {ratio:.3g} times as large"
             )
         if not self._is_warm:
-            wrist = _rigid_fit(self._palm, landmarks[PALM])
+            wrist = rigid_fit(self._palm, landmarks[PALM])
             self._ik.place(self.human.configuration_vector(self.human.rest, wrist))
             self._is_warm = True
         result = self._ik.solve(landmarks, None, 1.0)
@@ -237,14 +237,7 @@ def _palm_sizes(palms: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
 
 
-def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """Pose that best lays points (n, 3) onto others (n, 3), shape (4, 4)."""
-    centre, centre_onto = points.mean(axis=0), onto.mean(axis=0)
-    rotation = nearest_rotation((onto - centre_onto).T @ (points - centre))
-    return affine(rotation, centre_onto - rotation @ centre)
-
-
 def _lay_on(landmarks: np.ndarray, palm: np.ndarray) -> np.ndarray:
     """All samples, shape (T, 21, 3), each moved rigidly so that its palm lies on `palm` (5, 3)."""
-    poses = np.array([_rigid_fit(sample[PALM], palm) for sample in landmarks])
+    poses = np.array([rigid_fit(sample[PALM], palm) for sample in landmarks])
     return landmarks @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]

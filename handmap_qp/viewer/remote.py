@@ -24,7 +24,7 @@ from handmap_qp.hands.library import hand_names, load_hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.trackers.landmarks import human_name
-from handmap_qp.transform import affine, nearest_rotation
+from handmap_qp.transform import rigid_fit
 from handmap_qp.viewer.option_controls import Options, split_changes
 from handmap_qp.viewer.replay import ViewSample
 
@@ -289,9 +289,7 @@ class ServiceSession:
 
         Where it is in the hand at rest.
         """
-        middle, rest_middle = points.mean(axis=0), self._rest_points.mean(axis=0)
-        rotation = nearest_rotation((points - middle).T @ (self._rest_points - rest_middle))
-        return affine(rotation, middle - rotation @ rest_middle)
+        return rigid_fit(self._rest_points, points)
 
     def _try(self, call: Callable[[], _T]) -> _T:
         try:

@@ -19,6 +19,7 @@ from strategies import (
     rotations,
     translations,
     unit_quats,
+    weights_for,
 )
 
 from handmap_qp.errors import HandmapError, InvalidInputError
@@ -27,11 +28,16 @@ from handmap_qp.transform import (
     affine,
     as_floats,
     check_pose,
+    determinant,
     inverse_pose,
     nearest_rotation,
     pose_from_xyz_quat,
     quat_wxyz_from_rotation,
+    rigid_fit,
     rotation_from_quat_wxyz,
+    rotation_from_rpy,
+    rpy_from_rotation,
+    svd3,
     transform_points,
 )
 
@@ -130,6 +136,100 @@ def test_the_nearest_rotation_to_a_mirror_is_no_mirror() -> None:
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
 
 
+# --- singular values and rigid fits
+
+
+@given(generators, st.integers(1, 8))
+def test_an_svd_gives_its_matrix_back(generator: np.random.Generator, count: int) -> None:
+    matrix = generator.normal(size=(count, 3))
+    before = matrix.copy()
+    left, values, right = svd3(matrix)
+    np.testing.assert_allclose((left * values) @ right, matrix, atol=1e-14)
+    np.testing.assert_allclose(left.T @ left, np.eye(min(count, 3)), atol=1e-14)
+    np.testing.assert_allclose(right @ right.T, np.eye(min(count, 3)), atol=1e-14)
+    np.testing.assert_allclose(values, np.linalg.svd(matrix, compute_uv=False), atol=1e-14)
+    np.testing.assert_array_equal(matrix, before)
+
+
+@given(linear_maps(mirrored=None))
+def test_a_determinant_is_that_of_numpy(matrix: np.ndarray) -> None:
+    assert determinant(matrix) == pytest.approx(np.linalg.det(matrix), abs=1e-12)
+
+
+@given(point_sets(least=3), poses, st.data())
+def test_a_rigid_fit_of_moved_points_is_the_motion(
+    points: np.ndarray, pose: np.ndarray, data: st.DataObject
+) -> None:
+    weights = data.draw(st.none() | weights_for(points))
+    fitted = rigid_fit(points, transform_points(pose, points), weights)
+    # Points may be a millimetre wide in one direction, metres away from the origin.
+    np.testing.assert_allclose(fitted, pose, atol=1e-8)
+
+
+@given(generators, st.integers(3, 8))
+def test_a_rigid_fit_is_that_of_scipy(generator: np.random.Generator, count: int) -> None:
+    points, onto = generator.normal(size=(2, count, 3))
+    weights = generator.uniform(0.1, 2.0, count)
+    share = weights / weights.sum()
+    centre, centre_onto = share @ points, share @ onto
+    turn = Rotation.align_vectors(onto - centre_onto, points - centre, weights)[0].as_matrix()
+    fitted = rigid_fit(points, onto, weights)
+    np.testing.assert_allclose(fitted[:3, :3], turn, atol=1e-10)
+    np.testing.assert_allclose(fitted[:3, 3], centre_onto - turn @ centre, atol=1e-10)
+
+
+@given(generators, st.floats(1e-3, 1e3))
+def test_only_ratios_of_weights_count(generator: np.random.Generator, factor: float) -> None:
+    points, onto = generator.normal(size=(2, 5, 3))
+    weights = generator.uniform(0.1, 2.0, 5)
+    np.testing.assert_allclose(
+        rigid_fit(points, onto, factor * weights), rigid_fit(points, onto, weights), atol=1e-10
+    )
+    np.testing.assert_allclose(
+        rigid_fit(points, onto, [factor] * 5), rigid_fit(points, onto), atol=1e-10
+    )
+
+
+@given(generators)
+def test_a_point_without_weight_does_not_count(generator: np.random.Generator) -> None:
+    points, onto = generator.normal(size=(2, 5, 3))
+    np.testing.assert_allclose(
+        rigid_fit(points, onto, [1.0, 1.0, 1.0, 1.0, 0.0]),
+        rigid_fit(points[:4], onto[:4]),
+        atol=1e-10,
+    )
+
+
+@given(point_sets())
+def test_a_rigid_fit_of_mirrored_points_is_no_mirror(points: np.ndarray) -> None:
+    fitted = rigid_fit(points, points * (1.0, 1.0, -1.0))
+    assert np.linalg.det(fitted[:3, :3]) == pytest.approx(1.0)
+
+
+# --- roll, pitch and yaw
+
+
+@given(st.tuples(*[st.floats(-4.0, 4.0)] * 3))
+def test_roll_pitch_and_yaw_are_those_of_scipy(rpy: tuple[float, float, float]) -> None:
+    expected = Rotation.from_euler("xyz", rpy).as_matrix()
+    np.testing.assert_allclose(rotation_from_rpy(rpy), expected, rtol=0.0, atol=1e-14)
+
+
+@given(rotations)
+def test_rotation_to_roll_pitch_yaw_and_back_is_the_rotation(rotation: np.ndarray) -> None:
+    np.testing.assert_allclose(
+        rotation_from_rpy(rpy_from_rotation(rotation)), rotation, rtol=0.0, atol=1e-12
+    )
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.sampled_from([np.pi / 2, -np.pi / 2]))
+def test_a_pitch_of_a_right_angle_leaves_no_yaw(roll: float, yaw: float, pitch: float) -> None:
+    rotation = rotation_from_rpy([roll, pitch, yaw])
+    found = rpy_from_rotation(rotation)
+    assert found[2] == 0.0
+    np.testing.assert_allclose(rotation_from_rpy(found), rotation, rtol=0.0, atol=1e-12)
+
+
 # --- quaternions
 
 
@@ -186,7 +286,7 @@ def test_quaternions_are_normalised_first(quat: np.ndarray, length: float) -> No
     ],
 )
 def test_what_is_no_quaternion_is_refused(quat: Any) -> None:
-    with pytest.raises(InvalidInputError, match="quaternion: expected"):
+    with pytest.raises(InvalidInputError, match="quat_wxyz: expected"):
         rotation_from_quat_wxyz(quat)
 
 
@@ -236,7 +336,7 @@ def test_an_unknown_quaternion_order_is_refused(order: Any) -> None:
 
 
 def test_seven_numbers_without_a_named_order_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="wrist: 7 numbers need a named quaternion order"):
+    with pytest.raises(InvalidInputError, match=r"wrist: expected .* 7 numbers need quat_order"):
         check_pose([0, 0, 0, 1, 0, 0, 0], "wrist")
 
 
@@ -308,7 +408,7 @@ def test_the_last_row_must_be_0_0_0_1(pose: np.ndarray, column: int, change: flo
 def test_a_mirrored_pose_is_refused(pose: np.ndarray, column: int) -> None:
     pose = pose.copy()
     pose[:3, column] *= -1.0
-    with pytest.raises(InvalidInputError, match="no rotation"):
+    with pytest.raises(InvalidInputError, match="expected a rotation"):
         check_pose(pose)
 
 
@@ -329,7 +429,7 @@ SCALES = [
 
 @pytest.mark.parametrize("linear", SHEARS + SCALES)
 def test_what_scales_or_shears_is_no_pose(linear: np.ndarray) -> None:
-    with pytest.raises(InvalidInputError, match="no rotation"):
+    with pytest.raises(InvalidInputError, match="expected a rotation"):
         check_pose(affine(linear, np.zeros(3)))
 
 

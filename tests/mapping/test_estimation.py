@@ -28,9 +28,8 @@ from handmap_qp.mapping.estimation import (
     MotionEstimator,
     determinant,
     estimate_motion,
-    kabsch_rotation,
 )
-from handmap_qp.transform import transform_points
+from handmap_qp.transform import nearest_rotation, transform_points
 
 ridges = st.sampled_from([0.0, 1e-6, 0.1, 1.0, 1e3])
 
@@ -318,7 +317,7 @@ def test_fewer_than_four_points_are_refused_without_a_ridge(count: int) -> None:
 def test_points_that_coincide_leave_the_prior_as_it_is(count: int, place: float) -> None:
     # Their centroid is off by a rounding, which must not pass for a spread.
     generator = np.random.default_rng(count)
-    prior = kabsch_rotation(generator.normal(size=(3, 3)))
+    prior = nearest_rotation(generator.normal(size=(3, 3)))
     points = np.full((count, 3), place)
     estimate = estimate_motion(
         points, points + 0.03 * generator.normal(size=(count, 3)), ridge=0.1, prior=prior

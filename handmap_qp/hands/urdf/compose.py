@@ -32,11 +32,10 @@ from handmap_qp.hands.urdf.elements import (
     get_numbers,
     origin_of,
     parse_urdf,
-    rpy_of,
     set_numbers,
 )
 from handmap_qp.hands.urdf.mirror import mirrored_urdf
-from handmap_qp.transform import affine
+from handmap_qp.transform import affine, rpy_from_rotation
 
 # A follower without limits of its own has none to pass on to its leader.
 _NO_LIMIT = LimitSpec(lower=-1e6, upper=1e6, velocity=1e6)
@@ -376,7 +375,7 @@ def _fix(joint: ET.Element, position: float) -> None:
             joint.remove(element)
     element = ET.SubElement(joint, "origin")
     set_numbers(element, "xyz", pose[:3, 3].tolist())
-    set_numbers(element, "rpy", rpy_of(pose[:3, :3]))
+    set_numbers(element, "rpy", rpy_from_rotation(pose[:3, :3]).tolist())
     joint.set("type", "fixed")
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 
 import numpy as np
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.spec import Vector
-from handmap_qp.transform import affine
+from handmap_qp.transform import affine, rotation_from_rpy
 
 
 def parse_urdf(text: str) -> ET.Element:
@@ -64,41 +62,13 @@ def set_numbers(element: ET.Element, key: str, numbers: list[float]) -> None:
     element.set(key, " ".join(repr(float(number) + 0.0) for number in numbers))
 
 
-def rotation_of(rpy: Vector | list[float]) -> np.ndarray:
-    """URDF's `Rz(yaw) Ry(pitch) Rx(roll)`, shape (3, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def rpy_of(rotation: np.ndarray) -> list[float]:
-    """Roll, pitch and yaw of a rotation [rad].
-
-    Yaw is zero where only its difference from roll counts.
-    """
-    flat = math.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = math.atan2(-rotation[2, 0], flat)
-    if flat < 1e-9:
-        return [math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0]
-    return [
-        math.atan2(rotation[2, 1], rotation[2, 2]),
-        pitch,
-        math.atan2(rotation[1, 0], rotation[0, 0]),
-    ]
-
-
 def origin_of(element: ET.Element) -> np.ndarray:
     """The pose in an element's `<origin>`, shape (4, 4); the identity without one."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
     return affine(
-        rotation_of(get_numbers(origin, "rpy", 3, "0 0 0")),
+        rotation_from_rpy(get_numbers(origin, "rpy", 3, "0 0 0")),
         np.array(get_numbers(origin, "xyz", 3, "0 0 0")),
     )
 
