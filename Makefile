@@ -25,7 +25,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test lint bench lock clean
+.PHONY: help demo test lint bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -54,6 +54,9 @@ bench: $(INSTALLED) ## Run every benchmark, one after the other
 	    $(BIN)/python "$$script" $(ARGS) || exit 1; \
 	done
 
+peers: ## Install the peers to compare with, each into an environment of its own in .peers
+	@$(FIND_PYTHON); "$$python" benchmarks/peers/build.py
+
 lock: ## Write the newest versions that pyproject.toml allows into .ci/constraints.txt
 	@$(FIND_PYTHON); \
 	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
@@ -69,7 +72,7 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	@echo "Wrote $(CONSTRAINTS); now run make test."
 
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
-	rm -rf $(VENV) build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .peers build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
 	find handmap_qp tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Leaves in $python the first interpreter that will do, or says what was found instead.

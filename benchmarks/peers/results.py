@@ -1,0 +1,348 @@
+"""Results of the peers in the terms of this package: `run_peer`.
+
+The runner is a subprocess in the peer's environment. Its result is kept in `.peers/cache`, under a
+hash of everything that it depends on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import load_hand
+from handmap_qp.trackers.landmarks import PALM, measure_hand
+from handmap_qp.trackers.recording import Recording
+from handmap_qp.transform import affine, inverse_pose, nearest_rotation
+from peers import build, runner
+
+ROBOTS = ("allegro_hand_right", "leap_hand_right", "schunk_svh_hand_right")
+"""Robots that the peers are run with, by the names of their configuration files."""
+_OWN_NAMES = {"allegro_right": "allegro_hand_right"}
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class PeerMethod:
+    """One way to run a peer.
+
+    Attributes:
+        name: Short name, as options and tables take it.
+        title: Name for people.
+        peer: The peer's distribution.
+        method: What `runner.py` calls it: `vector`, `dexpilot` or `position`.
+        is_filtered: Whether the low-pass filter of the peer's configuration is on. The filter of
+            the position configurations is off (factor 1), so they have no second form.
+    """
+
+    name: str
+    title: str
+    peer: str
+    method: str
+    is_filtered: bool = True
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        PeerMethod("dex-vector", "dex vector", "dex-retargeting", "vector"),
+        PeerMethod(
+            "dex-vector-unfiltered", "dex vector, no filter", "dex-retargeting", "vector", False
+        ),
+        PeerMethod("dex-dexpilot", "DexPilot", "dex-retargeting", "dexpilot"),
+        PeerMethod(
+            "dex-dexpilot-unfiltered", "DexPilot, no filter", "dex-retargeting", "dexpilot", False
+        ),
+        PeerMethod("dex-position", "dex position", "dex-retargeting", "position"),
+        PeerMethod("dexi-vector", "dexi vector", "dexi-rs", "vector"),
+        PeerMethod("dexi-vector-unfiltered", "dexi vector, no filter", "dexi-rs", "vector", False),
+        PeerMethod("dexi-dexpilot", "dexi DexPilot", "dexi-rs", "dexpilot"),
+        PeerMethod(
+            "dexi-dexpilot-unfiltered", "dexi DexPilot, no filter", "dexi-rs", "dexpilot", False
+        ),
+        PeerMethod("dexi-position", "dexi position", "dexi-rs", "position"),
+    )
+}
+"""All ways to run the peers, by their names."""
+
+
+class PeerError(HandmapError):
+    """A peer is not built, or its run failed; the message is one line."""
+
+
+@dataclass(frozen=True)
+class PeerMotion:
+    """What a peer made of a recording.
+
+    Attributes:
+        method: How the peer was run.
+        robot: Our robot hand.
+        recording: The recording that the peer got: mirrored, if a left hand was recorded.
+        q: Joint positions in the order of `robot.joint_names` [rad], shape (T, n). They may lie
+            outside the robot's limits: they are the peer's, unchanged.
+        cpu_time: CPU time of each retargeted sample [s], NaN where a sample was held, shape (T,).
+        base_pose: Pose of the robot's root link in the world, shape (T, 4, 4), of the peer's
+            position method; None of the others, which do not move the wrist.
+        facts: Peer, version, configuration, low-pass factor and number of failures.
+    """
+
+    method: PeerMethod
+    robot: Hand
+    recording: Recording
+    q: np.ndarray
+    cpu_time: np.ndarray
+    base_pose: np.ndarray | None
+    facts: dict[str, Any]
+
+    @cached_property
+    def palm(self) -> np.ndarray:
+        """Palm of robot and human in the world, shape (T, 4, 4): the peers pass the wrist on."""
+        return measured_palms(self.recording)
+
+    @cached_property
+    def wrist(self) -> np.ndarray:
+        """Wrist of the robot in the world, its palm on the human's measured palm, (T, 4, 4)."""
+        return self.palm @ inverse_pose(self.robot.wrist_to_palm)
+
+    @cached_property
+    def own_wrist(self) -> np.ndarray | None:
+        """Wrist of the robot in the world where the peer itself put it, shape (T, 4, 4).
+
+        None of methods that do not move it. The peer's root link and ours are taken to be the same.
+        """
+        if self.base_pose is None:
+            return None
+        root = self.robot.link_poses([_root_link(self.robot.urdf_text)], self.robot.rest)[0]
+        return self.base_pose @ inverse_pose(root)
+
+
+def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> PeerMotion:
+    """Run a peer over a recording, or return the result of the same run before.
+
+    Args:
+        method: One of `METHODS`, or its name.
+        recording: Landmarks of a hand; a left one is mirrored.
+        robot: A right robot hand that the peers have a configuration for (`peer_robot`).
+
+    Returns:
+        The peer's motion.
+
+    Raises:
+        InvalidInputError: If there is no such method, or the peers do not know the robot.
+        PeerError: If the peers are not built, or the run failed.
+    """
+    chosen = _method(method)
+    name = peer_robot(robot)
+    missing = build.missing_peers()
+    if missing:
+        raise PeerError(
+            f"{', '.join(missing)}: not built in {build.peers_folder()}: run make peers"
+        )
+    right = mirrored(recording) if recording.side == "left" else recording
+    file = build.peers_folder() / "cache" / f"{_key(chosen, name, right)}.npz"
+    if not file.is_file():
+        _run(chosen, name, right, file)
+    return read_result(file, chosen, right, robot)
+
+
+def read_result(file: Path, method: PeerMethod, recording: Recording, robot: Hand) -> PeerMotion:
+    """Read what `runner.py` wrote, the joints in the order of our hand.
+
+    Args:
+        file: The runner's output.
+        method: How the peer was run.
+        recording: The recording that the peer got.
+        robot: Our robot hand; all its joints must be among the peer's.
+
+    Returns:
+        The peer's motion.
+
+    Raises:
+        PeerError: If joints are missing, or the number of samples is another.
+    """
+    with np.load(file, allow_pickle=False) as arrays:
+        values = dict(arrays)
+    names = [str(name) for name in values["joint_names"]]
+    missing = sorted(set(robot.joint_names) - set(names))
+    if missing:
+        raise PeerError(f"{robot.name}: {method.name} gives no joint {', '.join(missing)}")
+    if len(values["q"]) != len(recording):
+        raise PeerError(
+            f"{file}: expected {len(recording)} samples of {recording.name}, got {len(values['q'])}"
+        )
+    return PeerMotion(
+        method=method,
+        robot=robot,
+        recording=recording,
+        q=values["q"][:, [names.index(name) for name in robot.joint_names]],
+        cpu_time=values["cpu_time"],
+        base_pose=values.get("base_pose"),
+        facts=json.loads(str(values["facts"])),
+    )
+
+
+def peer_robot(robot: Hand) -> str:
+    """The peers' name of a robot hand: of ours by its name, of any other by its joints' names.
+
+    Args:
+        robot: The robot hand.
+
+    Returns:
+        One of `ROBOTS`.
+
+    Raises:
+        InvalidInputError: If the peers have no configuration for it.
+    """
+    if robot.side == "right" and robot.name in _OWN_NAMES:
+        return _OWN_NAMES[robot.name]
+    if robot.side == "right":
+        for name in ROBOTS:
+            if set(robot.joint_names) <= _peer_joints(name):
+                return name
+    raise InvalidInputError(
+        argument="robot",
+        expected=f"a right hand with the joints of one of {', '.join(ROBOTS)}",
+        value=robot.name,
+        got=f"{robot.name} ({robot.side})",
+        advice="the peers have no configuration for it",
+    )
+
+
+def mirrored(recording: Recording) -> Recording:
+    """The recording of the other hand, mirrored: x becomes -x."""
+    return replace(
+        recording,
+        landmarks=recording.landmarks * _MIRROR,
+        side="left" if recording.side == "right" else "right",
+    )
+
+
+def measured_palms(recording: Recording, lengths: HumanLengths | None = None) -> np.ndarray:
+    """Pose of the human's palm frame, by a rigid fit of the five palm landmarks.
+
+    Args:
+        recording: Landmarks of a hand.
+        lengths: The person's segment lengths; measured over the recording if omitted.
+
+    Returns:
+        Poses of the palm frame (y distal, z dorsal, origin at the wrist) in the world, shape
+        (T, 4, 4). A sample that is not valid holds the pose before it; before the first valid one,
+        the first.
+    """
+    name = "human" if recording.side == "right" else "human_left"
+    human = load_hand(name, points="landmarks", lengths=lengths or measure_hand(recording))
+    points = human.points(np.clip(0.0, human.lower_limits, human.upper_limits))[PALM]
+    poses = np.empty((len(recording), 4, 4))
+    first = int(np.argmax(recording.valid))
+    for i in range(first, len(recording)):
+        if recording.valid[i]:
+            wrist = _rigid_fit(points, recording.landmarks[i, PALM])
+            poses[i] = wrist @ human.wrist_to_palm
+        else:
+            poses[i] = poses[i - 1]
+    poses[:first] = poses[first]
+    return poses
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """Pose that lays points (n, 3) best onto others (n, 3), shape (4, 4) (Kabsch)."""
+    centre, centre_onto = points.mean(axis=0), onto.mean(axis=0)
+    rotation = nearest_rotation((onto - centre_onto).T @ (points - centre))
+    return affine(rotation, centre_onto - rotation @ centre)
+
+
+def _method(method: PeerMethod | str) -> PeerMethod:
+    if isinstance(method, PeerMethod):
+        return method
+    if method not in METHODS:
+        raise InvalidInputError(
+            argument="method", expected=f"one of {', '.join(METHODS)}", value=method
+        )
+    return METHODS[method]
+
+
+def _urdf(name: str) -> Path:
+    """The robot description that a configuration names."""
+    config = runner.load_config(build.data_folder(), "vector", name, is_filtered=True)
+    return Path(config["urdf_path"])
+
+
+def _peer_joints(name: str) -> set[str]:
+    """Movable joints of a peer's robot; none where the peers are not built."""
+    if not build.data_folder().is_dir():
+        return set()
+    root = ElementTree.parse(_urdf(name)).getroot()
+    return {joint.attrib["name"] for joint in root.iter("joint") if joint.get("type") != "fixed"}
+
+
+def _root_link(urdf_text: str) -> str:
+    """The link of a URDF that is no joint's child."""
+    root = ElementTree.fromstring(urdf_text)
+    children = {child.attrib["link"] for child in root.iter("child")}
+    return next(
+        link.attrib["name"] for link in root.findall("link") if link.attrib["name"] not in children
+    )
+
+
+def _key(method: PeerMethod, robot: str, recording: Recording) -> str:
+    """Hash of all that a run depends on: method, robot, landmarks, runner and versions."""
+    digest = hashlib.sha256(f"{method.peer} {method.method} {method.is_filtered} {robot}".encode())
+    requirements = [peer.requirements for peer in build.PEERS if peer.name == method.peer]
+    for file in (Path(runner.__file__), _urdf(robot), *requirements):
+        digest.update(file.read_bytes())
+    for array in (recording.landmarks, recording.valid):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _run(method: PeerMethod, robot: str, recording: Recording, file: Path) -> None:
+    """Run a peer and put its result in place once it is whole."""
+    with _workspace(file.parent) as folder:
+        given, made = folder / "recording.npz", folder / "result.npz"
+        np.savez(
+            given,
+            time=recording.time,
+            landmarks=recording.landmarks,
+            valid=recording.valid,
+            handedness=np.array(recording.side),
+        )
+        words = [str(build.environment_python(method.peer)), str(Path(runner.__file__))]
+        words += ["--peer", method.peer, "--method", method.method, "--robot", robot]
+        words += [] if method.is_filtered else ["--no-filter"]
+        words += ["--data", str(build.data_folder()), str(given), str(made)]
+        # dex-retargeting leaves a folder of its own in TMPDIR; a PYTHONPATH of ours is not its.
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        environment |= {"TMPDIR": str(folder), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        last = ""
+        with subprocess.Popen(
+            words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment
+        ) as process:
+            for line in process.stderr or ():
+                print(line, end="", file=sys.stderr, flush=True)
+                last = line.strip() or last
+        if process.returncode:
+            raise PeerError(f"{method.name} failed on {recording.name}: {last}")
+        made.replace(file)
+
+
+@contextmanager
+def _workspace(cache: Path) -> Iterator[Path]:
+    """A folder beside the results, so that a finished one can be moved into place."""
+    cache.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=cache, prefix="run-") as folder:
+        yield Path(folder)
