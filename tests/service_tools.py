@@ -23,6 +23,8 @@ from zmq.utils.monitor import recv_monitor_message
 
 from handmap_qp.client import Client, KeyFiles, ServiceError
 from handmap_qp.client import Command as HeardCommand
+from handmap_qp.service.calibration import Calibration
+from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import (
     PROTOCOL,
     Command,
@@ -33,11 +35,11 @@ from handmap_qp.service.messages import (
     Sample,
     Step,
 )
-from handmap_qp.service.opening import Calibration, Hands, HandShelf, prepare_hands
+from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Posture, Session
 
-SHELF = HandShelf()
+CACHE = HandCache()
 """Hands are loaded once for all tests."""
 HERE = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 SECRET = "a-secret-of-the-tests"
@@ -49,7 +51,7 @@ T = TypeVar("T")
 
 def human_q(phase: float = 0.0) -> np.ndarray:
     """Joint angles of a human hand that closes and opens, shape (20,)."""
-    human = SHELF.human("right", None)
+    human = CACHE.human("right", None)
     middle, half = (
         0.5 * (human.lower_limits + human.upper_limits),
         0.5 * (human.upper_limits - human.lower_limits),
@@ -87,10 +89,10 @@ def make_session(now: float = 0.0, robot: str = "three_finger", **choices: Any) 
     request = opening(robot, **choices)
     return Session(
         request,
-        prepare_hands(request, SHELF),
+        prepare_hands(request, CACHE),
         "test",
         now,
-        calibration=Calibration(request, SHELF, run_now),
+        calibration=Calibration(request, CACHE, run_now),
     )
 
 
@@ -195,8 +197,15 @@ def in_loop(server: Server, work: Callable[[], T]) -> T:
 
 
 def lose_sessions(server: Server) -> None:
-    """Let a running server forget its sessions, as by a restart: nobody is told."""
-    in_loop(server, server.dispatcher.sessions.entries.clear)
+    """Make a running server lose its sessions as by a restart with `--state`: no one is told."""
+    sessions = server.dispatcher.sessions
+
+    def lose() -> None:
+        for entry in sessions.entries.values():
+            sessions._store.note(entry.session.record)
+        sessions.entries.clear()
+
+    in_loop(server, lose)
 
 
 def skip(server: Server, seconds: float) -> None:

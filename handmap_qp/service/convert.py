@@ -64,7 +64,7 @@ def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
     )
 
 
-def name_joints(robot: Hand, chosen: np.ndarray) -> tuple[str, ...]:
+def joints_where(robot: Hand, chosen: np.ndarray) -> tuple[str, ...]:
     """Names of the joints that a mask (n,) chooses."""
     return tuple(
         name

@@ -16,6 +16,7 @@ from logging import ERROR, INFO
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.service.caps import Bucket, Caps, RateLimit
+from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.logs import Throttle
 from handmap_qp.service.messages import (
     AnyReply,
@@ -39,7 +40,6 @@ from handmap_qp.service.messages import (
     encode_reply,
 )
 from handmap_qp.service.metrics import Metrics
-from handmap_qp.service.opening import HandShelf
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Sessions
 from handmap_qp.service.store import PostureStore
@@ -55,7 +55,7 @@ class Dispatcher:
 
     Args:
         caps: What clients are allowed.
-        shelf: The hands there are.
+        cache: The hands there are.
         metrics: Where to count.
         store: Where to note what was commanded; in memory alone if omitted.
         clock: Monotonic clock [s].
@@ -68,16 +68,16 @@ class Dispatcher:
     def __init__(
         self,
         caps: Caps,
-        shelf: HandShelf,
+        cache: HandCache,
         metrics: Metrics,
         *,
         store: PostureStore | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._store = store or PostureStore(None)
-        self.sessions = Sessions(caps, shelf, metrics, self._store, clock)
+        self.sessions = Sessions(caps, cache, metrics, self._store, clock)
         self.stream_port = 0
-        self._caps, self._shelf, self._metrics, self._clock = caps, shelf, metrics, clock
+        self._caps, self._cache, self._metrics, self._clock = caps, cache, metrics, clock
         self._version = version("handmap-qp")
         self._started = clock()
         self._rates, self._configures = RateLimit(caps.rate), Bucket(caps.configures, clock())
@@ -164,7 +164,7 @@ class Dispatcher:
         now = self._clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
-            if now - session.last_request > self._caps.idle and not session.has_plans:
+            if now - session.last_request > self._caps.idle and not session.will_move:
                 self.sessions.end(
                     secret, "no_session", "closed, for nothing was heard of its client"
                 )
@@ -247,8 +247,8 @@ class Dispatcher:
                 session.release()
             else:
                 self.sessions.end(request.session, "no_session", "closed by its client")
-            # Whether it was let go counts as much as where it is.
-            self._store.note(session.record)
+            # A release must outlive the server as well as a posture.
+            self._note(session)
             return Done(seq=request.seq)
         except RefusedError as error:
             return self._refusal(request.seq, error)
@@ -295,9 +295,17 @@ class Dispatcher:
 
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""
-        self._store.note(session.record)
+        self._note(session)
         self._written = encode_reply(command)
         self.sessions.send(session.name, self._written)
+
+    def _note(self, session: Session) -> None:
+        """Note where the session is, if that is to outlive the server.
+
+        Without a file, `Sessions` notes it when the session ends.
+        """
+        if self._store.is_persistent:
+            self._store.note(session.record)
 
     def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> AnyReply:
         if subscribe is None:
@@ -319,7 +327,7 @@ class Dispatcher:
             uptime=now - self._started,
             names=self.sessions.names,
             counts=dict(self._metrics.counts),
-            robots=self._shelf.robots,
+            robots=self._cache.robots,
             stream_port=self.stream_port,
         )
 

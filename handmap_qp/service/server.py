@@ -30,14 +30,14 @@ from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.handshakes import report_handshakes
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
 from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
 from handmap_qp.service.metrics import Metrics, serve_metrics
-from handmap_qp.service.opening import HandShelf
 from handmap_qp.service.store import PostureStore
-from handmap_qp.service.websocket import WebDoor, WebSettings
+from handmap_qp.service.websocket import WebSettings, WebSocketTransport
 
 TICK = 0.005
 """Time between looks at the watchdogs [s]."""
@@ -109,14 +109,14 @@ class Server:
         self.metrics = Metrics()
         self.ports: dict[str, int] = {}
         self._closing = contextlib.AsyncExitStack()
-        shelf = HandShelf(settings.hands)
+        cache = HandCache(settings.hands)
         # Last of what may fail: from here on the file is taken.
         store = (
             None
             if settings.state is None
             else self._closing.enter_context(PostureStore(settings.state))
         )
-        self.dispatcher = Dispatcher(settings.caps, shelf, self.metrics, store=store)
+        self.dispatcher = Dispatcher(settings.caps, cache, self.metrics, store=store)
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._bugs = Throttle()
@@ -146,7 +146,7 @@ class Server:
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
         if settings.web is not None:
-            door = WebDoor(settings.web, self.dispatcher, settings.caps)
+            door = WebSocketTransport(settings.web, self.dispatcher, settings.caps)
             self.ports["web"] = await self._closing.enter_async_context(door)
         if settings.health_port is not None:
             try:

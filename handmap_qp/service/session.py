@@ -1,14 +1,11 @@
-"""One session.
+"""One session: a human hand that leads and a robot hand that follows.
 
-A human hand that leads and a robot hand that follows, without sockets or clocks of its own.
+A session has no sockets and no clock of its own; its caller passes messages and times. `states` has
+its states and their transitions, `watchdog` the effects of silence.
 
-    waiting -> following <-> released     what the client asked for: by samples, `release`, `clutch`
-    hold -> returning -> hold             what the watchdog makes of it while samples stay away,
-    until the next one
-
-Every posture that leaves goes through the `SpeedGuard`. Where mapper and guard come apart for good
-(a return to rest, a failure inside the mapper), the mapper is seated where the guard is before the
-next sample, which is then the reference.
+Every posture that leaves passes the `SpeedGuard`. If the robot's posture and the mapper's differ for
+good (after a return to rest, or an exception in the mapper), the session resets the mapper to the
+robot's posture before the next sample, which is then the reference.
 """
 
 from __future__ import annotations
@@ -16,60 +13,59 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.errors import HandmapError
 from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.step import MapStep
+from handmap_qp.service.calibration import Calibration
 from handmap_qp.service.convert import (
-    name_joints,
+    joints_where,
     to_detail,
     to_lengths,
-    to_matrix,
     to_pose,
     to_row,
 )
-from handmap_qp.service.messages import About, Command, Configure, Open, Opened, Reset, State, Step
-from handmap_qp.service.opening import (
-    Calibration,
-    Hands,
-    name_options,
-    read_ik,
-    read_options,
-    refused,
+from handmap_qp.service.inputs import MappedSample, check_input, map_sample
+from handmap_qp.service.messages import (
+    About,
+    Command,
+    Configure,
+    Open,
+    Opened,
+    Reset,
+    State,
+    Step,
 )
+from handmap_qp.service.opening import Hands, read_ik, read_options
+from handmap_qp.service.refusals import refused, with_option_errors
 from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start_wrist
+from handmap_qp.service.states import Event, MapperState, SessionState, next_state
 from handmap_qp.service.store import Record
-
-HEARTBEAT = 0.1
-"""Time between commands that repeat a hold [s]."""
-RETURN_PERIOD = 1.0 / 60.0
-"""Time between commands on the way back to rest [s]."""
+from handmap_qp.service.watchdog import Watchdog
 
 Posture = tuple[np.ndarray, np.ndarray | None]
-"""Joint angles (n,) [rad] and the wrist's pose (4, 4), None where it is not known."""
-Mode = Literal["waiting", "following", "released", "calibrating", "hold", "returning"]
+"""Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
 
 
 class Session:
-    """A session, driven by whoever reads messages and clocks.
+    """A session, driven by its caller.
 
     Args:
-        request: What the client opened it with.
-        hands: Made of it by `prepare_hands`.
+        request: The request that opened it.
+        hands: The hands that `prepare_hands` made of the request.
         name: Public name.
         now: The present on a monotonic clock [s].
-        calibration: Measures the human hand where `hands` says that it needs it.
-        former: The session that this one goes on from; what the request says if omitted.
+        calibration: Measures the human hand, if `hands` needs that.
+        former: Record of the session to continue; the request decides if omitted.
 
     Attributes:
-        request: What the client opened it with.
+        request: The request that opened it.
         name: Public name.
         robot: The robot hand.
-        counts: How often things happened.
-        last_request: When the client was last heard of [s].
+        counts: Counts of what happened.
+        last_request: Time of the last request of the session's client [s].
 
     Raises:
         RefusedError: If the robot cannot be where the request says.
@@ -100,55 +96,52 @@ class Session:
         q, wrist = start if former is None else former.posture
         self._guard = SpeedGuard(self.robot, q, wrist)
         self._clock = StepClock(request.max_dt, request.time_from, now)
-        self._engaged: Literal["waiting", "following", "released"] = "waiting"
-        self._watch: Literal["hold", "returning"] | None = None
-        self._is_apart = self._needs_reference = False
+        self._watchdog = Watchdog(request.watchdog, request.return_after, now)
+        self._state = SessionState.WAITING
+        self._mapper_state = MapperState.ALIGNED
         self._epoch = _new_epoch() if former is None else former.epoch
-        self._opened_at = self._last_sample = self._last_output = self._held_since = now
+        self._opened_at = now
         self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
-        self._seat()
-        # What the server knows is newer than what the client believes.
+        self._reset_mapper()
+        # The server's record is newer than the client's belief.
         if request.is_released if former is None else former.is_released:
             self.release()
 
     @property
     def posture(self) -> Posture:
-        """What was commanded last."""
+        """The posture last commanded."""
         return self._guard.q, self._guard.wrist
 
     @property
-    def mode(self) -> Mode:
-        """What the robot is doing."""
-        if self._watch is not None:
-            return self._watch
-        return (
-            "calibrating"
-            if self._calibration is not None and self._engaged == "following"
-            else self._engaged
-        )
+    def mode(self) -> str:
+        """What the robot does, as clients read it."""
+        is_calibrating = self._calibration is not None and self._state is SessionState.FOLLOWING
+        return "calibrating" if is_calibrating else self._state.mode
 
     @property
     def record(self) -> Record:
-        """Where the robot is, for a session that is to go on from here."""
+        """Posture, epoch and release, for a session that continues from here."""
         q, wrist = self.posture
         pose = None if wrist is None else tuple(wrist.ravel().tolist())
-        return Record(self.name, self.robot.name, to_row(q), pose, self._epoch, self._is_released)
+        is_released = self._state.is_released
+        return Record(self.name, self.robot.name, to_row(q), pose, self._epoch, is_released)
 
     @property
     def is_attended(self) -> bool:
         """Whether its client sends samples.
 
-        One that never did may have given up waiting for the session to open.
+        A client that never sent one may have given up waiting for the session to open.
         """
-        return self._last_sample > self._opened_at and self._watch is None
+        is_active = self._state in (SessionState.FOLLOWING, SessionState.RELEASED)
+        return is_active and self._watchdog.last_sample > self._opened_at
 
     @property
-    def has_plans(self) -> bool:
-        """Whether the robot is to go to rest yet."""
-        return self._wants_return and not self._is_at_rest
+    def will_move(self) -> bool:
+        """Whether silence makes the robot move yet, to its rest posture."""
+        return self._watchdog.will_return(self._state) and not self._is_at_rest
 
     def opened(self, seq: int, stream_port: int) -> Opened:
-        """The answer to `open`."""
+        """Answer `open`."""
         robot, human = self.robot, self._hands.mapper.human
         return Opened(
             seq=seq,
@@ -165,7 +158,7 @@ class Session:
         )
 
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
-        """The answer to `status`."""
+        """Answer `status`."""
         request, mapper = self.request, self._hands.mapper
         about = About(
             robot=self.robot.name,
@@ -186,7 +179,7 @@ class Session:
             uptime=now - self._opened_at,
             names=(self.name,),
             mode=self.mode,
-            is_released=self._is_released,
+            is_released=self._state.is_released,
             counts=dict(self.counts),
             q=to_row(self._guard.q),
             stream_port=stream_port,
@@ -204,267 +197,203 @@ class Session:
             The command.
 
         Raises:
-            RefusedError: If the sample cannot be used. For robot and watchdog it is then as if it
-                had not come.
+            RefusedError: If the sample cannot be used. The robot and the watchdog then ignore it.
         """
         try:
-            self._check_kind(sample)
+            check_input(self.request.input, sample)
             if self._calibration is not None:
                 return self._calibrate(self._calibration, sample, now)
-            self._make_ready()
-            step, human, flags = self._map(sample, now)
+            self._prepare_mapper()
+            self._dt, flags = self._clock.grant(sample.time, now)
+            mapped = map_sample(self._hands, sample, self._dt)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error
         except Exception:
-            # A bug, or a number that no check foresaw: the robot stays where it is, and the mapper
-            # starts afresh from there.
-            self._is_apart = self._needs_reference = True
+            # Unexpected exception: hold, and restart the mapper from the last command.
+            self._mapper_state = MapperState.STALE
             raise
-        flags = self._note(sample, now) + flags
-        if self._engaged == "following":
-            self._is_apart = not self._guard.advance(step.command.q, step.command.wrist, self._dt)
-        if self._is_apart and self._engaged == "following":
-            flags.append("slewing")
-        if step.is_clamped:
+        flags = self._accept(sample, now) + flags
+        if self._state is SessionState.FOLLOWING:
+            flags += self._follow(mapped)
+        if mapped.step.is_clamped:
             flags.append("stretch_clamped")
         self.counts["steps"] += 1
-        return self._command(step.status, flags, **self._told(step, human))
+        return self._command(now, mapped.step.status, flags, **self._diagnostics(mapped))
 
     def tick(self, now: float) -> Command | None:
-        """Let time pass: the watchdog.
+        """Let time pass.
 
         Args:
             now: The present [s].
 
         Returns:
-            A command to send out, flagged `watchdog`; None where there is nothing to say.
+            A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
-        if self._engaged == "waiting":
+        while event := self._watchdog.event(self._state, now, is_at_rest=self._is_at_rest):
+            if event is Event.SILENCE:
+                self.counts["watchdog"] += 1
+            self._handle(event)
+        if not self._watchdog.take_turn(self._state, now):
             return None
-        if self._watch is None:
-            if now - self._last_sample <= self.request.watchdog:
-                return None
-            self._watch, self._held_since, self._last_output = "hold", now, -np.inf
-            self.counts["watchdog"] += 1
-        is_at_rest, after = self._is_at_rest, self.request.return_after
-        if self._watch == "hold" and self.has_plans and now - self._held_since >= (after or 0.0):
-            self._watch = "returning"
-        if now - self._last_output < (RETURN_PERIOD if self._watch == "returning" else HEARTBEAT):
-            return None
-        # A heartbeat counts too: to a driver, the next motion starts there.
-        self._last_output, self._dt = now, self._clock.grant_tick(now)
-        if self._watch == "returning":
-            is_at_rest = self._guard.advance(
-                self.robot.rest, None, self._dt, self.request.return_speed
-            )
-            # Also where the client has clutched meanwhile: the mapper's robot does not come along.
-            self._is_apart = self._needs_reference = True
-        command = self._command(
-            self._watch, ["watchdog", "at_rest"] if is_at_rest else ["watchdog"]
-        )
-        if is_at_rest:
-            self._watch = "hold"
-        return command
+        status = self._state.mode
+        # A heartbeat counts too: the driver starts its next motion there.
+        self._dt = self._clock.grant_tick(now)
+        if self._state is SessionState.RETURNING:
+            self._guard.advance(self.robot.rest, None, self._dt, self.request.return_speed)
+            # The posture of the mapper stays behind, even if the client has clutched meanwhile.
+            self._mapper_state = MapperState.STALE
+            if self._is_at_rest:
+                self._handle(Event.ARRIVAL)
+        flags = ["watchdog", "at_rest"] if self._is_at_rest else ["watchdog"]
+        return self._command(now, status, flags)
 
     def release(self) -> None:
-        """Let the robot hold still until `clutch`."""
+        """Let the robot hold its posture until `clutch`."""
         self._hands.mapper.release()
-        self._engaged = "released"
-        self._watch = "hold" if self._watch is not None else None
+        self._handle(Event.RELEASE)
 
     def clutch(self) -> None:
-        """Let the next sample be the reference; the robot goes on from where it is."""
-        if self._is_apart:
-            self._seat()
-        else:
+        """Make the next sample the reference; the robot continues from where it is."""
+        if self._mapper_state is MapperState.ALIGNED:
             self._hands.mapper.clutch()
-        self._engaged = "waiting" if self._engaged == "waiting" else "following"
+        else:
+            self._reset_mapper()
+        self._handle(Event.CLUTCH)
 
     def configure(self, request: Configure) -> None:
-        """Change options: the reference stays what it was, and the robot goes on from where it is.
+        """Change options; the reference stays, and the robot continues from where it is.
 
         Raises:
-            RefusedError: Naming the option that cannot be; all is then as it was.
+            RefusedError: With the option at fault. The session is then unchanged.
         """
         mapper = self._hands.mapper
         mapping = read_options("mapping", asdict(mapper.options) | request.mapping, MappingOptions)
         ik = read_ik(asdict(mapper.ik) | request.ik)
-        name_options(self.robot, ik, lambda: mapper.configure(mapping, ik=ik))
+        with_option_errors(self.robot, ik, lambda: mapper.configure(mapping, ik=ik))
         self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
 
     def reset(self, request: Reset, now: float) -> None:
-        """Start anew.
+        """Start again.
 
         Args:
-            request: Where the robot is now; where it does not say, the robot goes from where it is
-                to rest, within its limits.
+            request: Where the robot is now. If it does not say, the robot moves to its rest posture
+                within its speed limits.
             now: The present [s].
 
         Raises:
             RefusedError: If the robot cannot be there.
         """
         if request.robot_q is None and request.robot_wrist is None:
-            self._seat(self.robot.rest)
-            self._is_apart = True
+            self._reset_mapper(self.robot.rest)
+            self._mapper_state = MapperState.SLEWING
         else:
-            q = (
-                self._guard.q
-                if request.robot_q is None
-                else start_angles(self.robot, request.robot_q)
-            )
-            wrist = (
-                self._guard.wrist
-                if request.robot_wrist is None
-                else start_wrist(self.robot, request.robot_wrist)
-            )
+            q, wrist = self.posture
+            if request.robot_q is not None:
+                q = start_angles(self.robot, request.robot_q)
+            if request.robot_wrist is not None:
+                wrist = start_wrist(self.robot, request.robot_wrist)
             self._guard = SpeedGuard(self.robot, q, wrist)
-            self._seat()
+            self._reset_mapper()
             self._epoch = _new_epoch()
-        self._watch, self._last_sample = None, now
-        self._engaged = "waiting" if self._engaged == "waiting" else "following"
-
-    @property
-    def _is_released(self) -> bool:
-        return self._engaged == "released"
-
-    @property
-    def _wants_return(self) -> bool:
-        return self.request.return_after is not None and self._engaged == "following"
+        self._watchdog.restart(now)
+        self._handle(Event.RESET)
 
     @property
     def _is_at_rest(self) -> bool:
         return bool((self._guard.q == self.robot.rest).all())
 
-    # -- the way of one sample
-    # ------------------------------------------------------------------------------------------
+    @property
+    def _is_slewing(self) -> bool:
+        return self._mapper_state is MapperState.SLEWING
 
-    def _check_kind(self, sample: Step) -> None:
-        """Refuse samples of another kind than the session was opened for."""
-        wanted = self.request.input
-        for kind in ("q", "landmarks", "points"):
-            is_given = getattr(sample, kind) is not None
-            if is_given != (kind == wanted):
-                message = (
-                    f"this session was opened for {wanted}"
-                    if is_given
-                    else "missing; this session was opened for it"
-                )
-                raise RefusedError("invalid", message, field=kind)
-        if wanted == "q" and sample.wrist is None:
-            raise RefusedError("invalid", "missing; it must come with q", field="wrist")
-        if wanted == "landmarks" and sample.wrist is not None:
-            raise RefusedError(
-                "invalid", "it follows from the landmarks; leave it out", field="wrist"
-            )
+    def _handle(self, event: Event) -> None:
+        self._state = next_state(self._state, event)
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
-        """Gather landmarks until the human hand has been measured.
-
-        The robot holds still meanwhile.
-        """
-        landmarks = np.array(sample.landmarks)
-        if landmarks.shape != (21, 3):
-            raise RefusedError(
-                "invalid", f"expected 21 points, got {len(landmarks)}", field="landmarks"
-            )
-        hands = calibration.add(landmarks)
-        flags = self._note(sample, now)
+        """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
+        hands = calibration.add(np.array(sample.landmarks))
+        flags = self._accept(sample, now)
         self._dt, _ = self._clock.grant(sample.time, now)
-        command = self._command("calibrating", flags)
+        command = self._command(now, "calibrating", flags)
         if hands is not None:
             hands.mapper.configure(self._hands.mapper.options, ik=self._hands.mapper.ik)
             self._hands, self._calibration = hands, None
-            self._seat()
-            if self._is_released:
+            self._reset_mapper()
+            if self._state.is_released:
                 hands.mapper.release()
         return command
 
-    def _make_ready(self) -> None:
-        """Seat the mapper where it has to start anew.
-
-        After a failure or a return to rest, or a hold if so asked.
-        """
-        # A mapper that limits accelerations thinks that it still moves as before the hold, until it
-        # is seated anew.
-        wants_clutch = (
+    def _prepare_mapper(self) -> None:
+        """Reset the mapper if it must start again from the robot's posture."""
+        # With acceleration limits, the mapper's velocity state is stale after a hold.
+        resets_after_hold = (
             self.request.resume == "clutch" or self._hands.mapper.ik.max_acceleration is not None
         )
-        if not self._is_released and (
-            self._needs_reference or (wants_clutch and self._watch is not None)
-        ):
-            self._seat()
+        must_reset = self._mapper_state is MapperState.STALE or (
+            resets_after_hold and self._state.is_silent
+        )
+        if must_reset and not self._state.is_released:
+            self._reset_mapper()
 
-    def _map(self, sample: Step, now: float) -> tuple[MapStep, Posture, list[str]]:
-        """The mapper's answer, the human's joint angles (empty if unknown) and wrist, and the clock's flags."""
-        mapper, fitter = self._hands.mapper, self._hands.fitter
-        q, wrist = np.array(sample.q or (), dtype=float), to_matrix(sample.wrist)
-        if fitter is not None:
-            q, wrist, _ = fitter.fit(np.array(sample.landmarks))
-        self._dt, flags = self._clock.grant(sample.time, now)
-        if sample.points is not None:
-            step = mapper.map_points(sample.points, wrist, dt=self._dt)
-        else:
-            step = mapper.map_step(q, np.eye(4) if wrist is None else wrist, dt=self._dt)
-        return step, (q, wrist), flags
-
-    def _note(self, sample: Step, now: float) -> list[str]:
-        """A sample that can be used has come: end what the watchdog did. Flags for its command."""
-        flags = [] if self._watch is None else ["resumed"]
-        self._watch = None
-        self._engaged = "following" if self._engaged == "waiting" else self._engaged
-        self._last_sample = self._last_output = now
+    def _accept(self, sample: Step, now: float) -> list[str]:
+        """Note a sample that can be used, which ends a hold; return flags for its command."""
+        flags = ["resumed"] if self._state.is_silent else []
+        self._handle(Event.SAMPLE)
+        self._watchdog.feed(now)
         self._stamp, self._seq = sample.time, sample.seq
         return flags
 
-    def _seat(self, q: np.ndarray | None = None) -> None:
-        """Put the mapper where the guard is (its joints elsewhere, if given).
+    def _follow(self, mapped: MappedSample) -> list[str]:
+        """Move the robot to the mapper's posture within its limits; return flags."""
+        target = mapped.step.command
+        has_arrived = self._guard.advance(target.q, target.wrist, self._dt)
+        self._mapper_state = MapperState.ALIGNED if has_arrived else MapperState.SLEWING
+        return ["slewing"] if self._is_slewing else []
 
-        The next sample is the reference.
+    def _reset_mapper(self, q: np.ndarray | None = None) -> None:
+        """Reset the mapper to the robot's posture; the next sample is the reference.
+
+        Args:
+            q: Joint angles [rad], shape (n,); those of the robot if omitted.
         """
         robot = self.robot
         angles = np.clip(self._guard.q if q is None else q, robot.lower_limits, robot.upper_limits)
         self._hands.mapper.reset(
             robot_q=angles, robot_wrist=self._guard.wrist if robot.is_floating else None
         )
-        self._is_apart = self._needs_reference = False
+        self._mapper_state = MapperState.ALIGNED
 
-    def _told(self, step: MapStep, human: Posture) -> dict[str, Any]:
-        """What a command says about the mapping."""
-        residuals = step.residuals
+    def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
+        """Return the fields of a command that describe the mapping."""
+        step, residuals = mapped.step, mapped.step.residuals
         return {
             "point_error": to_row(step.point_error),
             "residual": float(np.sqrt(residuals.dot(residuals) / len(residuals))),
-            "at_limit": name_joints(self.robot, step.at_limit),
+            "at_limit": joints_where(self.robot, step.at_limit),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": to_detail(step, human[0] if len(human[0]) else None, human[1])
-            if self._has_detail
-            else None,
+            "detail": to_detail(*mapped) if self._has_detail else None,
         }
 
-    def _command(self, status: str, flags: list[str], **told: Any) -> Command:
-        if self._is_released:
-            flags.append("released")
+    def _command(self, now: float, status: str, flags: list[str], **diagnostics: Any) -> Command:
+        released = ["released"] if self._state.is_released else []
         return Command(
             seq=self._seq,
             name=self.name,
             time=self._stamp,
-            server_time=self._last_output,
+            server_time=now,
             joint_names=self.robot.joint_names,
             q=to_row(self._guard.q),
             wrist=to_pose(self._guard.wrist),
             status=status,
-            flags=tuple(flags),
+            flags=tuple(flags + released),
             epoch=self._epoch,
             dt=self._dt,
-            **told,
+            **diagnostics,
         )
 
 
 def _new_epoch() -> int:
-    """A number that no session has had, on this server or one before it.
-
-    Microseconds of the calendar.
-    """
+    """Return a number that no session has had on any server: microseconds since 1970."""
     return time.time_ns() // 1000

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from logging import INFO
 
 from handmap_qp.errors import RefusedError
+from handmap_qp.service.calibration import Calibration
 from handmap_qp.service.caps import Bucket, Caps
+from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.logs import report
 from handmap_qp.service.messages import Error, Open, encode_reply
 from handmap_qp.service.metrics import Metrics
-from handmap_qp.service.opening import Calibration, HandShelf, prepare_hands
+from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.service.store import PostureStore, Record
 
@@ -48,7 +50,7 @@ class Sessions:
 
     Args:
         caps: What clients are allowed.
-        shelf: The hands there are.
+        cache: The hands there are.
         metrics: Where to count.
         store: Where former sessions left their robots.
         clock: Monotonic clock [s].
@@ -61,16 +63,16 @@ class Sessions:
     def __init__(
         self,
         caps: Caps,
-        shelf: HandShelf,
+        cache: HandCache,
         metrics: Metrics,
         store: PostureStore,
         clock: Callable[[], float],
     ) -> None:
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
-        self._caps, self._shelf, self._metrics, self._store, self._clock = (
+        self._caps, self._cache, self._metrics, self._store, self._clock = (
             caps,
-            shelf,
+            cache,
             metrics,
             store,
             clock,
@@ -126,12 +128,12 @@ class Sessions:
         self._names_opening.add(name)
         try:
             loop = asyncio.get_running_loop()
-            hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._shelf)
+            hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._cache)
             robot = hands.mapper.robot
             # Its client may have come back meanwhile.
             self._check_unattended(self._find_named(request.name))
             former = self._former(request, name, robot.name, len(robot.joint_names))
-            calibration = Calibration(request, self._shelf, self._executor.submit)
+            calibration = Calibration(request, self._cache, self._executor.submit)
             session = Session(
                 request, hands, name, self._clock(), calibration=calibration, former=former
             )
@@ -142,7 +144,8 @@ class Sessions:
         ]:
             self.end(secret, "taken", "another client has taken this session over")
         self.entries[request.session] = Entry(session, request.seq, payload)
-        self._store.note(session.record)
+        if self._store.is_persistent:
+            self._store.note(session.record)
         self._metrics.counts["opened"] += 1
         report(
             INFO,
@@ -163,6 +166,7 @@ class Sessions:
             reason: The same in words, for stream and log.
         """
         session = self.entries.pop(secret).session
+        self._store.note(session.record)
         self._ended[secret] = code
         if len(self._ended) > _REMEMBERED:
             self._ended.popitem(last=False)
@@ -239,6 +243,9 @@ class Sessions:
         """Where the session of this name left the robot, if the request asks for it."""
         if not request.restore:
             return None
+        running = self._find_named(name)
+        if running is not None:
+            self._store.note(running.record)
         found = self._store.find(name, robot, joints)
         if found is None and request.robot_q is None:
             message = f"nothing is known of a session {name!r}; say where the robot is in robot_q"

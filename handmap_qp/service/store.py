@@ -133,10 +133,14 @@ class PostureStore:
                 f"{path}: expected room for {_SIZE} bytes: {error.strerror}"
             ) from error
 
+    @property
+    def is_persistent(self) -> bool:
+        """Whether records are in a file, where they outlive the server."""
+        return self._memory is not None
+
     def note(self, record: Record) -> None:
-        """Note where a session's robot is."""
-        # In the order of the last news, so that the name not heard of for the longest time comes
-        # first.
+        """Keep a record in place of an earlier one of the same session."""
+        # Least recently updated first: the one to evict.
         self._records.pop(record.name, None)
         self._records[record.name] = record
         if self._memory is not None:

@@ -84,7 +84,7 @@ class WebSettings:
             )
 
 
-class WebDoor:
+class WebSocketTransport:
     """The listening WebSocket; an asynchronous context manager that gives the port in use.
 
     Args:

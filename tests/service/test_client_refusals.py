@@ -86,7 +86,9 @@ def test_a_task_that_waits_for_commands_takes_the_stream_that_another_task_opens
             while not waiting.done():
                 await client.step(q=human_q(), wrist=WRIST)
                 await asyncio.sleep(0.01)
-            assert (await waiting).name == other.name
+            command = await waiting
+            assert command is not None
+            assert command.name == other.name
             waiting = asyncio.create_task(client.latest(60.0))
             await asyncio.sleep(0)
             await client.close()

@@ -11,12 +11,13 @@ import json
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
-from service_tools import PERIOD, SECRET, SHELF, Sampler, human_q, make_session, opening, streamed
+from service_tools import CACHE, PERIOD, SECRET, Sampler, human_q, make_session, opening, streamed
 
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
@@ -25,22 +26,23 @@ from handmap_qp.service.messages import PROTOCOL, Command, Request, Status
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Entry
-from handmap_qp.service.store import PostureStore
+from handmap_qp.service.store import PostureStore, Record
 
 
 class Desk:
     """A dispatcher, its clock, and all that goes into its streams.
 
     Args:
+        store: Where postures are noted; in memory if omitted.
         caps: What clients are allowed.
     """
 
-    def __init__(self, **caps: Any) -> None:
+    def __init__(self, store: PostureStore | None = None, **caps: Any) -> None:
         self.now = 0.0
         self.published: list[dict[str, Any]] = []
-        self.metrics, self.store = Metrics(), PostureStore(None)
+        self.metrics, self.store = Metrics(), store or PostureStore(None)
         self.dispatcher = Dispatcher(
-            Caps(**caps), SHELF, self.metrics, store=self.store, clock=lambda: self.now
+            Caps(**caps), CACHE, self.metrics, store=self.store, clock=lambda: self.now
         )
         self.sessions = self.dispatcher.sessions
         self.sessions.publish.append(
@@ -124,7 +126,7 @@ def test_a_session_that_is_heard_of_stays() -> None:
 
 
 def test_a_robot_on_its_way_to_rest_gets_there_before_its_session_is_closed() -> None:
-    sample, rest = Sampler(), SHELF.robot("three_finger", None, None).rest
+    sample, rest = Sampler(), CACHE.robot("three_finger", None, None).rest
     with desk({"idle": 0.2}, watchdog=0.05, return_after=0.3) as here:
         for i in range(10):
             here.now += PERIOD
@@ -170,3 +172,35 @@ def test_a_session_that_fails_leaves_the_others_their_watchdogs(
     assert (line["event"], line["level"]) == ("failed", "error")
     assert "in burst" in line["traceback"]
     here.sessions.close()
+
+
+class RecordingStore(PostureStore):
+    """A store that counts its records."""
+
+    notes = 0
+
+    def note(self, record: Record) -> None:
+        self.notes += 1
+        super().note(record)
+
+
+@pytest.mark.parametrize("file", ["state", None])
+def test_postures_are_noted_at_each_command_only_with_a_file(
+    tmp_path: Path, file: str | None
+) -> None:
+    sample, secret = Sampler(), "another-secret-of-the-tests"
+    with RecordingStore(tmp_path / file if file else None) as store:
+        here = Desk(store)
+        asyncio.run(here.sessions.open(opening(name="lab"), b""))
+        last = [here.take(sample())[0] for _ in range(10)][-1]
+        assert store.notes == (11 if file else 0)
+        # The posture is known all the same, to one who takes the session over or comes back.
+        here.wait(1.0)
+        again = msgspec.structs.replace(opening(name="lab", restore=True), session=secret)
+        session = asyncio.run(here.sessions.open(again, b""))
+        assert session.record.q == tuple(last["q"])
+        here.sessions.end(secret, "no_session", "test")
+        found = store.find("lab", "three_finger", 8)
+        assert found is not None
+        assert found.q == tuple(last["q"])
+        here.sessions.close()

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from service_tools import SHELF, Sampler, human_q, make_session, opening, run_now
+from service_tools import CACHE, Sampler, human_q, make_session, opening, run_now
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.service.calibration import CALIBRATION_SAMPLES, Calibration
 from handmap_qp.service.messages import PROTOCOL, Configure
-from handmap_qp.service.opening import CALIBRATION_SAMPLES, Calibration, Hands, prepare_hands
+from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.trackers.recording import read_recording
 
@@ -23,7 +24,7 @@ PERIOD = 1.0 / 60.0
 
 def landmarks_of(scale: float = 1.0, phase: float = 0.0) -> tuple[tuple[float, ...], ...]:
     """Landmarks of the model's hand, in metres or in units of another scale."""
-    points = SHELF.human("right", "landmarks").points(human_q(phase), np.eye(4))
+    points = CACHE.human("right", "landmarks").points(human_q(phase), np.eye(4))
     return tuple(map(tuple, (scale * points).tolist()))
 
 
@@ -38,7 +39,7 @@ def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
     assert about.mapping["ridge"] == 0.4
     assert about.lengths is not None
     # The measured hand is the one that the landmarks were made of.
-    own = HumanLengths.from_urdf(SHELF.human("right", None).urdf_text)
+    own = HumanLengths.from_urdf(CACHE.human("right", None).urdf_text)
     np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)
 
 
@@ -77,10 +78,10 @@ def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it
 
 def test_a_known_hand_needs_no_measuring() -> None:
     request = opening(input="landmarks", hand_length=0.19)
-    hands: Hands = prepare_hands(request, SHELF)
+    hands: Hands = prepare_hands(request, CACHE)
     assert not hands.needs_measuring
     assert hands.fitter is not None
-    session = Session(request, hands, "test", 0.0, calibration=Calibration(request, SHELF, run_now))
+    session = Session(request, hands, "test", 0.0, calibration=Calibration(request, CACHE, run_now))
     landmarks = hands.fitter.human.points(human_q())
     command = session.step(Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1)
     assert command.status != "calibrating"

@@ -10,14 +10,14 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from service_tools import SHELF
+from service_tools import CACHE
 from strategies import generators, motion_of, rotations, translations
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.service.safety import SHORTEST_DT, SpeedGuard, StepClock
 
-ROBOT = SHELF.robot("three_finger", None, None)
-FIXED = SHELF.robot("three_finger", None, "fixed")
+ROBOT = CACHE.robot("three_finger", None, None)
+FIXED = CACHE.robot("three_finger", None, "fixed")
 poses = st.builds(motion_of, rotations, translations)
 times = st.floats(min_value=1e-4, max_value=0.1)
 

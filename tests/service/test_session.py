@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from service_tools import (
+    CACHE,
     HERE,
     PERIOD,
     RESET,
-    SHELF,
     Sampler,
     change,
     follow,
@@ -132,7 +132,7 @@ def test_reset_to_where_the_robot_is_said_to_be_starts_there() -> None:
 
 
 def test_a_robot_slightly_outside_its_limits_comes_back_within_them() -> None:
-    robot = SHELF.robot("three_finger", None, None)
+    robot = CACHE.robot("three_finger", None, None)
     outside = robot.upper_limits + 0.05
     session, sample = make_session(robot_q=tuple(outside)), Sampler()
     assert np.array_equal(session.posture[0], outside)
@@ -194,7 +194,7 @@ def test_a_failure_inside_the_mapper_leaves_the_robot_where_it_is(
 
 def test_points_need_no_joint_angles() -> None:
     session, sample = make_session(input="points", robot_wrist=HERE), Sampler()
-    human = SHELF.human("right", None)
+    human = CACHE.human("right", None)
     motion = [tuple(map(tuple, human.points(human_q(0.1 * i)).tolist())) for i in range(10)]
     commands = [
         session.step(sample(points=points, wrist=None), i * PERIOD)

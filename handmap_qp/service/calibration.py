@@ -1,0 +1,74 @@
+"""Measure the human hand from the first landmarks of a session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+
+import numpy as np
+
+from handmap_qp.service.hand_cache import HandCache
+from handmap_qp.service.messages import Open
+from handmap_qp.service.opening import Hands, prepare_hands
+from handmap_qp.service.refusals import with_field_errors
+from handmap_qp.trackers.landmarks import check_length, measure_hand
+from handmap_qp.trackers.recording import Recording
+
+CALIBRATION_SAMPLES = 30
+"""Number of landmark samples that the human hand is measured from."""
+
+Defer = Callable[[Callable[[], Hands]], "Future[Hands]"]
+"""Runs slow work in another thread."""
+
+
+class Calibration:
+    """Measure the human hand from landmarks, and prepare the hands of the session with it.
+
+    Args:
+        request: The request that opened the session.
+        cache: The hands that clients may open.
+        defer: Runs the measurement, which takes some 50 ms, in another thread.
+    """
+
+    def __init__(self, request: Open, cache: HandCache, defer: Defer) -> None:
+        self._request = request
+        self._cache = cache
+        self._defer = defer
+        self._landmarks: list[np.ndarray] = []
+        self._work: Future[Hands] | None = None
+
+    def add(self, landmarks: np.ndarray) -> Hands | None:
+        """Take one more sample.
+
+        Args:
+            landmarks: Shape (21, 3) [m].
+
+        Returns:
+            The hands, once they are ready.
+
+        Raises:
+            RefusedError: If the landmarks are not a hand in metres; the sample is then ignored. Or
+                if the samples so far cannot be measured; then new ones are collected.
+        """
+        with_field_errors("landmarks", lambda: check_length(landmarks[None]))
+        if self._work is None:
+            self._landmarks.append(landmarks)
+            if len(self._landmarks) >= CALIBRATION_SAMPLES:
+                collected, self._landmarks = np.array(self._landmarks), []
+                self._work = self._defer(lambda: self._prepare(collected))
+        if self._work is None or not self._work.done():
+            return None
+        work, self._work = self._work, None
+        return work.result()
+
+    def _prepare(self, landmarks: np.ndarray) -> Hands:
+        count = len(landmarks)
+        recording = Recording(
+            "calibration",
+            np.arange(count, dtype=float),
+            landmarks,
+            np.ones(count, dtype=bool),
+            self._request.side,
+        )
+        lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
+        return prepare_hands(self._request, self._cache, lengths)

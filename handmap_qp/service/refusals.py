@@ -1,0 +1,123 @@
+"""Errors of the library as refusals that name the field of the client's request."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+
+from handmap_qp.errors import (
+    HandError,
+    HandmapError,
+    InvalidInputError,
+    InvalidOptionsError,
+    RefusedError,
+)
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.mapping.options import MappingOptions
+
+_LONGEST_MESSAGE = 400
+_FIELDS = {
+    "human_q": "q",
+    "wrist_pose": "wrist",
+    "points": "points",
+    "landmarks": "landmarks",
+    "robot_q": "robot_q",
+    "robot_wrist": "robot_wrist",
+}
+"""Fields of requests by the arguments of the library that take them."""
+_OPTIONS = {item.name: "mapping" for item in fields(MappingOptions)} | {
+    item.name: "ik" for item in fields(IkOptions)
+}
+"""Fields of requests by the options inside them."""
+_T = TypeVar("_T")
+
+
+def refused(error: HandmapError, field: str = "") -> RefusedError:
+    """Return an error of the library as a refusal.
+
+    Args:
+        error: The error; its attributes name the argument or option at fault.
+        field: The field at fault, if the error does not name another one.
+    """
+    if isinstance(error, RefusedError):
+        return error
+    own, message = "", str(error)
+    # TEMPORARY, until all raise sites name their argument.
+    if isinstance(error, InvalidInputError | InvalidOptionsError) and ": " in message:
+        head = message.partition(":")[0]
+        if isinstance(error, InvalidInputError):
+            error.argument = error.argument or (head if head in _FIELDS else "")
+        else:
+            error.option = error.option or (head if head in _OPTIONS else "")
+    if isinstance(error, InvalidInputError):
+        own = _field_of_argument(error.argument)
+        message = message.removeprefix(f"{error.argument}: ") if own else message
+    elif isinstance(error, InvalidOptionsError) and error.option in _OPTIONS:
+        own = f"{_OPTIONS[error.option]}.{error.option}"
+        message = message.removeprefix(f"{error.option}: ")
+    elif isinstance(error, HandError):
+        # Clients must not learn the server's paths.
+        message = f"{error.key}: {error.problem}" if error.key else error.problem
+    return RefusedError("invalid", " ".join(message.split())[:_LONGEST_MESSAGE], field=own or field)
+
+
+def with_field_errors(field: str, make: Callable[[], _T]) -> _T:
+    """Return what `make` returns, and raise its errors as refusals of a field.
+
+    Raises:
+        RefusedError: With the field that the error names, or else `field`.
+    """
+    try:
+        return make()
+    except HandmapError as error:
+        raise refused(error, field) from error
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        message = f"cannot be used: {error}"[:_LONGEST_MESSAGE]
+        raise RefusedError("invalid", message, field=field) from error
+
+
+def with_option_errors(robot: Hand, ik: IkOptions, make: Callable[[], _T]) -> _T:
+    """Return what `make` returns, and raise its errors as refusals of options.
+
+    Args:
+        robot: The robot hand.
+        ik: Options of the QP.
+        make: Makes or configures a mapper.
+
+    Raises:
+        RefusedError: With the option at fault. If the error names none: `ik` if the QP alone cannot
+            be set up, `mapping` if it can.
+    """
+    try:
+        return with_field_errors("mapping", make)
+    except RefusedError:
+        with_field_errors("ik", lambda: PointIk(robot, ik))
+        raise
+
+
+def split_validation_error(error: msgspec.ValidationError) -> tuple[str, str]:
+    """Split the text of msgspec's error into its message and the path of the value at fault.
+
+    msgspec 0.19 to 0.22 has no attributes for them. It appends the path as a JSON path to the
+    message: "Expected `float`, got `str` - at `$.q[1]`".
+
+    Returns:
+        The message, and the path such as `q[1]`; empty for the message as a whole.
+    """
+    message, _, path = str(error).rpartition(" - at `$")
+    if not message:
+        return str(error), ""
+    return message, path.rstrip("`").lstrip(".")
+
+
+def _field_of_argument(argument: str) -> str:
+    """Return the field of a request for an argument such as `human_q` or `points[3]`."""
+    name, bracket, index = argument.partition("[")
+    field = _FIELDS.get(name, "")
+    return field + bracket + index if field else ""

@@ -1,0 +1,119 @@
+"""The states of a session and their transitions.
+
+A client moves a session between waiting, following and released. While no samples arrive, the
+watchdog moves it to a hold, and by option on to a return to the rest posture.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import Literal
+
+Mode = Literal["waiting", "following", "released", "hold", "returning"]
+"""A state as clients read it."""
+
+
+class SessionState(Enum):
+    """What a session does."""
+
+    WAITING = auto()
+    """No sample has arrived yet."""
+    FOLLOWING = auto()
+    """The robot follows the human."""
+    RELEASED = auto()
+    """The robot holds its posture because a client released it."""
+    HOLDING = auto()
+    """The robot holds its posture because samples stay away; it follows the next one."""
+    HOLDING_RELEASED = auto()
+    """As `HOLDING`, but released: the next sample does not move the robot."""
+    RETURNING = auto()
+    """The robot moves to its rest posture because samples stay away."""
+
+    @property
+    def is_released(self) -> bool:
+        """Whether a client released the robot."""
+        return self in (SessionState.RELEASED, SessionState.HOLDING_RELEASED)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the watchdog acts because samples stay away."""
+        return self in (SessionState.HOLDING, SessionState.HOLDING_RELEASED, SessionState.RETURNING)
+
+    @property
+    def mode(self) -> Mode:
+        """The state as clients read it."""
+        return _MODES[self]
+
+
+class Event(Enum):
+    """What changes the state of a session."""
+
+    SAMPLE = auto()
+    """A sample that can be used."""
+    CLUTCH = auto()
+    RELEASE = auto()
+    RESET = auto()
+    SILENCE = auto()
+    """The watchdog: no sample for too long."""
+    RETURN = auto()
+    """The watchdog: the hold has lasted long enough."""
+    ARRIVAL = auto()
+    """The robot is at its rest posture."""
+
+
+_TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
+    SessionState.WAITING: {
+        Event.SAMPLE: SessionState.FOLLOWING,
+        Event.RELEASE: SessionState.RELEASED,
+    },
+    SessionState.FOLLOWING: {
+        Event.RELEASE: SessionState.RELEASED,
+        Event.SILENCE: SessionState.HOLDING,
+    },
+    SessionState.RELEASED: {
+        Event.CLUTCH: SessionState.FOLLOWING,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.SILENCE: SessionState.HOLDING_RELEASED,
+    },
+    SessionState.HOLDING: {
+        Event.SAMPLE: SessionState.FOLLOWING,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.RELEASE: SessionState.HOLDING_RELEASED,
+        Event.RETURN: SessionState.RETURNING,
+    },
+    SessionState.HOLDING_RELEASED: {
+        Event.SAMPLE: SessionState.RELEASED,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.CLUTCH: SessionState.HOLDING,
+    },
+    SessionState.RETURNING: {
+        Event.SAMPLE: SessionState.FOLLOWING,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.RELEASE: SessionState.HOLDING_RELEASED,
+        Event.ARRIVAL: SessionState.HOLDING,
+    },
+}
+_MODES: dict[SessionState, Mode] = {
+    SessionState.WAITING: "waiting",
+    SessionState.FOLLOWING: "following",
+    SessionState.RELEASED: "released",
+    SessionState.HOLDING: "hold",
+    SessionState.HOLDING_RELEASED: "hold",
+    SessionState.RETURNING: "returning",
+}
+
+
+def next_state(state: SessionState, event: Event) -> SessionState:
+    """Return the state after an event; an event that is not in the table changes nothing."""
+    return _TRANSITIONS[state].get(event, state)
+
+
+class MapperState(Enum):
+    """How the posture of the mapper relates to the posture last commanded."""
+
+    ALIGNED = auto()
+    """They are the same."""
+    SLEWING = auto()
+    """The robot is on its way to the mapper's posture, within its speed limits."""
+    STALE = auto()
+    """The mapper must be reset to the robot's posture before the next sample."""

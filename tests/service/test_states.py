@@ -1,0 +1,74 @@
+"""The states of a session: every state under every event."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handmap_qp.service.states import Event, SessionState, next_state
+
+WATCHDOG_EVENTS = (Event.SILENCE, Event.RETURN, Event.ARRIVAL)
+every_state = pytest.mark.parametrize("state", SessionState, ids=lambda state: state.name)
+
+
+@every_state
+def test_a_sample_ends_silence_and_keeps_a_release(state: SessionState) -> None:
+    after = next_state(state, Event.SAMPLE)
+    assert not after.is_silent
+    assert after is not SessionState.WAITING
+    assert after.is_released == state.is_released
+
+
+@every_state
+def test_release_and_clutch_change_the_release_and_nothing_else(state: SessionState) -> None:
+    released, clutched = next_state(state, Event.RELEASE), next_state(state, Event.CLUTCH)
+    assert released.is_released
+    assert not clutched.is_released
+    assert released.is_silent == clutched.is_silent == state.is_silent
+    assert released is not SessionState.RETURNING
+
+
+@every_state
+def test_a_reset_ends_silence_and_release(state: SessionState) -> None:
+    after = next_state(state, Event.RESET)
+    expected = SessionState.WAITING if state is SessionState.WAITING else SessionState.FOLLOWING
+    assert after is expected
+
+
+@every_state
+def test_only_silence_of_an_active_session_starts_a_hold(state: SessionState) -> None:
+    after = next_state(state, Event.SILENCE)
+    is_active = state in (SessionState.FOLLOWING, SessionState.RELEASED)
+    assert after.is_silent == (is_active or state.is_silent)
+    assert after.is_released == state.is_released
+
+
+@every_state
+def test_only_an_engaged_hold_starts_a_return(state: SessionState) -> None:
+    starts = next_state(state, Event.RETURN) is SessionState.RETURNING
+    assert starts == (state in (SessionState.HOLDING, SessionState.RETURNING))
+    arrived = next_state(state, Event.ARRIVAL)
+    assert (arrived is not state) == (state is SessionState.RETURNING)
+
+
+@given(st.lists(st.sampled_from(Event)))
+def test_the_watchdog_never_acts_before_the_first_sample_or_release(events: list[Event]) -> None:
+    state, has_begun = SessionState.WAITING, False
+    for event in events:
+        state = next_state(state, event)
+        has_begun |= event in (Event.SAMPLE, Event.RELEASE)
+        assert (state is SessionState.WAITING) == (not has_begun)
+
+
+@given(st.lists(st.sampled_from(Event)))
+def test_a_released_robot_stays_released_until_it_is_clutched_or_reset(
+    events: list[Event],
+) -> None:
+    state = SessionState.RELEASED
+    for event in events:
+        state = next_state(state, event)
+        if event in (Event.CLUTCH, Event.RESET):
+            break
+        assert state.is_released
+        assert state is not SessionState.RETURNING
