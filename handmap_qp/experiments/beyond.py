@@ -28,7 +28,7 @@ from handmap_qp.experiments.section_four import (
     run_experiment,
 )
 from handmap_qp.grasp.planning import PlannedGrasp, plan_grasps
-from handmap_qp.grasp.preshape import default_closing
+from handmap_qp.grasp.preshape import default_preshape
 from handmap_qp.hands.library import load_hand
 
 SYNERGIES = (1, 2, 3)
@@ -176,20 +176,20 @@ def plan(hand: str, progress: Callable[[int], None] | None = None) -> list[Plann
     cube, model = paper_scene("ours").human, load_hand(hand)
     if cube.shape is None:
         raise TypeError("the reference grasp has no shape")
-    closing = default_closing(model)
+    preshape = default_preshape(model)
     if hand in _OPPOSITION:
         # With its thumb at rest, and from as far as the planner starts, this large hand never gets
         # all round so small a cube.
-        joint, start = model.joint_names.index(_OPPOSITION[hand]), closing.start.copy()
+        joint, start = model.joint_names.index(_OPPOSITION[hand]), preshape.start.copy()
         start[joint] = model.upper_limits[joint]
-        closing = replace(closing, start=start, clearance=0.0)
+        preshape = replace(preshape, start=start, clearance=0.0)
     return plan_grasps(
         model,
         cube.shape,
         samples=PLANS,
         seed=SEED,
         object_pose=cube.object_pose,
-        closing=closing,
+        preshape=preshape,
         progress=progress,
     )
 

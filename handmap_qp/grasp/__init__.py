@@ -1,11 +1,9 @@
-"""Grasps.
+"""Grasps: contacts, statics, quality measures, closing and planning (Sec. IV of the paper).
 
-Contacts of a hand with an object, what they bear, how good they are and how they come about (Sec.
-IV of the paper).
-
-The grasp as a value, from `contacts`, and its statics with soft synergies, from `statics`, can be
-imported from here. `quality` rates a grasp; `preshape` and `closing` close a hand on an object, and
-`planning` does so many times and ranks what it gets; `reference` has the paper's own pair.
+`Grasp` and `Contact` are in `contacts`; the statics with soft synergies are in `statics`. Both can
+be imported from here. `measures` rates a grasp. `preshape` and `closing` close a hand on an object;
+`planning` closes it from many palm poses and ranks the grasps. `paper_cube` holds the two grasps of
+the paper.
 """
 
 from handmap_qp.grasp.contacts import Contact, Grasp, contact_jacobian, contact_points

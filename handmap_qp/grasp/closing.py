@@ -1,10 +1,8 @@
-"""Closing a hand on an object by its collision shapes.
+"""Close a hand on an object by its collision shapes: `close_hand`, or `HandCloser` for many poses.
 
-`close_hand`, or `HandCloser` for many wrist poses.
-
-Every finger closes on its own, all its closing joints at once. Where one of its links touches the
-object, the joints that carry that link stop, and the others go on, until each has stopped or is at
-its limit. Fingers do not see one another.
+Fingers close one after the other, all closing joints of a finger at once. When a link touches the
+object, the joints that carry it stop. The others continue until each has stopped or reached its
+limit. Contact between fingers is ignored.
 """
 
 from __future__ import annotations
@@ -17,26 +15,24 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import finite_array, positive_number
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.grasp.preshape import Closing, default_closing, finger_names
-from handmap_qp.grasp.statics import finite_array
+from handmap_qp.grasp.preshape import Preshape, default_preshape, finger_names
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import PoseLike, check_pose, inverse_pose, transform_points
 
 STEP = 0.02
-"""Largest step of a closing joint between two looks at the object [rad]."""
+"""Largest step of a closing joint between two distance queries [rad]."""
 MARGIN = 1e-4
-"""A link touches the object when it is this near [m]: so near that it makes no difference, and
-still far enough for the direction from the one to the other to be well defined."""
+"""Distance at which a link touches the object [m]; > 0, so that the normal is well defined."""
 
-# Coal's own tolerance, well below what a microradian moves a fingertip.
+# Tolerance of coal's distances [m]; a fingertip moves farther than this in 1e-6 rad.
 _DISTANCE_TOLERANCE = 1e-8
-# Joint angles at which a link touches are found this exactly [rad].
+# Tolerance of the joint angles at first touch [rad].
 _ANGLE_TOLERANCE = 1e-6
-# Neighbouring links share the skin round the joint between them; contacts of the two that are this
-# near are one [m].
+# Contacts nearer than this are merged [m]: shapes of neighbouring links overlap at their joint.
 _SAME_CONTACT = 1e-3
 
 
@@ -44,22 +40,22 @@ class HandCloser:
     """Closes one hand on one object, from any wrist pose.
 
     Args:
-        hand: The hand; its URDF's collision shapes count.
-        shape: The object.
-        object_pose: The object in the world; the identity if omitted.
-        closing: How the hand closes; `default_closing` if omitted.
-        step: Largest step of a joint between two looks at the object [rad]; a link that would meet
-            the object and leave it again within one step may be missed.
-        margin: A link touches the object when it is this near [m].
+        hand: The hand; the collision shapes of its URDF are used.
+        shape: Shape of the object.
+        object_pose: Pose of the object in the world; the identity if omitted.
+        preshape: Start posture and closing directions; `default_preshape` if omitted.
+        step: Largest step of a joint between two distance queries [rad]. A link that enters and
+            leaves the object within one step may be missed.
+        margin: Distance at which a link touches the object [m].
 
     Attributes:
         hand: The hand.
-        closing: How it closes.
-        links: The link of each collision shape, k of them.
+        preshape: The preshape in use.
+        links: Link of each of the k collision shapes.
 
     Raises:
-        InvalidInputError: On a closing that does not fit the hand, or a step or margin that is not
-            > 0.
+        InvalidInputError: On a preshape that does not fit the hand, an unknown shape, an invalid
+            pose, or a step or margin that is not > 0.
         HandError: If the hand has no collision shapes, or they cannot be read.
     """
 
@@ -69,23 +65,21 @@ class HandCloser:
         shape: Shape,
         object_pose: PoseLike | None = None,
         *,
-        closing: Closing | None = None,
+        preshape: Preshape | None = None,
         step: float = STEP,
         margin: float = MARGIN,
     ) -> None:
-        for name, value in (("step", step), ("margin", margin)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InvalidInputError(f"{name}: expected a number > 0, got {value}", value=value)
+        self._step = positive_number(step, "step")
+        self._margin = positive_number(margin, "margin")
+        solid = _solid(shape)
         self.hand = hand
-        self.closing = closing or default_closing(hand)
-        _check_closing(hand, self.closing)
+        self.preshape = preshape or default_preshape(hand)
+        _check_preshape(hand, self.preshape)
         self._shape = shape
         self._object_pose = (
             np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
         )
-        self._step = step
-        self._margin = margin
-        self._end = np.where(self.closing.direction > 0.0, hand.upper_limits, hand.lower_limits)
+        self._end = np.where(self.preshape.direction > 0.0, hand.upper_limits, hand.lower_limits)
         self._geometry = read_collision_shapes(hand)
         if self._geometry.ngeoms == 0:
             raise hand.spec.error(
@@ -96,33 +90,34 @@ class HandCloser:
         parts = list(self._geometry.geometryObjects)
         self.links = tuple(hand.model.frames[part.parentFrame].name for part in parts)
         self._carries = _carried_parts(hand, [part.parentJoint for part in parts])
-        solid = pin.GeometryObject("object", 0, pin.SE3(self._object_pose), _solid(shape))
-        held = self._geometry.addGeometryObject(solid)
+        held = self._geometry.addGeometryObject(
+            pin.GeometryObject("object", 0, pin.SE3(self._object_pose), solid)
+        )
         for part in range(len(parts)):
             self._geometry.addCollisionPair(pin.CollisionPair(part, held))
         self._data = hand.model.createData()
         self._geometry_data = self._geometry.createData()
         with warnings.catch_warnings():
-            # Coal is about to rename this switch; until then it says so at every touch.
+            # Coal deprecates this attribute and warns at each access.
             warnings.simplefilter("ignore", DeprecationWarning)
             for request in self._geometry_data.distanceRequests:
-                # Without a warm start a distance depends on the posture alone, not on those looked
-                # at before.
+                # No warm start: the result must not depend on earlier queries.
                 request.enable_cached_gjk_guess = False
                 request.gjk_tolerance = request.epa_tolerance = _DISTANCE_TOLERANCE
-        self._groups = _groups(np.flatnonzero(self.closing.direction).tolist(), self._carries)
+        self._groups = _groups(np.flatnonzero(self.preshape.direction).tolist(), self._carries)
 
     def distances(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
-        """Distance of each of the hand's collision shapes from the object.
-
-        Below 0 where it reaches in.
+        """Signed distance from each collision shape of the hand to the object.
 
         Args:
             q: Joint angles [rad], shape (n,).
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+            wrist_pose: Pose of the wrist in the world, shape (4, 4); the identity if omitted.
 
         Returns:
-            Distances [m] in the order of `links`, shape (k,).
+            Distances [m] in the order of `links`, shape (k,); < 0 where a shape penetrates.
+
+        Raises:
+            InvalidInputError: On a wrong shape or an invalid pose.
         """
         vector = self.hand.configuration_vector(q, wrist_pose)
         pin.computeDistances(
@@ -131,32 +126,33 @@ class HandCloser:
         return np.array([result.min_distance for result in self._geometry_data.distanceResults])
 
     def starts_clear(self, wrist_pose: np.ndarray | None = None) -> bool:
-        """Whether the open hand touches nothing."""
-        return bool((self.distances(self.closing.start, wrist_pose) > self._margin).all())
+        """Whether the open hand does not touch the object."""
+        return bool((self.distances(self.preshape.start, wrist_pose) > self._margin).all())
 
     def close(self, wrist_pose: np.ndarray | None = None) -> Grasp:
-        """Close the hand, its wrist standing still.
+        """Close the hand with its wrist at rest.
 
         Args:
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted, and for a fixed
-                hand.
+            wrist_pose: Pose of the wrist in the world, shape (4, 4); the identity if omitted. It
+                must be omitted for a hand with a fixed wrist.
 
         Returns:
-            The grasp; its contacts are ordered by finger, and outwards on each. A hand that closed
-            beside the object has none.
+            The grasp. Contacts are ordered by finger, proximal first on each. There are none if
+            the hand missed the object.
 
         Raises:
-            InvalidInputError: If the open hand touches the object already, or the wrist pose cannot
-                be used.
+            InvalidInputError: If the open hand already touches the object, or the wrist pose is
+                invalid.
         """
         if wrist_pose is not None:
             wrist_pose = check_pose(wrist_pose, "wrist_pose")
         if not self.starts_clear(wrist_pose):
             raise InvalidInputError(
-                f"wrist_pose: the open {self.hand.name} hand touches the object there",
+                argument="wrist_pose",
+                problem=f"the open {self.hand.name} hand already touches the object",
                 value=wrist_pose,
             )
-        q = self.closing.start.copy()
+        q = self.preshape.start.copy()
         for joints in self._groups:
             q = self._close_joints(q, joints, wrist_pose)
         return Grasp(
@@ -188,7 +184,7 @@ class HandCloser:
         touching: np.ndarray,
         wrist_pose: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where on the way between two postures the moving links begin to touch, and which do."""
+        """Bisect between two postures: the first that touches, and the shapes that touch there."""
         while np.abs(touch - clear).max() > _ANGLE_TOLERANCE:
             between = 0.5 * (clear + touch)
             found = moving & (self.distances(between, wrist_pose) <= self._margin)
@@ -201,19 +197,19 @@ class HandCloser:
     def _contacts(self, q: np.ndarray, wrist_pose: np.ndarray | None) -> tuple[Contact, ...]:
         near = np.flatnonzero(self.distances(q, wrist_pose) <= self._margin).tolist()
         results, parts = self._geometry_data.distanceResults, self._geometry.geometryObjects
-        # From the palm outwards, finger by finger in the order of the joints.
+        # Proximal first, finger by finger in the order of the joints.
         order = sorted(near, key=lambda part: np.flatnonzero(self._carries[:, part])[-1:].tolist())
         names = [self.links[part] for part in order]
         links = self.hand.link_poses(names, q, wrist_pose)
         finger_of = finger_names(self.hand)
         contacts: list[Contact] = []
-        places: list[np.ndarray] = []
+        points: list[np.ndarray] = []
         for part, name, pose in zip(order, names, links, strict=True):
-            place = np.array(results[part].getNearestPoint1())
-            if any(np.linalg.norm(place - other) < _SAME_CONTACT for other in places):
+            point = np.array(results[part].getNearestPoint1())
+            if any(np.linalg.norm(point - other) < _SAME_CONTACT for other in points):
                 continue
-            places.append(place)
-            x, y, z = transform_points(inverse_pose(pose), place)
+            points.append(point)
+            x, y, z = transform_points(inverse_pose(pose), point)
             a, b, c = np.array(results[part].normal) @ pose[:3, :3]
             contacts.append(
                 Contact(name, (x, y, z), (a, b, c), finger_of.get(parts[part].parentJoint))
@@ -227,27 +223,47 @@ def close_hand(
     object_pose: PoseLike | None = None,
     wrist_pose: np.ndarray | None = None,
     *,
-    closing: Closing | None = None,
+    preshape: Preshape | None = None,
     step: float = STEP,
     margin: float = MARGIN,
 ) -> Grasp:
-    """Close a hand on an object once; arguments as of `HandCloser` and `HandCloser.close`."""
-    return HandCloser(hand, shape, object_pose, closing=closing, step=step, margin=margin).close(
+    """Close a hand on an object once.
+
+    Args:
+        hand: As for `HandCloser`.
+        shape: As for `HandCloser`.
+        object_pose: As for `HandCloser`.
+        wrist_pose: As for `HandCloser.close`.
+        preshape: As for `HandCloser`.
+        step: As for `HandCloser`.
+        margin: As for `HandCloser`.
+
+    Returns:
+        The grasp.
+
+    Raises:
+        InvalidInputError: As for `HandCloser` and `HandCloser.close`.
+        HandError: If the hand has no collision shapes, or they cannot be read.
+    """
+    return HandCloser(hand, shape, object_pose, preshape=preshape, step=step, margin=margin).close(
         wrist_pose
     )
 
 
-def _check_closing(hand: Hand, closing: Closing) -> None:
+def _check_preshape(hand: Hand, preshape: Preshape) -> None:
     count = len(hand.joint_names)
-    start = finite_array(closing.start, (count,), "closing.start")
-    direction = finite_array(closing.direction, (count,), "closing.direction")
+    start = finite_array(preshape.start, (count,), "preshape.start")
+    direction = finite_array(preshape.direction, (count,), "preshape.direction")
     if not np.isin(direction, (-1.0, 0.0, 1.0)).all() or not direction.any():
         raise InvalidInputError(
-            f"closing.direction: expected -1, 0 and 1, and not 0 alone, got {direction}",
+            argument="preshape.direction",
+            expected="-1, 0 or 1 for each joint, not all 0",
             value=direction,
         )
     if not ((hand.lower_limits <= start) & (start <= hand.upper_limits)).all():
-        raise InvalidInputError("closing.start: outside the hand's limits", value=start)
+        raise InvalidInputError(
+            argument="preshape.start", expected="angles within the hand's limits", value=start
+        )
 
 
 def _solid(shape: Shape) -> Any:
@@ -258,13 +274,11 @@ def _solid(shape: Shape) -> Any:
             return pin.coal.Sphere(radius)
         case Cylinder(radius, length):
             return pin.coal.Cylinder(radius, length)
-    raise InvalidInputError(
-        f"shape: expected a Box, Sphere or Cylinder, got {shape!r}", value=shape
-    )
+    raise InvalidInputError(argument="shape", expected="a Box, Sphere or Cylinder", value=shape)
 
 
 def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
-    """Which collision shapes each joint moves, itself or by followers, shape (joints, shapes)."""
+    """Whether each joint, or a mimic joint of it, moves each shape; shape (joints, shapes)."""
     carried = np.zeros((len(hand.joint_names), len(parents)), dtype=bool)
     here = hand.configuration_vector(hand.rest)
     for joint, row in enumerate(carried):
@@ -279,10 +293,7 @@ def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
 
 
 def _groups(joints: list[int], carries: np.ndarray) -> list[list[int]]:
-    """Closing joints put together where they move a shape in common.
-
-    A finger each, or fingers that are coupled.
-    """
+    """Group closing joints that move a common shape: a group per finger or coupled fingers."""
     groups: list[list[int]] = []
     for joint in joints:
         coupled = [group for group in groups if (carries[group] & carries[joint]).any()]

@@ -1,22 +1,23 @@
-"""Grasps: contacts on the links of a hand, and the grasp as a value (Sec. IV of the paper).
+"""A grasp as a value: a hand, an object and their contacts (Sec. IV of the paper).
 
-`Grasp` knows its contacts in the world, its grasp matrix G and its contact Jacobian J, and answers
-to synergies by `handmap_qp.grasp.statics`, whose conventions hold here too: hard fingers, world
-axes, torques about the object's centre.
+`Grasp` gives its contacts in the world, its grasp matrix G and its contact Jacobian J. Conventions
+are those of `handmap_qp.grasp.statics`: hard-finger contacts, world axes, torques about the
+object's centre.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import finite_array
 from handmap_qp.grasp.objects import Shape
-from handmap_qp.grasp.statics import QuasiStatic, Stiffness, finite_array, grasp_matrix, quasistatic
+from handmap_qp.grasp.statics import QuasiStatic, Stiffness, grasp_matrix, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Vector
 from handmap_qp.transform import check_pose, transform_points
@@ -24,16 +25,16 @@ from handmap_qp.transform import check_pose, transform_points
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A place on a link that touches the object; it moves with the link.
+    """A contact point, fixed to a link of the hand.
 
     Attributes:
         link: Link of the hand's URDF.
-        xyz: Place in link coordinates [m].
-        normal: Unit vector into the object, in link coordinates; normalised on the way in.
+        xyz: Position in link coordinates [m].
+        normal: Unit vector into the object, in link coordinates; normalised at construction.
         finger: Anatomical name of the finger, as in `PointSpec`.
 
     Raises:
-        InvalidInputError: If a number is not finite or the normal has no direction.
+        InvalidInputError: If a number is not finite or the normal is zero.
     """
 
     link: str
@@ -47,7 +48,7 @@ class Contact:
         length = float(np.linalg.norm(normal))
         if not length > 1e-9:
             raise InvalidInputError(
-                f"normal: expected a direction, got {self.normal}", value=self.normal
+                argument="normal", expected="a vector of non-zero length", value=self.normal
             )
         x, y, z = map(float, xyz)
         object.__setattr__(self, "xyz", (x, y, z))
@@ -62,15 +63,14 @@ class Grasp:
     Attributes:
         hand: The hand.
         q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
-        object_pose: The object in the world, shape (4, 4); wrenches are about its origin.
-        contacts: Where they touch; n_c of them.
-        wrist_pose: The wrist in the world, shape (4, 4); None is the identity, and all that a fixed
-            hand takes.
-        shape: The object's shape, where it is known.
+        object_pose: Pose of the object in the world, shape (4, 4); wrenches are about its origin.
+        contacts: The n_c contacts.
+        wrist_pose: Pose of the wrist in the world, shape (4, 4); None is the identity. It must be
+            None for a hand with a fixed wrist.
+        shape: Shape of the object, if known.
 
     Raises:
-        InvalidInputError: On a wrong shape, a pose that is none, or a link that the hand does not
-            have.
+        InvalidInputError: On a wrong shape, an invalid pose, or a link that the hand does not have.
     """
 
     hand: Hand
@@ -87,7 +87,7 @@ class Grasp:
             "object_pose",
             finite_array(check_pose(self.object_pose, "object_pose"), (4, 4), "object_pose"),
         )
-        object.__setattr__(self, "contacts", tuple(self.contacts))
+        object.__setattr__(self, "contacts", _check_contacts(self.contacts))
         if self.wrist_pose is not None:
             object.__setattr__(
                 self,
@@ -103,12 +103,12 @@ class Grasp:
 
     @property
     def points(self) -> np.ndarray:
-        """The contacts in the world [m], shape (n_c, 3)."""
+        """Positions of the contacts in the world [m], shape (n_c, 3)."""
         return contact_points(self.hand, self.contacts, self.q, self.wrist_pose)
 
     @property
     def normals(self) -> np.ndarray:
-        """The contacts' unit normals into the object, in the world, shape (n_c, 3)."""
+        """Unit normals of the contacts into the object, world axes, shape (n_c, 3)."""
         normals = np.array([contact.normal for contact in self.contacts]).reshape(-1, 3)
         return np.einsum("cij,cj->ci", self._link_poses()[:, :3, :3], normals)
 
@@ -124,17 +124,14 @@ class Grasp:
 
     @property
     def point_specs(self) -> tuple[PointSpec, ...]:
-        """The contacts as reference points, which is what the paper maps.
-
-        `hand.with_points(grasp.point_specs)`.
-        """
+        """The contacts as reference points (the paper's choice): `hand.with_points(...)`."""
         return _point_specs(self.contacts)
 
     def moved(self, motion: npt.ArrayLike) -> Self:
-        """The same grasp elsewhere: hand and object carried by one rigid motion.
+        """Return the same grasp after one rigid motion of hand and object.
 
         Args:
-            motion: Rigid motion in the world, shape (4, 4).
+            motion: Rigid motion in world axes, shape (4, 4).
 
         Returns:
             The moved grasp.
@@ -143,7 +140,10 @@ class Grasp:
             InvalidInputError: If the motion is not rigid, or the hand's wrist is fixed.
         """
         if not self.hand.is_floating:
-            raise InvalidInputError(f"{self.hand.name} has a fixed wrist and cannot be moved")
+            raise InvalidInputError(
+                problem=f"the wrist of {self.hand.name} is fixed, so the grasp cannot be moved",
+                advice="load the hand with mount='floating'",
+            )
         rigid = check_pose(motion, "motion")
         wrist = np.eye(4) if self.wrist_pose is None else self.wrist_pose
         return type(self)(
@@ -158,9 +158,19 @@ class Grasp:
         joint_stiffness: Stiffness,
         synergy_stiffness: Stiffness,
     ) -> QuasiStatic:
-        """How this grasp answers to synergies.
+        """Response of this grasp to synergies; see `handmap_qp.grasp.statics.quasistatic`.
 
-        See `quasistatic`, here in newtons, metres and radians.
+        Args:
+            synergies: S, shape (n, n_z).
+            contact_stiffness: K_c [N/m].
+            joint_stiffness: K_q [N m/rad].
+            synergy_stiffness: K_z [N m per unit].
+
+        Returns:
+            The response per unit of each synergy.
+
+        Raises:
+            InvalidInputError: As `quasistatic`, and if there is no contact.
         """
         return quasistatic(
             self.jacobian,
@@ -183,13 +193,13 @@ def contact_points(
     q: npt.ArrayLike,
     wrist_pose: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Where contacts are.
+    """Positions of contacts in the world.
 
     Args:
         hand: The hand.
         contacts: The contacts.
         q: Joint angles [rad], shape (n,).
-        wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+        wrist_pose: Pose of the wrist in the world, shape (4, 4); the identity if omitted.
 
     Returns:
         Points in the world [m], shape (n_c, 3).
@@ -210,43 +220,49 @@ def contact_jacobian(
     q: npt.ArrayLike,
     wrist_pose: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The hand's Jacobian at the contacts.
-
-    Their velocities, as places on their links, per joint velocity.
+    """Contact Jacobian: velocities of the contacts, fixed to their links, per joint velocity.
 
     Args:
         hand: The hand.
         contacts: The contacts.
         q: Joint angles [rad], shape (n,).
-        wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted. It stands still.
+        wrist_pose: Pose of the wrist in the world, shape (4, 4); the identity if omitted. The
+            wrist does not move.
 
     Returns:
-        J [m/rad], world axes, x, y, z of each contact in turn, columns in the order of
-        `hand.joint_names`, shape (3 n_c, n).
+        J [m/rad], shape (3 n_c, n). Rows are x, y, z of each contact in world axes; columns are in
+        the order of `hand.joint_names`.
 
     Raises:
         InvalidInputError: On a wrong shape, or if there is no contact.
     """
     if not contacts:
-        raise InvalidInputError("contacts: expected at least one", value=contacts)
-    places = contact_points(hand, contacts, q, wrist_pose)
+        raise InvalidInputError(argument="contacts", expected="at least one contact", got="none")
+    points = contact_points(hand, contacts, q, wrist_pose)
     data = hand.model.createData()
     pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q, wrist_pose))
     pin.updateFramePlacements(hand.model, data)
     rows = []
-    for contact, place in zip(contacts, places, strict=True):
+    for contact, point in zip(contacts, points, strict=True):
         frame = hand.model.getFrameId(contact.link, pin.FrameType.BODY)
         velocity = pin.getFrameJacobian(
             hand.model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )
-        # The link's own velocity, and what its rotation adds at the contact.
+        # Velocity of the link's origin plus angular velocity times lever.
         rows.append(
             velocity[:3]
-            + np.cross(velocity[3:], place - data.oMf[frame].translation, axisa=0, axisc=0)
+            + np.cross(velocity[3:], point - data.oMf[frame].translation, axisa=0, axisc=0)
         )
     J = np.vstack(rows)
-    # Where joints follow others, what they add belongs to their leaders.
+    # Chain rule: add the mimic columns to the leader's.
     return (J if hand.expansion is None else J @ hand.expansion.matrix)[:, hand.joint_columns]
+
+
+def _check_contacts(contacts: Any) -> tuple[Contact, ...]:
+    is_sequence = isinstance(contacts, list | tuple)
+    if not is_sequence or not all(isinstance(contact, Contact) for contact in contacts):
+        raise InvalidInputError(argument="contacts", expected="a tuple of Contact", value=contacts)
+    return tuple(contacts)
 
 
 def _point_specs(contacts: tuple[Contact, ...]) -> tuple[PointSpec, ...]:

@@ -1,4 +1,4 @@
-"""Objects to hold: box, sphere and cylinder, each centred at the origin of its own frame."""
+"""Shapes of held objects: box, sphere and cylinder, centred at the origin of their own frame."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import finite_array, positive_number
 from handmap_qp.hands.spec import Vector
 
 
@@ -15,17 +15,21 @@ class Box:
     """A box.
 
     Attributes:
-        size: Its sides along x, y and z [m].
+        size: Lengths of its sides along x, y and z [m].
+
+    Raises:
+        InvalidInputError: If a side is not > 0.
     """
 
     size: Vector
 
     def __post_init__(self) -> None:
-        _check_lengths(size=self.size)
+        x, y, z = (positive_number(side, "size") for side in finite_array(self.size, (3,), "size"))
+        object.__setattr__(self, "size", (x, y, z))
 
     @property
     def circumradius(self) -> float:
-        """Radius of the smallest sphere round the centre that holds it [m]."""
+        """Radius of the smallest enclosing sphere about the centre [m]."""
         return float(np.linalg.norm(self.size)) / 2.0
 
 
@@ -35,16 +39,19 @@ class Sphere:
 
     Attributes:
         radius: Radius [m].
+
+    Raises:
+        InvalidInputError: If the radius is not > 0.
     """
 
     radius: float
 
     def __post_init__(self) -> None:
-        _check_lengths(radius=(self.radius,))
+        object.__setattr__(self, "radius", positive_number(self.radius, "radius"))
 
     @property
     def circumradius(self) -> float:
-        """Its radius [m]."""
+        """Radius of the sphere [m]."""
         return self.radius
 
 
@@ -55,26 +62,22 @@ class Cylinder:
     Attributes:
         radius: Radius [m].
         length: Length [m].
+
+    Raises:
+        InvalidInputError: If radius or length is not > 0.
     """
 
     radius: float
     length: float
 
     def __post_init__(self) -> None:
-        _check_lengths(radius=(self.radius,), length=(self.length,))
+        object.__setattr__(self, "radius", positive_number(self.radius, "radius"))
+        object.__setattr__(self, "length", positive_number(self.length, "length"))
 
     @property
     def circumradius(self) -> float:
-        """Radius of the smallest sphere round the centre that holds it [m]."""
+        """Radius of the smallest enclosing sphere about the centre [m]."""
         return float(np.hypot(self.radius, self.length / 2.0))
 
 
 Shape = Box | Sphere | Cylinder
-
-
-def _check_lengths(**lengths: tuple[float, ...]) -> None:
-    for name, values in lengths.items():
-        if not all(np.isfinite(value) and value > 0.0 for value in values):
-            raise InvalidInputError(
-                f"{name}: expected lengths > 0 in metres, got {values}", value=values
-            )

@@ -1,11 +1,9 @@
-"""The paper's pair of grasps (Sec. IV).
+"""The two grasps of Sec. IV: the human and the three-fingered hand on the same 50 mm cube.
 
-The human hand and the three-fingered one round the same 50 mm cube, ready to use.
-
-The figures are the toolbox's that the paper was computed with; each hand's lie beside its URDF, in
-`grasp_cube50.json`. Contacts lie on the bones' axes there, because that planner takes fingers for
-lines: with the thickness of our collision shapes, human links reach up to 8 mm into the cube and
-robot links up to 11 mm. `handmap_qp.grasp.planning` finds grasps without that.
+The numbers come from the toolbox that the paper used (SynGrasp). They lie beside each hand's URDF,
+in `grasp_cube50.json`. The toolbox models fingers as lines, so its contacts lie on the bones' axes:
+with our collision shapes, human links penetrate the cube by up to 8 mm and robot links by up to
+11 mm. Grasps of `handmap_qp.grasp.planning` do not penetrate.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import one_of
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.hand import Hand
@@ -24,25 +22,25 @@ from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.hands.urdf.package_data import urdf_directory
 
 REFERENCE_HANDS = ("human", "three_finger")
-"""The hands that have a reference grasp."""
+"""Names of the hands that have a reference grasp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceGrasp:
-    """A grasp of the paper's pair, and what was published with it.
+    """One of the paper's two grasps, with the published numbers.
 
     Attributes:
-        grasp: The grasp; its hand's reference points are the contacts.
-        published_points: Contacts as published [m], shape (n_c, 3); `grasp.points` are the same.
-        published_q: Joint angles as published [rad], shape (n,). The human's are those of the
-            grasp. The three-fingered hand's belong to fingers set 50/3 mm farther out, a slip of
-            the planner: at these angles our hand's contacts are 16.7 mm off, and no palm pose
-            brings them nearer than 16.4 mm (root mean square). The grasp's own angles, up to 18
-            degrees away, reach the published contacts from the published palm.
+        grasp: The grasp; the reference points of its hand are the contacts.
+        published_points: Published contacts [m], shape (n_c, 3); equal to `grasp.points`.
+        published_q: Published joint angles [rad], shape (n,). The human's equal `grasp.q`. Those of
+            the three-fingered hand belong to fingers mounted 50/3 mm farther out, an error of the
+            toolbox's planner: they put our contacts 16.7 mm off, and no palm pose brings them
+            nearer than 16.4 mm RMS. `grasp.q`, up to 18 degrees away, reaches the published
+            contacts from the published palm pose.
         published_quality: Quality measures by name, in millimetres (`length=1e-3` in
             `grasp_quality`).
-        published_counts: How many of the toolbox's grasps of the cube had so many contacts.
-        source: Where the figures come from.
+        published_counts: Number of the toolbox's grasps of the cube by number of contacts.
+        source: Source of the numbers.
     """
 
     grasp: Grasp
@@ -54,21 +52,18 @@ class ReferenceGrasp:
 
 
 def reference_grasp(hand: str = "human") -> ReferenceGrasp:
-    """The reference grasp of a hand.
+    """Return the reference grasp of a hand.
 
     Args:
         hand: `human` or `three_finger`.
 
     Returns:
-        The grasp, both hands' in one world: the cube is the same.
+        The grasp. Both hands hold the same cube in the same world.
 
     Raises:
-        InvalidInputError: If the hand has none.
+        InvalidInputError: If the hand has no reference grasp.
     """
-    if hand not in REFERENCE_HANDS:
-        raise InvalidInputError(
-            f"hand: expected one of {', '.join(REFERENCE_HANDS)}, got {hand!r}", value=hand
-        )
+    one_of(hand, REFERENCE_HANDS, "hand")
     figures = read_cube_figures(hand)
     model = Hand(
         read_hand_spec(urdf_directory() / hand / "hand.yaml"), points="contacts", mount="floating"
@@ -99,5 +94,5 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
 
 
 def read_cube_figures(hand: str) -> dict[str, Any]:
-    """A hand's `grasp_cube50.json` as it stands."""
+    """Read a hand's `grasp_cube50.json`."""
     return json.loads((urdf_directory() / hand / "grasp_cube50.json").read_text(encoding="utf-8"))

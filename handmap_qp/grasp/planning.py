@@ -1,7 +1,4 @@
-"""Planning grasps.
-
-`plan_grasps` closes a hand from many palm poses round an object and ranks what it gets.
-"""
+"""Plan grasps: `plan_grasps` closes a hand from random palm poses and ranks the grasps."""
 
 from __future__ import annotations
 
@@ -12,15 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import non_negative_number, one_of, whole_number
 from handmap_qp.grasp.closing import MARGIN, STEP, HandCloser
 from handmap_qp.grasp.contacts import Grasp
+from handmap_qp.grasp.measures import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
 from handmap_qp.grasp.objects import Shape
-from handmap_qp.grasp.preshape import Closing, palm_centre
-from handmap_qp.grasp.quality import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
+from handmap_qp.grasp.preshape import Preshape, palm_centre
 from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import PoseLike, affine, check_pose, inverse_pose
 
-# A hand that would start in the object is moved back in steps of this length [m].
+# Step by which a hand that would start inside the object is moved back [m].
 _RETREAT = 1e-3
 
 
@@ -29,9 +27,9 @@ class PlannedGrasp:
     """One grasp of a plan.
 
     Attributes:
-        trial: Which of the plan's palm poses it came from, counted from 0.
+        trial: Index of the palm pose in the plan, from 0.
         grasp: The grasp.
-        quality: Its quality by the plan's measure.
+        quality: Its value by the plan's measure.
     """
 
     trial: int
@@ -48,54 +46,55 @@ def plan_grasps(
     quality: str = "ferrari_canny",
     progress: Callable[[int], None] | None = None,
     object_pose: PoseLike | None = None,
-    closing: Closing | None = None,
+    preshape: Preshape | None = None,
     friction: float = FRICTION,
     step: float = STEP,
     margin: float = MARGIN,
 ) -> list[PlannedGrasp]:
     """Close a hand on an object from random palm poses, and rank the grasps.
 
-    The poses are drawn as the toolbox of the paper draws them: the palm looks at the object's
-    centre, its middle (`palm_centre`) at a distance of the radius of the sphere round the object
-    plus `closing.clearance`, and its orientation is `Rx(a) Ry(b) Rz(c)` with a, b, c uniform over
-    the circle, +z out of the back of the hand. (This is not uniform over rotations.) There fingers
-    are lines and always start clear of the object; ours have thickness, and a hand that would touch
-    the object when open is moved back, out along the palm's +z, until it does not.
+    Poses are sampled as in the toolbox of the paper. The palm faces the object's centre. The
+    distance from `palm_centre` to the object's centre is the circumradius of the object plus
+    `preshape.clearance`. The palm's orientation is `Rx(a) Ry(b) Rz(c)` with a, b, c uniform in
+    [0, 2 pi), +z out of the back of the hand (not uniform over SO(3)). The toolbox models fingers
+    as lines, which start clear of the object. Ours have thickness, so a hand that would touch the
+    object when open is moved back along the palm's +z until it does not.
 
     Args:
-        hand: The hand; its wrist must be free.
-        shape: The object.
+        hand: The hand; its wrist must be floating.
+        shape: Shape of the object.
         samples: Number of grasps.
-        seed: Of the random numbers: the same seed gives the same grasps.
+        seed: Seed of the random numbers, >= 0; the same seed gives the same grasps.
         quality: Name of a measure of `grasp_quality`.
-        progress: Called with the number of grasps made after each one.
-        object_pose: The object in the world; the identity if omitted.
-        closing: How the hand closes; `default_closing` if omitted.
-        friction: Coefficient of friction, for the quality.
-        step: As of `HandCloser`.
-        margin: As of `HandCloser`.
+        progress: Called after each grasp with the number of grasps done.
+        object_pose: Pose of the object in the world; the identity if omitted.
+        preshape: Start posture and closing directions; `default_preshape` if omitted.
+        friction: Coulomb coefficient of friction, for the quality.
+        step: As for `HandCloser`.
+        margin: As for `HandCloser`.
 
     Returns:
-        The grasps, best first; equals in the order of their trials.
+        The grasps, best first; ties in the order of their trials.
 
     Raises:
-        InvalidInputError: If the wrist is fixed or an argument is out of range.
+        InvalidInputError: If the wrist is fixed or an argument is invalid.
         HandError: If the hand has no collision shapes.
     """
     if not hand.is_floating:
         raise InvalidInputError(
-            f"{hand.name} has a fixed wrist: its grasps cannot be planned (mount='floating' frees it)"
+            argument="hand",
+            expected="a floating wrist",
+            got=f"{hand.name} with a fixed wrist",
+            advice="load the hand with mount='floating'",
         )
-    if samples < 1:
-        raise InvalidInputError(f"samples: expected at least 1, got {samples}", value=samples)
-    if quality not in QUALITIES:
-        raise InvalidInputError(
-            f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}", value=quality
-        )
+    samples = whole_number(samples, "samples", least=1)
+    seed = whole_number(seed, "seed", least=0)
+    one_of(quality, QUALITIES, "quality")
+    friction = non_negative_number(friction, "friction")
     pose = np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
-    closer = HandCloser(hand, shape, pose, closing=closing, step=step, margin=margin)
-    distance = shape.circumradius + closer.closing.clearance
-    centre = palm_centre(hand, closer.closing)
+    closer = HandCloser(hand, shape, pose, preshape=preshape, step=step, margin=margin)
+    distance = shape.circumradius + closer.preshape.clearance
+    centre = palm_centre(hand, closer.preshape)
     generator = np.random.default_rng(seed)
     planned: list[PlannedGrasp] = []
     for trial in range(samples):
@@ -116,13 +115,13 @@ def plan_grasps(
 def wrist_towards(
     hand: Hand, target: np.ndarray, distance: float, centre: np.ndarray, angles: np.ndarray
 ) -> np.ndarray:
-    """The wrist pose whose palm looks at a point.
+    """Wrist pose at which the palm faces a point.
 
     Args:
         hand: The hand.
         target: Point in the world [m], shape (3,).
-        distance: Of the palm's middle from it [m].
-        centre: The palm's middle in the palm frame [m], shape (3,).
+        distance: Distance from the centre of the palm to that point [m].
+        centre: Centre of the palm in the palm frame [m], shape (3,).
         angles: a, b, c of the palm's orientation `Rx(a) Ry(b) Rz(c)` [rad], shape (3,).
 
     Returns:
@@ -138,7 +137,7 @@ def wrist_towards(
 
 
 def contact_counts(planned: Iterable[PlannedGrasp]) -> dict[int, int]:
-    """How many grasps have so many contacts.
+    """Histogram of the number of contacts.
 
     Args:
         planned: Grasps.

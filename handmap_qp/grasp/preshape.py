@@ -1,6 +1,6 @@
-"""How a hand closes: from which posture, by which joints, which way (`default_closing`).
+"""Preshape of a grasp: start posture and closing direction of each joint (`default_preshape`).
 
-And where its palm and fingers are.
+Also the centre of the palm and the joints of each finger.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, read_cube_figures
 from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import inverse_pose, transform_points
 
-# Joints whose axes are this parallel bend a finger in one plane.
+# Smallest |cosine| between the axes of joints that bend a finger in one plane.
 _PARALLEL = 0.99
-# A hand that has no figures of its own starts this far from the sphere round the object [m].
+# Clearance of hands without a `grasp_cube50.json` [m].
 _CLEARANCE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closing:
-    """How a hand closes.
+class Preshape:
+    """Posture from which a hand closes, and the direction in which each joint closes.
 
     Attributes:
-        start: Joint angles to begin with [rad], shape (n,).
-        direction: Sense in which each joint closes, 1 or -1; 0 for one that keeps its angle. Shape
-            (n,).
-        clearance: Where a planner puts the hand first: gap between the middle of the palm and the
-            sphere round the object [m].
+        start: Joint angles of the open hand [rad], shape (n,).
+        direction: 1 or -1, the sense in which each joint closes; 0 for a joint that keeps its
+            angle. Shape (n,).
+        clearance: Initial gap between the centre of the palm and the circumscribed sphere of the
+            object, for a planner [m].
     """
 
     start: np.ndarray
@@ -38,27 +38,26 @@ class Closing:
     clearance: float
 
 
-def default_closing(hand: Hand) -> Closing:
-    """How a hand closes unless the caller says otherwise.
+def default_preshape(hand: Hand) -> Preshape:
+    """Preshape of a hand, derived from its geometry where none is published.
 
-    The hands of the paper have the toolbox's preshape and closing joints (`grasp_cube50.json`), a
-    left human hand the right one's. For any other hand the geometry tells: the outermost joint of
-    each finger closes, and so do the joints before it that turn about the same direction; they
-    start stretched and close towards the farther limit. All others (abduction, spread, opposition)
-    rest.
+    For the two hands of the paper, and the left human hand, it is the toolbox's
+    (`grasp_cube50.json`). For any other hand, the distal joint of each finger closes, and so do the
+    joints proximal to it with parallel axes. They start stretched and close towards the farther
+    limit. All other joints (abduction, spread, opposition) stay at their rest angles.
 
     Args:
         hand: The hand.
 
     Returns:
-        Its closing.
+        The preshape.
     """
     name = "human" if hand.name == "human_left" else hand.name
     if name in REFERENCE_HANDS:
         figures = read_cube_figures(name)["closing"]
         start = np.array([figures["start"].get(joint, 0.0) for joint in hand.joint_names])
         direction = np.array([float(joint in figures["joints"]) for joint in hand.joint_names])
-        return Closing(start, direction, figures["clearance"])
+        return Preshape(start, direction, figures["clearance"])
     direction = np.zeros(len(hand.joint_names))
     axes, _ = _joint_axes(hand, hand.rest)
     for finger in finger_joints(hand):
@@ -69,15 +68,15 @@ def default_closing(hand: Hand) -> Closing:
                 1.0 if hand.upper_limits[joint] + hand.lower_limits[joint] >= 0.0 else -1.0
             )
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
-    return Closing(np.where(direction == 0.0, hand.rest, stretched), direction, _CLEARANCE)
+    return Preshape(np.where(direction == 0.0, hand.rest, stretched), direction, _CLEARANCE)
 
 
-def palm_centre(hand: Hand, closing: Closing | None = None) -> np.ndarray:
-    """The middle of the palm: the mean place of the innermost closing joint of each finger.
+def palm_centre(hand: Hand, preshape: Preshape | None = None) -> np.ndarray:
+    """Centre of the palm: mean origin of the most proximal closing joint of each finger.
 
     Args:
         hand: The hand.
-        closing: How it closes; `default_closing` if omitted.
+        preshape: The preshape; `default_preshape` if omitted.
 
     Returns:
         Point in the palm frame [m], shape (3,).
@@ -85,28 +84,33 @@ def palm_centre(hand: Hand, closing: Closing | None = None) -> np.ndarray:
     Raises:
         InvalidInputError: If no joint closes.
     """
-    how = closing or default_closing(hand)
+    how = preshape or default_preshape(hand)
     _, origins = _joint_axes(hand, how.start)
     innermost = [
         next((joint for joint in finger if how.direction[joint]), None)
         for finger in finger_joints(hand)
     ]
-    places = np.array([origins[joint] for joint in innermost if joint is not None])
-    if len(places) == 0:
-        raise InvalidInputError(f"{hand.name}: no joint closes")
-    return transform_points(inverse_pose(hand.frame_pose("palm", how.start)), places).mean(axis=0)
+    points = np.array([origins[joint] for joint in innermost if joint is not None])
+    if len(points) == 0:
+        raise InvalidInputError(
+            argument="preshape.direction",
+            expected=f"a closing finger joint of {hand.name}",
+            got="none",
+        )
+    return transform_points(inverse_pose(hand.frame_pose("palm", how.start)), points).mean(axis=0)
 
 
 def finger_joints(hand: Hand) -> list[list[int]]:
-    """The joints of each finger, as places in `joint_names`.
+    """Indices of the joints of each finger in `joint_names`.
 
-    A finger is all that hangs from one joint of the palm; an arm's joints are part of none.
+    A finger is the subtree of one joint attached to the palm. Joints of an arm belong to no finger.
 
     Args:
         hand: The hand.
 
     Returns:
-        One list a finger, outwards; fingers in the order of their first joints in `joint_names`.
+        One list per finger, proximal joint first; fingers in the order of their first joints in
+        `joint_names`.
     """
     fingers: dict[int, list[int]] = {}
     depth = {}
@@ -119,14 +123,14 @@ def finger_joints(hand: Hand) -> list[list[int]]:
 
 
 def finger_names(hand: Hand) -> dict[int, str]:
-    """The anatomical name of the finger that each of the model's joints is part of, as far as the hand's points tell.
+    """Anatomical finger name of each joint of the model, from the names of the hand's points.
 
     Args:
         hand: The hand.
 
     Returns:
-        Names by joint of the Pinocchio model, followers and locked ones included; joints of no
-        named finger are left out.
+        Names by joint index of the Pinocchio model, mimic and locked joints included. Joints of
+        unnamed fingers are left out.
     """
     roots: dict[int, str] = {}
     for point in hand.spec.points:
@@ -141,17 +145,14 @@ def finger_names(hand: Hand) -> dict[int, str]:
 
 
 def _beyond_palm(hand: Hand, joint: int) -> list[int]:
-    """The model's joints from the palm to this one, outwards.
-
-    None for the joints that carry the palm.
-    """
+    """Joints of the model from the palm to this one, proximal first; empty for an arm's joints."""
     palm = hand.model.frames[hand.palm_frame_id].parentJoint
     chain = list(hand.model.supports[joint])
     return chain[chain.index(palm) + 1 :] if palm in chain else []
 
 
 def _joint_axes(hand: Hand, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes and origins of the joints with the wrist at the identity, in the order of `joint_names`, shapes (n, 3)."""
+    """Axes and origins [m] of the joints, shapes (n, 3), with the wrist at the identity."""
     data = hand.model.createData()
     pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q))
     joints = [hand.model.getJointId(name) for name in hand.joint_names]

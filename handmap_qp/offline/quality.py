@@ -1,9 +1,9 @@
-"""How faithful a mapped motion is to the human's, whatever mapping made it.
+"""Compare a robot's motion with the human motion that it was mapped from, for any mapping.
 
-The point error tells how well a robot reaches what its mapping asks of it, and a mapping that asks
-for nothing scores best. So the fingers are compared with the human's too: how far each tip is from
-the palm, over time. Did it follow (correlation), and by how much (ratio of ranges)? And the palms:
-does the robot's go where the human's does? And does it go there smoothly?
+The point error only says how well the robot reaches the targets of its mapping, and a mapping that
+never moves its targets scores best. So this module also compares the fingers (distance from tip to
+palm over time: correlation and ratio of ranges), the displacements of the palms, and the smoothness
+of the joint motion.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.offline.trajectory import Trajectory
 from handmap_qp.trackers.recording import HumanMotion
 
-# A range is taken between these percentiles, so that a glitch of the tracker does not make it.
+# Percentiles between which a range is taken; they exclude outliers of the tracker.
 _RANGE = (2.0, 98.0)
-# A fingertip that travels less than this stands still [m].
+# A fingertip whose distance to the palm varies by less than this is at rest [m].
 _STILL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class FingerMatch:
-    """How a robot's finger follows the human's, by the distance from tip to palm over time.
+    """Comparison of a robot's finger with the human's, by the distance from tip to palm.
 
     Attributes:
         finger: Anatomical name.
-        correlation: Pearson's, in [-1, 1]; 0 where either finger stands still.
-        human_range: From the 2nd to the 98th percentile of the human's distance [m].
-        robot_range: The same of the robot's [m].
+        correlation: Pearson's correlation over time, in [-1, 1]; 0 if either finger is at rest.
+        human_range: Range of the human's distance, 2nd to 98th percentile [m].
+        robot_range: Range of the robot's distance, likewise [m].
     """
 
     finger: str
@@ -43,26 +43,23 @@ class FingerMatch:
 
     @property
     def range_ratio(self) -> float:
-        """The robot's range in parts of the human's; NaN where the human's finger stands still."""
+        """Robot's range over human's range; NaN if the human's finger is at rest."""
         return self.robot_range / self.human_range if self.human_range > _STILL else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class MotionQuality:
-    """What `assess_quality` finds.
+    """Result of `assess_quality`.
 
     Attributes:
-        fingers: One match for every finger that both hands have.
-        correlation: Mean over the fingers, each counting by how much the human's moved; NaN where
-            none did.
-        range_ratio: The robot's ranges in parts of the human's, all fingers together; NaN where
-            none moved.
-        wrist_distance: RMS distance between the palms, each measured from where it was at the first
-            sample [m].
-        wrist_angle: RMS angle between them, likewise [rad].
-        point_error_mean: Mean distance of the robot's reference points from their targets [m].
-        point_error_p95: Its 95th percentile [m].
-        share_at_limit: Share of the samples in which some joint is at a position limit.
+        fingers: One match for each finger that both hands have.
+        correlation: Mean over the fingers, weighted by the human's range; NaN if none moved.
+        range_ratio: Sum of the robot's ranges over the sum of the human's; NaN if none moved.
+        wrist_distance: RMS difference of the palms' displacements since the first sample [m].
+        wrist_angle: RMS angle between the palms' rotations since the first sample [rad].
+        point_error_mean: Mean distance from the robot's reference points to their targets [m].
+        point_error_p95: 95th percentile of that distance [m].
+        share_at_limit: Share of the samples in which some joint is at a position limit, in [0, 1].
         speed: RMS joint speed of the robot [rad/s].
         jerk: RMS joint jerk of the robot [rad/s^3].
         human_speed: RMS joint speed of the human [rad/s].
@@ -84,21 +81,23 @@ class MotionQuality:
 
 
 def assess_quality(motion: HumanMotion, trajectory: Trajectory) -> MotionQuality:
-    """Compare a robot's motion with the human's that it came from.
+    """Compare a robot's motion with the human motion that it was mapped from.
 
     Args:
-        motion: The human's motion.
-        trajectory: The robot's, of the same samples.
+        motion: The human motion.
+        trajectory: The robot's trajectory of the same samples.
 
     Returns:
-        Numbers over the valid samples.
+        The comparison over the valid samples.
 
     Raises:
         InvalidInputError: If the two have different numbers of samples.
     """
     if len(motion.time) != len(trajectory.time):
         raise InvalidInputError(
-            f"trajectory: expected {len(motion.time)} samples as in motion, got {len(trajectory.time)}"
+            argument="trajectory",
+            expected=f"{len(motion.time)} samples, as in motion",
+            got=f"{len(trajectory.time)}",
         )
     human, robot, seen = motion.human, trajectory.robot, motion.valid
     fingers = match_fingers(
@@ -125,12 +124,10 @@ def assess_quality(motion: HumanMotion, trajectory: Trajectory) -> MotionQuality
 
 
 def finger_tips(hand: Hand) -> dict[str, str]:
-    """The tip of every finger.
-
-    Of its named points, the one farthest from the palm when the hand is stretched out.
+    """Find the tip of each finger: its point farthest from the palm on the stretched hand.
 
     Args:
-        hand: The hand; stretched out is zero, or as near to it as a joint's limits allow.
+        hand: The hand. It is stretched at joint angles of zero, clipped into the limits.
 
     Returns:
         Names of points by finger, in the order in which the hand's description names the fingers.
@@ -142,14 +139,14 @@ def finger_tips(hand: Hand) -> dict[str, str]:
     reach = _tip_distances(hand, named, np.clip(0.0, hand.lower_limits, hand.upper_limits)[None])[0]
     best: dict[str, int] = {}
     for i, finger in enumerate(fingers):
-        # A point at the same place as an earlier one, but for rounding, does not replace it.
+        # The tolerance keeps the first of several points at the same position.
         if finger not in best or reach[i] > reach[best[finger]] + 1e-9:
             best[finger] = i
     return {finger: named[i] for finger, i in best.items()}
 
 
 def finger_extensions(hand: Hand, q: np.ndarray) -> dict[str, np.ndarray]:
-    """How far every fingertip is from the palm frame's origin.
+    """Distance from each fingertip to the origin of the palm frame.
 
     Args:
         hand: The hand.
@@ -157,6 +154,9 @@ def finger_extensions(hand: Hand, q: np.ndarray) -> dict[str, np.ndarray]:
 
     Returns:
         Distances by finger [m], shape (T,) each.
+
+    Raises:
+        InvalidInputError: If a sample of `q` has the wrong shape or is not finite.
     """
     tips = finger_tips(hand)
     return (
@@ -172,11 +172,11 @@ def match_fingers(
     """Compare the fingers that both hands have, by name.
 
     Args:
-        human: Distances from tip to palm by finger [m], shape (T,) each.
-        robot: The robot's, likewise.
+        human: The human's distances from tip to palm by finger [m], shape (T,) each.
+        robot: The robot's distances, likewise.
 
     Returns:
-        One match a finger, in the human's order.
+        One match per finger, in the human's order.
     """
     return tuple(
         _match(finger, human[finger], robot[finger]) for finger in human if finger in robot
@@ -184,10 +184,7 @@ def match_fingers(
 
 
 def mean_correlation(fingers: Sequence[FingerMatch]) -> float:
-    """Mean correlation, each finger counting by the human's range.
-
-    They may come from several recordings.
-    """
+    """Mean correlation, weighted by the human's range; matches may be of several recordings."""
     weight = sum(match.human_range for match in fingers)
     return (
         sum(match.human_range * match.correlation for match in fingers) / weight
@@ -197,20 +194,16 @@ def mean_correlation(fingers: Sequence[FingerMatch]) -> float:
 
 
 def total_range_ratio(fingers: Sequence[FingerMatch]) -> float:
-    """Sum of the robot's ranges over the sum of the human's.
-
-    They may come from several recordings.
-    """
+    """Sum of the robot's ranges over the sum of the human's; NaN if no finger moved."""
     human = sum(match.human_range for match in fingers)
     return sum(match.robot_range for match in fingers) / human if human > 0.0 else float("nan")
 
 
 def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far the robot's palm is from doing what the human's does.
+    """Difference between the palms' displacements since the first sample.
 
-    Both are expressed in their own axes at the first sample, where they agree by definition; so it
-    does not matter where the two worlds lie, and a mapping that carries the human's palm motion
-    over exactly scores zero.
+    Each displacement is expressed in the palm's own axes at the first sample, so it does not depend
+    on the worlds' frames. A mapping that reproduces the palm motion exactly scores zero.
 
     Args:
         human_palm: Palm poses in the human's world, shape (T, 4, 4).
@@ -229,18 +222,17 @@ def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.n
 
 
 def rms_derivative(values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int) -> float:
-    """RMS of a time derivative, by divided differences, so that uneven instants do no harm.
+    """RMS of a time derivative, by divided differences, which allow uneven sampling.
 
     Args:
         values: Columns over time, shape (T, n).
-        time: Instants, increasing [s], shape (T,).
-        valid: Samples that may be used, shape (T,); a difference needs `order + 1` of them in a
-            row.
-        order: 1 for speed, 3 for jerk.
+        time: Instants, strictly increasing [s], shape (T,).
+        valid: Samples to use, shape (T,); a difference needs `order + 1` consecutive ones.
+        order: Order of the derivative: 1 for speed, 3 for jerk.
 
     Returns:
-        The RMS over columns and instants [unit/s^order]; NaN where no `order + 1` samples in a row
-        are valid.
+        RMS over columns and instants [unit/s^order]; NaN without `order + 1` consecutive valid
+        samples.
     """
     differences, usable = values, valid
     for k in range(1, order + 1):
@@ -252,13 +244,13 @@ def rms_derivative(values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, o
 
 def _match(finger: str, human: np.ndarray, robot: np.ndarray) -> FingerMatch:
     spread = [float(np.diff(np.percentile(values, _RANGE))[0]) for values in (human, robot)]
-    # np.corrcoef of a constant is NaN with a warning; a finger that stands still follows nobody.
+    # np.corrcoef of a constant is NaN and warns; count it as no correlation.
     is_still = min(np.ptp(human), np.ptp(robot)) <= _STILL
     return FingerMatch(finger, 0.0 if is_still else float(np.corrcoef(human, robot)[0, 1]), *spread)
 
 
 def _tip_distances(hand: Hand, points: tuple[str, ...], q: np.ndarray) -> np.ndarray:
-    """Distance of named points from the palm frame's origin [m], shape (T, k)."""
+    """Distance from named points to the origin of the palm frame [m], shape (T, k)."""
     placed = hand.with_points(points)
     palm = hand.wrist_to_palm[:3, 3]
     return np.array([np.linalg.norm(placed.points(angles) - palm, axis=1) for angles in q]).reshape(

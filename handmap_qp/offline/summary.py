@@ -1,4 +1,4 @@
-"""Numbers that sum up a mapped motion: what `handmap map` prints and the benchmarks compare."""
+"""Summary numbers of a mapped motion, printed by `handmap map`."""
 
 from __future__ import annotations
 
@@ -12,28 +12,26 @@ from handmap_qp.trackers.recording import HumanMotion
 
 
 def summarise(motion: HumanMotion, trajectory: Trajectory) -> dict[str, Any]:
-    """Sum up a mapped motion.
+    """Summarise a mapped motion.
 
     Args:
-        motion: The human's motion.
-        trajectory: The robot's.
+        motion: The human motion.
+        trajectory: The robot's trajectory of the same samples.
 
     Returns:
-        Numbers by name; the name bears the unit. Point and fit errors are over valid samples, steps
-        at a limit over all.
+        Numbers by name, with the unit in the name. Errors and times are taken over the valid
+        samples, `samples_at_limit` over all.
     """
     seen = trajectory.valid
     points = 1e3 * trajectory.point_error[seen]
     fit = 1e3 * motion.fit_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
-    jacobian = 1e6 * float(np.median(trajectory.jacobian_cpu))
     return {
         "robot": trajectory.robot.name,
         "samples": len(trajectory.time),
         "held": int((~seen).sum()),
         "step_cpu_us_median": float(np.median(step)),
         "step_cpu_us_p99": float(np.percentile(step, 99)),
-        "jacobian_cpu_us_median": jacobian,
         "point_error_mm_mean": float(points.mean()),
         "point_error_mm_p95": float(np.percentile(points, 95)),
         "point_error_mm_max": float(points.max()),
@@ -53,16 +51,15 @@ def summarise(motion: HumanMotion, trajectory: Trajectory) -> dict[str, Any]:
 
 
 def table_rows(summary: dict[str, Any]) -> dict[str, str]:
-    """The same for people: a label and a value with its unit, row by row.
+    """Format a summary as table rows.
 
     Args:
-        summary: What `summarise` gave.
+        summary: Result of `summarise`.
 
     Returns:
-        Values by label.
+        Formatted values, with their units, by label.
     """
     number = summary
-    ratio = number["step_cpu_us_median"] / number["jacobian_cpu_us_median"]
     landmarks = number["fit_error_mm_per_landmark"]
     fingers = ("thumb", "index", "middle", "ring", "little")
     per_finger = [
@@ -70,17 +67,21 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
         for finger in fingers
     ]
     return {
-        "samples": f"{number['samples']}, of which {number['held']} without a hand: the robot held still",
-        "step, CPU time": f"{number['step_cpu_us_median']:.0f} us median, {number['step_cpu_us_p99']:.0f} us p99",
-        "": f"{ratio:.0f} times one Jacobian of the robot ({number['jacobian_cpu_us_median']:.2f} us)",
+        "samples": f"{number['samples']}, {number['held']} without a hand (robot held still)",
+        "step, CPU time": (
+            f"{number['step_cpu_us_median']:.0f} us median, {number['step_cpu_us_p99']:.0f} us p99"
+        ),
         "point error": (
-            f"{number['point_error_mm_mean']:.2f} mm mean, {number['point_error_mm_p95']:.2f} mm p95, "
-            f"{number['point_error_mm_max']:.2f} mm max"
+            f"{number['point_error_mm_mean']:.2f} mm mean, "
+            f"{number['point_error_mm_p95']:.2f} mm p95, {number['point_error_mm_max']:.2f} mm max"
         ),
         "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
         "samples at a limit": f"{number['samples_at_limit']}",
         "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
-        "human fit error": f"{number['fit_error_mm_mean']:.2f} mm mean, {number['fit_error_tips_mm_mean']:.2f} mm at the tips",
+        "human fit error": (
+            f"{number['fit_error_mm_mean']:.2f} mm mean, "
+            f"{number['fit_error_tips_mm_mean']:.2f} mm at the tips"
+        ),
         **{
             f"  {finger}, base to tip": f"{values} mm"
             for finger, values in zip(fingers, per_finger, strict=True)

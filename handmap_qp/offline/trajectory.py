@@ -1,7 +1,4 @@
-"""A human motion mapped to a robot, sample by sample.
-
-`map_motion` and the `Trajectory` it gives.
-"""
+"""Map a recorded human motion to a robot: `map_motion` returns a `Trajectory`."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ from pathlib import Path
 from time import thread_time_ns
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -25,23 +21,21 @@ from handmap_qp.trackers.recording import HumanMotion
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A robot's motion, as columns of T samples.
+    """A robot's motion as columns of T samples.
 
     Attributes:
         robot: The robot hand.
         time: Instants [s], shape (T,).
         q: Joint angles in the order of `robot.joint_names` [rad], shape (T, n).
         wrist: Wrist poses in the robot's world, shape (T, 4, 4).
-        targets: Where the reference points should be [m], shape (T, m, 3).
-        points: Where they are [m], shape (T, m, 3).
-        point_error: Distance between the two [m], shape (T, m).
-        wrist_error: Distance of the wrist from its target [m], shape (T,).
-        valid: Samples in which the human was seen, shape (T,); in the others the robot holds still.
-        at_limit: Joints at one of their position limits, shape (T, n).
-        status: How each step ended, shape (T,).
-        step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
-        jacobian_cpu: CPU time of `pin.computeJointJacobians` on the robot's model, a batch now and
-            then [s], shape (B,).
+        targets: Targets of the reference points in the robot's world [m], shape (T, m, 3).
+        points: Positions of the reference points [m], shape (T, m, 3).
+        point_error: Distance from each point to its target [m], shape (T, m).
+        wrist_error: Distance from the wrist to its target [m], shape (T,).
+        valid: Whether the tracker saw the hand, shape (T,). The robot holds still where it did not.
+        at_limit: Whether each joint is at one of its position limits, shape (T, n).
+        status: `MapStep.status` of each sample, shape (T,).
+        step_cpu: CPU time of each `map_step` [s], shape (T,); NaN where the robot was held.
     """
 
     robot: Hand
@@ -56,20 +50,16 @@ class Trajectory:
     at_limit: np.ndarray
     status: np.ndarray
     step_cpu: np.ndarray
-    jacobian_cpu: np.ndarray
 
     @property
     def limit_violation(self) -> float:
-        """Largest distance of a joint from inside its position limits [rad or m]."""
+        """Largest excess over a position limit [rad or m]; 0 if all limits hold."""
         outside = np.maximum(self.robot.lower_limits - self.q, self.q - self.robot.upper_limits)
         return max(0.0, float(outside.max()))
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Everything that a robot or a reader needs, as plain arrays by name.
-
-        What goes into a file.
-        """
+        """Plain arrays by name, as written to a file; angles in rad, lengths in m."""
         return {
             "time": self.time,
             "joint_names": np.array(self.robot.joint_names),
@@ -101,21 +91,24 @@ def map_motion(
 ) -> Trajectory:
     """Map a whole human motion.
 
+    The robot holds its last posture in samples that are not valid.
+
     Args:
-        mapper: A mapper whose human has the joints of the motion's.
-        motion: The motion.
-        progress: Called with the number of samples done after each one.
+        mapper: The mapper; its human hand must have the joints of `motion.human`.
+        motion: The human motion.
+        progress: Called after each sample with the number of samples done.
 
     Returns:
-        The robot's trajectory, of as many samples.
+        The robot's trajectory, with one entry per sample of `motion`.
+
+    Raises:
+        InvalidInputError: If no sample of `motion` is valid, or a sample cannot be mapped.
     """
     count = len(motion.time)
     steps: list[MapStep | None] = []
-    step_cpu, jacobian_cpu = np.full(count, np.nan), []
+    step_cpu = np.full(count, np.nan)
     dt = motion.dt
     for i in range(count):
-        if i % 50 == 0:
-            jacobian_cpu.append(_jacobian_cpu(mapper.robot))
         if motion.valid[i]:
             started = thread_time_ns()
             step = mapper.map_step(motion.q[i], motion.wrist[i], dt=dt[i])
@@ -127,7 +120,9 @@ def map_motion(
             progress(i + 1)
     first = next((step for step in steps if step is not None), None)
     if first is None:
-        raise InvalidInputError("motion: no sample is valid, there is nothing to map")
+        raise InvalidInputError(
+            argument="motion", expected="at least one valid sample", got=f"none of {count}"
+        )
     filled = [step or first for step in steps]
     q = np.array([step.command.q for step in filled])
     wrist = np.array([step.command.wrist for step in filled])
@@ -145,12 +140,11 @@ def map_motion(
         at_limit=(q <= mapper.robot.lower_limits + 1e-6) | (q >= mapper.robot.upper_limits - 1e-6),
         status=np.array([step.status for step in filled]),
         step_cpu=step_cpu,
-        jacobian_cpu=np.array(jacobian_cpu),
     )
 
 
 def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Write arrays to an `.npz` file, whole or not at all.
+    """Write arrays to an `.npz` file atomically: an earlier file stays if writing fails.
 
     Args:
         path: The file; its folder must exist.
@@ -170,14 +164,6 @@ def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
             Path(temporary).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise InvalidInputError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def _jacobian_cpu(robot: Hand, calls: int = 20) -> float:
-    """CPU time of one `pin.computeJointJacobians` [s], as the mean over a batch, so that reading the clock does not count."""
-    data, q = robot.model.createData(), robot.configuration_vector(robot.rest)
-    pin.computeJointJacobians(robot.model, data, q)
-    started = thread_time_ns()
-    for _ in range(calls):
-        pin.computeJointJacobians(robot.model, data, q)
-    return 1e-9 * (thread_time_ns() - started) / calls
+        raise InvalidInputError(
+            argument="path", problem=f"{path}: cannot be written: {error.strerror or error}"
+        ) from error

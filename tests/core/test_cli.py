@@ -13,7 +13,6 @@ KEYS = {
     "held",
     "step_cpu_us_median",
     "step_cpu_us_p99",
-    "jacobian_cpu_us_median",
     "point_error_mm_mean",
     "point_error_mm_p95",
     "point_error_mm_max",

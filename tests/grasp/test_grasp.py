@@ -402,7 +402,7 @@ def test_a_grasp_refuses_links_and_joints_that_the_hand_does_not_have() -> None:
     hand = load_hand("three_finger")
     with pytest.raises(InvalidInputError, match="no link 'tail'"):
         Grasp(hand, hand.rest, np.eye(4), (Contact("tail", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
-    with pytest.raises(InvalidInputError, match="q: expected shape"):
+    with pytest.raises(InvalidInputError, match=r"q: .* shape \(8,\), got shape \(5,\)"):
         Grasp(hand, np.zeros(5), np.eye(4), ())
 
 

@@ -18,17 +18,17 @@ from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.experiments.grasp_figures import contact_histogram_figure
 from handmap_qp.grasp import Grasp
 from handmap_qp.grasp.closing import MARGIN, HandCloser, close_hand
-from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
-from handmap_qp.grasp.preshape import Closing, default_closing, palm_centre
-from handmap_qp.grasp.quality import (
+from handmap_qp.grasp.measures import (
     QUALITIES,
     SMALLER_IS_BETTER,
     cone_wrenches,
     ferrari_canny,
     grasp_quality,
 )
+from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from handmap_qp.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
+from handmap_qp.grasp.preshape import Preshape, default_preshape, palm_centre
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 
@@ -117,8 +117,8 @@ def test_every_joint_that_stopped_short_carries_a_link_that_touches(
     plan: Sequence[PlannedGrasp],
 ) -> None:
     hand = plan[0].grasp.hand
-    closing = default_closing(hand)
-    ends = np.where(closing.direction > 0.0, hand.upper_limits, hand.lower_limits)
+    preshape = default_preshape(hand)
+    ends = np.where(preshape.direction > 0.0, hand.upper_limits, hand.lower_limits)
     carried = [
         carried_by(hand, joint, closer_for(plan[0].grasp).links) for joint in range(len(ends))
     ]
@@ -126,15 +126,15 @@ def test_every_joint_that_stopped_short_carries_a_link_that_touches(
         closer = closer_for(grasp)
         near = closer.distances(grasp.q, grasp.wrist_pose) <= MARGIN
         touching = {link for link, is_near in zip(closer.links, near, strict=True) if is_near}
-        for joint in np.flatnonzero(closing.direction):
+        for joint in np.flatnonzero(preshape.direction):
             assert grasp.q[joint] == ends[joint] or carried[joint] & touching
 
 
 def test_joints_that_do_not_close_keep_their_angle(plan: Sequence[PlannedGrasp]) -> None:
-    closing = default_closing(plan[0].grasp.hand)
-    still = closing.direction == 0.0
+    preshape = default_preshape(plan[0].grasp.hand)
+    still = preshape.direction == 0.0
     for grasp in (one.grasp for one in plan):
-        np.testing.assert_array_equal(grasp.q[still], closing.start[still])
+        np.testing.assert_array_equal(grasp.q[still], preshape.start[still])
 
 
 def test_a_smaller_step_leads_to_the_same_grasp() -> None:
@@ -148,10 +148,10 @@ def test_a_smaller_step_leads_to_the_same_grasp() -> None:
 def test_a_hand_beside_the_object_closes_to_its_limits_and_has_no_contact() -> None:
     hand = load("three_finger")
     grasp = close_hand(hand, CUBE, motion_of(np.eye(3), np.array([1.0, 0.0, 0.0])))
-    closing = default_closing(hand)
+    preshape = default_preshape(hand)
     assert grasp.contacts == ()
     np.testing.assert_array_equal(
-        grasp.q, np.where(closing.direction > 0.0, hand.upper_limits, 0.0)
+        grasp.q, np.where(preshape.direction > 0.0, hand.upper_limits, 0.0)
     )
 
 
@@ -212,7 +212,7 @@ def test_a_hand_without_collision_shapes_is_refused() -> None:
 def test_a_closing_has_to_fit_its_hand(change: dict[str, np.ndarray], what: str) -> None:
     hand = load("three_finger")
     with pytest.raises(InvalidInputError, match=what):
-        HandCloser(hand, CUBE, closing=dataclasses.replace(default_closing(hand), **change))
+        HandCloser(hand, CUBE, preshape=dataclasses.replace(default_preshape(hand), **change))
 
 
 # How hands close
@@ -223,7 +223,7 @@ def test_geometry_finds_the_joints_that_the_toolbox_closes(name: str) -> None:
     hand = load(name)
     # Under another name, the hand has no figures of its own.
     stranger = Hand(msgspec.structs.replace(hand.spec, name="stranger"))
-    found, known = default_closing(stranger).direction, default_closing(hand).direction
+    found, known = default_preshape(stranger).direction, default_preshape(hand).direction
     fingers = [i for i, joint in enumerate(hand.joint_names) if not joint.startswith("thumb")]
     np.testing.assert_array_equal(found[fingers], known[fingers])
 
@@ -231,7 +231,7 @@ def test_geometry_finds_the_joints_that_the_toolbox_closes(name: str) -> None:
 def test_geometry_bends_the_allegro_fingers_and_leaves_their_spread() -> None:
     hand = load("allegro_right")
     bending = {f"joint_{i}.0" for i in (1, 2, 3, 5, 6, 7, 9, 10, 11, 14, 15)}
-    direction = default_closing(hand).direction
+    direction = default_preshape(hand).direction
     assert {
         joint for joint, way in zip(hand.joint_names, direction, strict=True) if way == 1.0
     } == bending
@@ -290,9 +290,9 @@ def test_plans_are_ranked_best_first(measure: str) -> None:
 @pytest.mark.parametrize("name", HANDS)
 def test_palms_look_at_the_object_from_the_planned_distance(name: str) -> None:
     hand, pose = load(name), motion_of(np.eye(3), np.array([0.3, -0.1, 0.2]))
-    farther = dataclasses.replace(default_closing(hand), clearance=0.04)
+    farther = dataclasses.replace(default_preshape(hand), clearance=0.04)
     for one in plan_grasps(
-        hand, CUBE, object_pose=pose, samples=5, closing=farther, quality="msvg"
+        hand, CUBE, object_pose=pose, samples=5, preshape=farther, quality="msvg"
     ):
         palm = hand.frame_pose("palm", one.grasp.q, one.grasp.wrist_pose)
         middle = palm[:3, :3] @ palm_centre(hand) + palm[:3, 3]
@@ -304,8 +304,8 @@ def test_palms_look_at_the_object_from_the_planned_distance(name: str) -> None:
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
 def test_a_hand_that_would_start_in_the_object_starts_just_clear_of_it(shape: Shape) -> None:
     hand = load("three_finger")
-    inside = Closing(np.zeros(8), default_closing(hand).direction, -0.05)
-    for one in plan_grasps(hand, shape, samples=5, closing=inside, quality="msvg"):
+    inside = Preshape(np.zeros(8), default_preshape(hand).direction, -0.05)
+    for one in plan_grasps(hand, shape, samples=5, preshape=inside, quality="msvg"):
         gap = HandCloser(hand, shape).distances(inside.start, one.grasp.wrist_pose).min()
         assert MARGIN < gap < MARGIN + 1.1e-3
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.measures import grasp_quality
 from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp.quality import grasp_quality
 from handmap_qp.grasp.statics import grasp_matrix
 from handmap_qp.hands.urdf.package_data import urdf_directory
 

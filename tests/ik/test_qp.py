@@ -243,6 +243,29 @@ def test_a_point_of_weight_4_counts_as_four_equal_points(name: str) -> None:
         assert np.abs(displacements[0]).max() > 1e-6
 
 
+@pytest.mark.parametrize(
+    ("weight", "unit", "columns", "rows"),
+    [
+        ("point_weight", 0.01, [0, 1, 2], 4),
+        ("wrist_position_weight", 0.01, [0, 1, 2], 1),
+        ("wrist_orientation_weight", 0.1, [3, 4, 5], 1),
+    ],
+)
+def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
+    weight: str, unit: float, columns: list[int], rows: int
+) -> None:
+    # On the targets there is no error, so the QP's cost is that of the displacement alone.
+    hand = load_hand("allegro_right", mount="floating")
+    costs = []
+    for value in (1.0, 3.0):
+        ik = PointIk(hand, IkOptions(**{weight: value}))  # type: ignore[arg-type]
+        ik.place(hand.configuration_vector(hand.rest, np.eye(4)))
+        H = ik.problem(ik.configuration.points, np.eye(4), 0.01)[0]
+        costs.append(unit**2 * np.diag(H)[columns])
+    # The difference of two weights leaves out all other terms.
+    np.testing.assert_allclose(costs[1] - costs[0], rows * (3.0**2 - 1.0**2), rtol=1e-9)
+
+
 # -- on an arm
 # --------------------------------------------------------------------------------------------------------
 

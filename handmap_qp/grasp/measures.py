@@ -1,23 +1,23 @@
-"""How good a grasp is: `grasp_quality`, by the name of a measure.
+"""Quality measures of grasps: `grasp_quality`, by the name of a measure.
 
-Forces and torques, translations and rotations are brought to one scale by a characteristic length
-L: lengths count in units of L.
+Lengths are divided by a characteristic length L, so that forces and torques, and translations and
+rotations, are comparable.
 
-| name | what | better |
+| name | definition | better |
 |---|---|---|
-| `ferrari_canny` | radius of the largest ball of wrenches that contacts of unit normal force and
-friction resist | greater | | `msvg` | smallest singular value of G | greater |
+| `ferrari_canny` | radius of the largest ball in the convex hull of contact wrenches | greater |
+| `msvg` | smallest singular value of G | greater |
 | `gii` | grasp isotropy index: smallest over largest singular value of G | greater |
-| `vew` | volume of the ellipsoid of wrenches: product of the singular values of G | greater |
+| `vew` | volume of the wrench ellipsoid: product of the singular values of G | greater |
 | `dtsc` | distance to singular configurations: smallest singular value of H | greater |
 | `mev` | volume of the manipulability ellipsoid: product of the singular values of H | greater |
 | `uot` | uniformity of transformation: largest over smallest singular value of H | smaller |
-| `centroid` | distance of the contacts' centroid from the object's centre [m] | smaller |
+| `centroid` | distance from the contacts' centroid to the object's centre [m] | smaller |
 
-G is the grasp matrix, `H = pinv(G^T) J` the twist of the object that moves with the joints.
-`ferrari_canny` is the measure of Ferrari and Canny, ICRA 1992, that Miller et al. (the paper's
-[23]) plan with, in its form for a bounded sum of normal forces; it is > 0 only for force closure.
-The others but the last are the toolbox's that the paper was computed with, where L is a millimetre.
+G is the grasp matrix. `H = pinv(G^T) J` maps joint velocities to the object's twist.
+`ferrari_canny` is the measure of Ferrari and Canny (ICRA 1992), which Miller et al. (the paper's
+[23]) plan with. It bounds the sum of the normal forces, and is > 0 only with force closure. The
+measures from `msvg` to `uot` are those of the paper's toolbox, where L is one millimetre.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import (
+    finite_array,
+    non_negative_number,
+    one_of,
+    positive_number,
+    whole_number,
+)
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.statics import grasp_matrix
 
@@ -33,10 +39,10 @@ QUALITIES = ("ferrari_canny", "msvg", "gii", "vew", "dtsc", "mev", "uot", "centr
 """Names of the measures."""
 
 SMALLER_IS_BETTER = frozenset({"uot", "centroid"})
-"""The measures of which less is better."""
+"""Measures for which a smaller value is better."""
 
 FRICTION = 0.5
-"""Coulomb's coefficient of friction where none is given: skin or rubber on a smooth object."""
+"""Default Coulomb coefficient of friction: skin or rubber on a smooth object."""
 
 _EDGES = 8
 
@@ -52,27 +58,23 @@ def grasp_quality(
 
     Args:
         grasp: The grasp.
-        measure: Name of the measure; see the table above.
-        friction: Coulomb's coefficient of friction; only `ferrari_canny` uses it.
-        length: Characteristic length L [m]; the distance of the farthest contact from the object's
-            centre if omitted, which makes the measures (but `centroid`) independent of the object's
-            size.
+        measure: Name of the measure; see the table of this module.
+        friction: Coulomb coefficient of friction; used by `ferrari_canny` only.
+        length: Characteristic length L [m]. If omitted, it is the distance from the object's centre
+            to the farthest contact. All measures except `centroid` are then independent of the
+            object's size.
 
     Returns:
-        The measure. A grasp with no contact, or with too few, has 0 (`uot` and `centroid`:
-        infinity, for none).
+        The value of the measure. With too few contacts it is 0, and infinite for `uot`. Without
+        any contact it is infinite for `centroid` too.
 
     Raises:
         InvalidInputError: On an unknown name, friction < 0 or a length that is not > 0.
     """
-    if measure not in QUALITIES:
-        raise InvalidInputError(
-            f"measure: expected one of {', '.join(QUALITIES)}, got {measure!r}", value=measure
-        )
-    if length is not None and not (np.isfinite(length) and length > 0.0):
-        raise InvalidInputError(
-            f"length: expected a length > 0 in metres, got {length}", value=length
-        )
+    one_of(measure, QUALITIES, "measure")
+    friction = non_negative_number(friction, "friction")
+    if length is not None:
+        length = positive_number(length, "length")
     if not grasp.contacts:
         return np.inf if measure in SMALLER_IS_BETTER else 0.0
     offsets = grasp.points - grasp.centre
@@ -85,7 +87,7 @@ def grasp_quality(
     if measure in ("msvg", "gii", "vew"):
         values = _singular_values(G)
     else:
-        # Of contacts on one line, the part of G that is only rounding must not be inverted.
+        # Contacts on one line: do not invert singular values of G that are rounding errors.
         values = _singular_values(np.linalg.pinv(G.T, rcond=1e-9) @ grasp.jacobian / scale)
     if measure in ("vew", "mev"):
         return float(values.prod())
@@ -100,23 +102,25 @@ def grasp_quality(
 def ferrari_canny(
     points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES
 ) -> float:
-    """Radius of the largest ball round the origin inside the convex hull of the contacts' wrenches (Ferrari and Canny 1992).
+    """Radius of the largest ball about the origin in the convex hull of the contacts' wrenches.
+
+    Source: Ferrari and Canny, ICRA 1992.
 
     Args:
         points: Contacts relative to the object's centre, in units of the characteristic length,
             shape (n_c, 3).
         normals: Unit normals into the object, shape (n_c, 3).
-        friction: Coulomb's coefficient of friction.
-        edges: Edges of the pyramid in place of a friction cone.
+        friction: Coulomb coefficient of friction.
+        edges: Edges of the pyramid that approximates a friction cone, >= 3.
 
     Returns:
-        The radius; 0 without force closure, where the origin is not inside.
+        The radius; 0 without force closure, when the origin is not inside the hull.
 
     Raises:
-        InvalidInputError: If friction < 0.
+        InvalidInputError: On a wrong shape, friction < 0 or fewer than 3 edges.
     """
     wrenches = cone_wrenches(points, normals, friction, edges=edges)
-    # Without a rank of 6 the hull is flat; Qhull would find that out from rounding errors only.
+    # Rank below 6: the hull is flat. Qhull detects that only from rounding errors.
     if len(wrenches) < 7 or np.linalg.matrix_rank(wrenches, tol=1e-9) < 6:
         return 0.0
     try:
@@ -129,24 +133,25 @@ def ferrari_canny(
 def cone_wrenches(
     points: np.ndarray, normals: np.ndarray, friction: float, *, edges: int = _EDGES
 ) -> np.ndarray:
-    """Wrenches of forces along the edges of the friction cones, each with a unit normal part.
+    """Wrenches of forces along the edges of the friction cones, with unit normal components.
 
     Args:
         points: Contacts relative to the object's centre, shape (n_c, 3).
         normals: Unit normals into the object, shape (n_c, 3).
-        friction: Coulomb's coefficient of friction.
-        edges: Edges of the pyramid in place of a cone.
+        friction: Coulomb coefficient of friction.
+        edges: Edges of the pyramid that approximates a friction cone, >= 3.
 
     Returns:
         Wrenches, force then torque, shape (n_c * edges, 6).
 
     Raises:
-        InvalidInputError: If friction < 0.
+        InvalidInputError: On a wrong shape, friction < 0 or fewer than 3 edges.
     """
-    if not (np.isfinite(friction) and friction >= 0.0):
-        raise InvalidInputError(f"friction: expected a number >= 0, got {friction}", value=friction)
-    # Any tangent will do to start from; the axis that the normal has least of is never parallel to
-    # it.
+    points = finite_array(points, ("n", 3), "points")
+    normals = finite_array(normals, points.shape, "normals")
+    friction = non_negative_number(friction, "friction")
+    edges = whole_number(edges, "edges", least=3)
+    # First tangent: cross product with the axis of the normal's smallest component.
     first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
@@ -158,9 +163,6 @@ def cone_wrenches(
 
 
 def _singular_values(matrix: np.ndarray) -> np.ndarray:
-    """The six singular values of a matrix of six rows, largest first.
-
-    Those that it has too few columns for are 0.
-    """
+    """Six singular values of a matrix with six rows, largest first, padded with zeros."""
     values = np.linalg.svd(matrix, compute_uv=False)
     return np.concatenate([values, np.zeros(6 - len(values))])
