@@ -26,7 +26,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.service.cli import Keys, Serve
-from handmap_qp.tables import print_rows, print_table, progress
+from handmap_qp.tables import check_output, print_rows, print_table, progress
 from handmap_qp.viewer.cli import View
 
 
@@ -111,7 +111,9 @@ class Map:
 
         recording = read_recording(self.recording)
         robot = load_hand(self.robot, points=self.robot_points)
-        out = _check_out(self.out or Path(f"{recording.name}_{robot.name}.npz"))
+        out = check_output(
+            "--out", self.out or Path(f"{recording.name}_{robot.name}.npz"), (".npz",)
+        )
         with progress("fitting the human hand", len(recording)) as advance:
             motion = fit_recording(recording, advance)
         human = motion.human.with_points(self.human_points)
@@ -242,17 +244,6 @@ def _first_sentences(box: str) -> str:
     ruled = [i for i, line in enumerate(lines) if not line]
     # Options that have no name of their own stand in a class of tyro's.
     return " ".join(lines[: ruled[0]] if ruled else lines).replace("__tyro-dummy-inner__.", "--")
-
-
-def _check_out(path: Path) -> Path:
-    """Refuse a file that cannot be written, before any work is done."""
-    if path.suffix != ".npz":
-        raise InvalidInputError(f"--out {path}: expected a file that ends in .npz")
-    if not path.parent.is_dir():
-        raise InvalidInputError(f"--out {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise InvalidInputError(f"--out {path}: is a folder")
-    return path
 
 
 if __name__ == "__main__":

@@ -164,6 +164,10 @@ class Hand:
         """
         return self.model.frames[self.wrist_frame_id].parentJoint > 0
 
+    def at_position_limit(self, q: np.ndarray) -> np.ndarray:
+        """Return which joints are within 1e-6 rad or m of a position limit, shape (n,)."""
+        return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
+
     def __repr__(self) -> str:
         """Name, side, joints and points in one line."""
         return (

@@ -10,6 +10,7 @@ from typing import Any
 import tyro
 
 from handmap_qp.hands.spec import Side
+from handmap_qp.tables import print_rows
 
 
 @dataclass(frozen=True)
@@ -119,24 +120,3 @@ class HandsCheck:
             if picture is not None and report.hand is not None:
                 print(f"wrote {picture}")
         report.raise_if_unusable()
-
-
-def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
-    """A table on the terminal; nothing for no rows."""
-    from rich.console import Console
-    from rich.table import Table
-
-    if not rows:
-        return
-    table = Table()
-    for name, value in rows[0].items():
-        table.add_column(
-            name, justify="right" if isinstance(value, int | float) else "left", overflow="fold"
-        )
-    for row in rows:
-        table.add_row(
-            *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
-        )
-    console = Console()
-    console.print(title, style="bold")
-    console.print(table)

@@ -222,11 +222,8 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
         assert step is not None
         worst = int(np.argmax(step.point_error))
         q = step.command.q
-        room = 1e-4 * (hand.upper_limits - hand.lower_limits)
-        at_limit = (q <= hand.lower_limits + room) | (q >= hand.upper_limits - room)
-        limited = tuple(
-            joint for joint, is_at in zip(hand.joint_names, at_limit, strict=True) if is_at
-        )
+        at_limit = np.flatnonzero(hand.at_position_limit(q))
+        limited = tuple(hand.joint_names[i] for i in at_limit)
         parts.append(
             MotionPart(
                 name, float(step.point_error[worst]), hand.reference_points[worst].name, limited

@@ -1,4 +1,1 @@
-"""`handmap view`.
-
-Both hands, what the mapping asks of them and how well they do it, in a browser.
-"""
+"""`handmap view`: both hands, targets, errors and options in a browser."""

@@ -1,4 +1,4 @@
-"""Where the browsers look from: `Camera` keeps both hands in every picture, whatever its shape."""
+"""`BrowserCameras`: keep both hands in view in every browser window, whatever its shape."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ if TYPE_CHECKING:
     import viser
 
 _FIELD_OF_VIEW = np.radians(35.0)
-# From the palm's side and a little from above.
+# From the palm side, slightly from above.
 _DIRECTION = np.array([0.0, 0.3, -1.0]) / np.linalg.norm([0.0, 0.3, -1.0])
-# Width by height of a picture of which nothing is known: that of a page which plays by itself, on a
-# screen that stands upright.
-_CAUTIOUS_ASPECT = 0.75
+# Aspect ratio assumed before the client reports one: a written page on a portrait screen.
+_DEFAULT_ASPECT = 0.75
 
 
-class Camera:
-    """The cameras of all browsers.
+class BrowserCameras:
+    """The cameras of all connected browsers.
 
     Args:
         server: A running viser server.
@@ -28,21 +27,19 @@ class Camera:
         self._server = server
         self._size = np.ones(3)
         self._distances: dict[int, float] = {}
-        server.initial_camera.look_at, server.initial_camera.fov = (
-            np.zeros(3),
-            float(_FIELD_OF_VIEW),
-        )
+        server.initial_camera.look_at = np.zeros(3)
+        server.initial_camera.fov = float(_FIELD_OF_VIEW)
 
     def fit(self, width: float, height: float, depth: float) -> None:
-        """Look at a box about the scene's origin, of this size [m]."""
+        """Fit the view to a box of this size around the scene's origin [m]."""
         self._size = np.array([width, height, depth])
-        self._server.initial_camera.position = self._distance(_CAUTIOUS_ASPECT) * _DIRECTION
+        self._server.initial_camera.position = self._distance(_DEFAULT_ASPECT) * _DIRECTION
 
-    def attend(self) -> None:
-        """Move the cameras of browsers that are new, have another shape than before, or have something else to look at.
+    def update(self) -> None:
+        """Move a camera if its browser is new or if its window or the box has changed.
 
-        Their size is that of the room between the panels, which they tell once these are in place.
-        Where a user has turned the picture, it stays turned.
+        Browsers report the size of the area between the panels once these are in place. A view
+        that the user has rotated keeps its direction.
         """
         distances = {}
         for name, client in self._server.get_clients().items():
@@ -51,15 +48,15 @@ class Camera:
                 camera.image_width / max(camera.image_height, 1)
             )
             if distance != self._distances.get(name):
-                sight = camera.position - camera.look_at
+                offset = camera.position - camera.look_at
                 is_new = name not in self._distances
-                direction = _DIRECTION if is_new else sight / np.linalg.norm(sight)
-                # A camera that is moved takes along what it looks at.
+                direction = _DIRECTION if is_new else offset / np.linalg.norm(offset)
+                # Setting the position moves `look_at` too, so set both.
                 camera.position, camera.look_at = distance * direction, np.zeros(3)
         self._distances = distances
 
     def _distance(self, aspect: float) -> float:
-        """From where the box fills a picture of this width by height [m]."""
+        """Return the distance at which the box fills a window of this aspect ratio [m]."""
         width, height, depth = self._size
         return float(
             0.5 * max(width / max(aspect, 0.05), height) / np.tan(0.5 * _FIELD_OF_VIEW)

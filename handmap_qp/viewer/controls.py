@@ -1,7 +1,7 @@
-"""The panel on the right: play bar, clutch, choices of the picture, options.
+"""The panel on the right: play bar, clutch, display settings, options.
 
-Callbacks of the browser come in threads of their own. They only leave their wish where the viewer's
-`tick` finds it, so that mapping and drawing happen in one thread.
+viser calls callbacks in threads of its own. They only record a request, which the viewer's `tick`
+carries out, so that mapping and drawing happen in one thread.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 
 
-class PictureControls:
-    """What the picture shows.
+class DisplayControls:
+    """What the scene shows.
 
     Args:
         server: A running viser server.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
-        hint = "Hold each hand in place, or see it travel"
+        hint = "hands: keep each hand in place; world: show how it travels"
         self.follow = server.gui.add_dropdown(
             "follow", ("hands", "world"), initial_value="hands", hint=hint
         )
-        hint = "What T_def makes of a ball or a cube at the pivot"
+        hint = "Shape of a ball or cube at the pivot after T_def"
         self.shape = server.gui.add_dropdown(
             "deformation", ("ellipsoid", "cube", "off"), initial_value="ellipsoid", hint=hint
         )
 
     def apply_to(self, scene: HandScene) -> None:
-        """Let the scene know; seen with its next drawing."""
+        """Copy the settings to the scene; its next drawing shows them."""
         scene.follow, scene.deformation_shape = self.follow.value, self.shape.value
 
 
 class SteeringControls:
-    """Clutch, picture, options, and a word on what could not be done.
+    """Clutch, display settings, options, and a message about the last request.
 
     Args:
         server: A running viser server.
@@ -50,48 +50,49 @@ class SteeringControls:
         options: The options to start from.
 
     Attributes:
-        release: The button that lets go. There are two, so that no click ever means what the button
-            said a moment ago.
-        clutch: The button that takes hold again.
-        message: What is being done, or why the last wish was not fulfilled; not visible where there
-            is nothing to say.
-        picture: What the picture shows.
+        release: Button that freezes the robot. Two buttons instead of a toggle, so that a click
+            cannot act on a label that has just changed.
+        clutch: Button that resumes mapping from where the robot is.
+        message: What is being done, or why the last request failed; hidden if empty.
+        display: What the scene shows.
         options: Sliders, lists and boxes for the options.
-        reset: The button that asks for the first options back.
+        reset: Button that restores the initial options and clutches.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
         gui = server.gui
-        self.release = gui.add_button("Release", hint="The robot holds still until you clutch")
+        self.release = gui.add_button("Release", hint="Freeze the robot until Clutch is pressed")
         self.clutch = gui.add_button(
             "Clutch",
-            hint="Take hold of the robot again; it goes on from where it is",
+            hint="Resume mapping from where the robot is",
             disabled=True,
         )
         self.message = gui.add_markdown("", visible=False)
-        self.picture = PictureControls(server)
+        self.display = DisplayControls(server)
         self.options = OptionControls(server, robot, options)
-        self.reset = gui.add_button("Reset options and clutch")
-        self._wishes: list[str] = []
-        self.release.on_click(lambda _: self._wishes.append("release"))
-        self.clutch.on_click(lambda _: self._wishes.append("clutch"))
-        self.reset.on_click(lambda _: self._wishes.append("reset"))
+        self.reset = gui.add_button(
+            "Reset options and clutch", hint="Restore the initial options and resume mapping"
+        )
+        self._requests: list[str] = []
+        self.release.on_click(lambda _: self._requests.append("release"))
+        self.clutch.on_click(lambda _: self._requests.append("clutch"))
+        self.reset.on_click(lambda _: self._requests.append("reset"))
 
-    def take_wishes(self) -> list[str]:
-        """The buttons pressed since the last call: `release`, `clutch` and `reset`."""
-        return [self._wishes.pop(0) for _ in range(len(self._wishes))]
+    def take_requests(self) -> list[str]:
+        """Return the buttons pressed since the last call: `release`, `clutch` and `reset`."""
+        return [self._requests.pop(0) for _ in range(len(self._requests))]
 
     def show_released(self, is_released: bool) -> None:
-        """Let that button be pressed which would change something."""
+        """Enable the button that has an effect."""
         self.release.disabled, self.clutch.disabled = is_released, not is_released
 
-    def say(self, text: str) -> None:
-        """Show a line below the clutch button; nothing for an empty one."""
+    def show_message(self, text: str) -> None:
+        """Show a line below the clutch button; hide it if the text is empty."""
         self.message.visible, self.message.content = text != "", text
 
-    def complain(self, error: HandmapError | None) -> None:
-        """Say why a wish was not fulfilled, or that the last one was."""
-        self.say("" if error is None else f"**Not possible:** {error}")
+    def show_error(self, error: HandmapError | None) -> None:
+        """Show why the last request failed; None clears the message."""
+        self.show_message("" if error is None else f"**Not possible:** {error}")
 
 
 class PlayBar:
@@ -99,11 +100,11 @@ class PlayBar:
 
     Args:
         server: A running viser server.
-        duration: Time from the first to the last [s].
+        duration: Time from the first to the last sample [s].
 
     Attributes:
-        is_playing: Whether time runs.
-        time: Where it is [s].
+        is_playing: Whether time advances.
+        time: Current time since the first sample [s].
     """
 
     def __init__(self, server: viser.ViserServer, duration: float) -> None:
@@ -129,10 +130,10 @@ class PlayBar:
         self.button.icon = viser.Icon.PLAYER_PAUSE if self.is_playing else viser.Icon.PLAYER_PLAY
 
     def advance(self, elapsed: float) -> None:
-        """Let time run, or take it from the slider where the user moved that.
+        """Advance time, or take it from the slider if the user moved it.
 
         Args:
-            elapsed: Since the last call [s].
+            elapsed: Time since the last call [s].
         """
         if self.slider.value != self._written:
             self.time = self.slider.value
@@ -144,6 +145,6 @@ class PlayBar:
 
 
 def dock_main_panel(server: viser.ViserServer) -> None:
-    """Put what follows to the right of the hands."""
+    """Dock the main panel, where all later controls go, to the right of the hands."""
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(330)

@@ -1,7 +1,4 @@
-"""The panel on the left.
-
-Point error and step time over time, and the robot's joints against their limits.
-"""
+"""The panel on the left: point error, step time, and joints between their limits."""
 
 from __future__ import annotations
 
@@ -25,22 +22,22 @@ if TYPE_CHECKING:
 _WIDTH = 330
 _BLUE, _GREY, _RED, _ORANGE = "#2166d8", "#9aa0a8", "#d62929", "#f08c00"
 _AXIS = {"stroke": "#666", "font": "11px sans-serif", "grid": {"stroke": "#eee"}}
-# More points than a plot has pixels.
-_MOST_PLOTTED = 600
-# Longer names of joints lose their middle.
+# Bins per plot; more than a plot has pixels.
+_MOST_BINS = 600
+# Characters; longer joint names are shortened in the middle.
 _LONGEST_NAME = 19
 _SCENE_COLOURS = (
-    ("human's points", HUMAN_COLOUR),
-    ("robot's points", ROBOT_COLOUR),
-    ("their targets", TARGET_COLOUR),
-    ("T_def of a ball", DEFORMATION_COLOUR),
+    ("human points", HUMAN_COLOUR),
+    ("robot points", ROBOT_COLOUR),
+    ("targets", TARGET_COLOUR),
+    ("ball after T_def", DEFORMATION_COLOUR),
 )
 
 
 def gauge_row(sample: ViewSample) -> tuple[float, float, float, float]:
-    """What the plots show of a sample.
+    """Return the plotted values of a sample.
 
-    Time [s], mean and largest point error [mm], time of the step [µs].
+    These are time [s], mean and largest point error [mm], and duration of the step [µs].
     """
     error = sample.point_error if sample.targets is not None else np.array([np.nan])
     return sample.time, 1e3 * float(error.mean()), 1e3 * float(error.max()), 1e6 * sample.duration
@@ -73,30 +70,29 @@ class Gauges:
         )
 
     def set_rows(self, rows: npt.ArrayLike, *, latest: float | None = None) -> None:
-        """Plot other samples.
+        """Replace the plotted samples.
 
         Args:
-            rows: What `gauge_row` says of each, shape (n, 4), n > 0.
-            latest: For the last so many seconds, with the last sample at zero [s]; from the first
-                sample to the last if omitted.
+            rows: `gauge_row` of each sample, shape (n, 4), n > 0.
+            latest: Length of the time axis, which then ends with the last sample at zero [s]; all
+                samples if omitted.
         """
         self._rows = np.array(rows, dtype=float)
         time = self._rows[:, 0]
-        # A plot keeps its range when its data change, and a new range costs a new plot: so a range
-        # that moves is one that stands.
+        # Changing the range rebuilds the plot: keep it fixed and shift the data.
         span = (float(time[0]), float(max(time[-1], time[0] + 0.1)))
         if latest is not None:
             time -= time[-1]
             span = (-latest, 0.0)
-        # Of samples that share a place the worst are seen, and the last one's time.
-        self._starts = np.linspace(
-            0, len(time), min(len(time), _MOST_PLOTTED), endpoint=False
-        ).astype(int)
+        # Decimate: plot each bin's maximum, at its last sample's time.
+        self._starts = np.linspace(0, len(time), min(len(time), _MOST_BINS), endpoint=False).astype(
+            int
+        )
         self._plotted = np.fmax.reduceat(self._rows, self._starts, axis=0)
         step = self._rows[:, 3]
         median, p99 = np.percentile(step, (50, 99))
         _set_scales(self.error, _scales(span, self._rows[:, 2]))
-        # A few steps that the machine was interrupted in would flatten all others.
+        # Outliers (the process was preempted) would flatten all other steps, so cut them off.
         _set_scales(self.timing, _scales(span, np.minimum(step, 3.0 * median)))
         cut = " (cut off)" if step.max() > self.timing.scales["y"]["range"][1] else ""
         self.timing_note.content = _foot(
@@ -104,23 +100,24 @@ class Gauges:
         )
 
     def draw(self, sample: ViewSample, index: int) -> None:
-        """Mark the present sample in the plots and show its joints.
+        """Mark a sample in the plots and show its joints.
 
         Args:
             sample: The sample.
-            index: Its place among those given to `set_rows`.
+            index: Its index among those given to `set_rows`.
         """
         time, mean, largest, step = self._plotted.T
-        place, now = int(np.searchsorted(self._starts, index, side="right")) - 1, self._rows[index]
+        place = int(np.searchsorted(self._starts, index, side="right")) - 1
+        now = self._rows[index]
         self.error.data = (time, mean, largest, _only(len(time), place, now[1]))
         self.timing.data = (time, step, _only(len(time), place, now[3]))
         self.joints.content = joint_bars(self._robot, sample)
 
 
 def joint_bars(robot: Hand, sample: ViewSample) -> str:
-    """Every joint between its limits, as HTML.
+    """Draw every joint as a bar from its lower to its upper position limit.
 
-    A bar from the lower limit to the upper one, red where a limit holds the joint.
+    The bar is red at a position limit, and orange where the speed limit held the joint.
 
     Args:
         robot: The robot hand.
@@ -129,37 +126,53 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
     Returns:
         The HTML.
     """
-    shares = (sample.robot_q - robot.lower_limits) / (robot.upper_limits - robot.lower_limits)
-    rest = (robot.rest - robot.lower_limits) / (robot.upper_limits - robot.lower_limits)
-    rows, names = [], zip(robot.joint_names, short_names(robot.joint_names), strict=True)
-    for (name, short), q, share, rest_share, is_held in zip(
-        names, sample.robot_q, shares, rest, sample.at_limit, strict=True
-    ):
-        colour = _RED if is_held else _BLUE
-        track = "flex:1;position:relative;height:7px;background:#e4e6ea;border-radius:4px"
-        fill = f"position:absolute;left:0;width:{100 * share:.1f}%;height:7px;background:{colour};border-radius:4px"
-        mark = f"position:absolute;left:{100 * rest_share:.1f}%;top:-2px;width:1px;height:11px;background:#333"
-        rows.append(
-            '<div style="display:flex;align-items:center;height:15px">'
-            f'<span title="{escape(name)}" style="width:118px;overflow:hidden;white-space:nowrap">{escape(short)}</span>'
-            f'<span style="{track}"><span style="{fill}"></span><span style="{mark}"></span></span>'
-            f'<span style="width:44px;text-align:right;color:{colour}">{np.degrees(q):.0f}°</span></div>'
-        )
-    head = '<div style="font-weight:600;margin-bottom:3px">joints between their limits</div>'
+    ranges = robot.upper_limits - robot.lower_limits
+    columns = zip(
+        robot.joint_names,
+        short_names(robot.joint_names),
+        sample.robot_q,
+        (sample.robot_q - robot.lower_limits) / ranges,
+        (robot.rest - robot.lower_limits) / ranges,
+        np.where(
+            robot.at_position_limit(sample.robot_q),
+            _RED,
+            np.where(sample.is_limited, _ORANGE, _BLUE),
+        ),
+        strict=True,
+    )
+    entries = (("position limit", _RED), ("speed limit", _ORANGE))
     return (
-        f'<div style="font-size:11px;line-height:15px;padding:4px 14px">{head}{"".join(rows)}</div>'
+        '<div style="font-size:11px;line-height:15px;padding:4px 14px">'
+        '<div style="font-weight:600;margin-bottom:3px">joints between their limits</div>'
+        f"{''.join(_joint_bar(*column) for column in columns)}</div>{_legend(entries)}"
+    )
+
+
+def _joint_bar(name: str, short: str, q: float, share: float, rest: float, colour: str) -> str:
+    """Return one joint's row: name, bar with a mark at the rest angle, and angle, as HTML."""
+    bar = f"height:7px;border-radius:4px;background:{colour}"
+    return (
+        '<div style="display:flex;align-items:center;height:15px">'
+        f'<span title="{escape(name)}" style="width:118px;overflow:hidden;white-space:nowrap">'
+        f"{escape(short)}</span>"
+        '<span style="flex:1;position:relative;height:7px;background:#e4e6ea;border-radius:4px">'
+        f'<span style="position:absolute;left:0;width:{100 * share:.1f}%;{bar}"></span>'
+        f'<span style="position:absolute;left:{100 * rest:.1f}%;top:-2px;width:1px;height:11px;'
+        'background:#333"></span></span>'
+        f'<span style="width:44px;text-align:right;color:{colour}">{np.degrees(q):.0f}°</span>'
+        "</div>"
     )
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Names.
+    """Shorten joint names to the panel's width.
 
-    Where some are too long, without the beginning that all share, and without their middle: they
-    differ at the ends.
+    If any name is too long, remove the prefix that all share, then the middle of those still too
+    long: names differ at their ends.
     """
     if max(map(len, names)) <= _LONGEST_NAME:
         return list(names)
-    # What a name is called after must not be torn apart.
+    # Cut the shared prefix only after a separator.
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     shared = (
         re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
@@ -174,7 +187,7 @@ def short_names(names: Sequence[str]) -> list[str]:
 def _add_plot(
     server: viser.ViserServer, title: str, names: tuple[str, ...], colours: tuple[str, ...]
 ) -> Any:
-    """A plot of some series over time, with a dot on the first of them for now."""
+    """Add a plot of series over time, with a dot on the first of them at the current sample."""
     from viser import uplot
 
     series = [uplot.Series(label="s")]
@@ -208,10 +221,7 @@ def _add_plot(
 
 
 def _scales(span: tuple[float, float], values: np.ndarray) -> dict[str, Any]:
-    """Ranges of both axes.
-
-    This much time, and from zero to a little above the next round number.
-    """
+    """Return the ranges of both axes: `span`, and zero to just above the next round number."""
     from viser import uplot
 
     largest = max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-6)
@@ -228,23 +238,20 @@ def _scales(span: tuple[float, float], values: np.ndarray) -> dict[str, Any]:
 
 
 def _set_scales(plot: Any, scales: dict[str, Any]) -> None:
-    """Give a plot other ranges, for which the browser makes it anew.
-
-    Only if they are other ones.
-    """
+    """Set the ranges of a plot if they differ, because the browser then rebuilds the plot."""
     if plot.scales != scales:
         plot.scales = scales
 
 
 def _only(count: int, place: int, value: float) -> np.ndarray:
-    """A column with one value, and nothing elsewhere."""
+    """Return a column with one value, and NaN elsewhere."""
     only = np.full(count, np.nan)
     only[place] = value
     return only
 
 
 def _legend(entries: Sequence[tuple[str, str]]) -> str:
-    """Dots in colours, and what each stands for, as HTML."""
+    """Return a legend of coloured dots as HTML."""
     return _foot(
         " ".join(
             f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>'
@@ -254,7 +261,7 @@ def _legend(entries: Sequence[tuple[str, str]]) -> str:
 
 
 def _foot(html: str) -> str:
-    """A small line below a plot."""
+    """Return a small line of text as HTML."""
     return f'<div style="font-size:11px;line-height:15px;padding:0 14px;color:#666">{html}</div>'
 
 

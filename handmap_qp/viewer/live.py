@@ -1,7 +1,4 @@
-"""A running mapping in the browser.
-
-`LiveViewer` shows whatever a `LiveSource` tells, and steers it where it may.
-"""
+"""A running mapping in the browser: `LiveViewer` shows and steers a `LiveSource`."""
 
 from __future__ import annotations
 
@@ -13,38 +10,35 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.viewer.controls import PictureControls, SteeringControls, dock_main_panel
+from handmap_qp.viewer.controls import DisplayControls, SteeringControls, dock_main_panel
+from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
 from handmap_qp.viewer.gauges import Gauges, gauge_row
 from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.scene import HandScene
-from handmap_qp.viewer.serving import drawing
 
 if TYPE_CHECKING:
     import viser
 
-_PERIOD = 1.0 / 30.0
-_GAUGES_PERIOD = 0.1
-# Time that the plots show [s].
+# Length of the plots' time axis [s].
 _SPAN = 10.0
-# Without a sample for so long, the view says so [s].
+# The view reports that no sample arrives after this time [s].
 _SILENCE = 1.0
 
 
 class LiveSource(Protocol):
-    """Somewhere that a mapping runs.
+    """A mapping that runs elsewhere.
 
-    Wishes are carried out in turn by the thread that iterates, and what became of them is seen in
-    the attributes.
+    The thread that iterates carries out requests in order. The attributes show their outcome.
 
     Attributes:
-        human: The human hand that its samples speak of.
+        human: The human hand of the samples.
         robot: The robot hand.
-        options: What is in force there, whoever asked for it.
+        options: Options in force there, whichever client set them.
         is_shared: Whether it can be steered from here.
-        is_released: Whether the robot was let go.
+        is_released: Whether the robot is released.
         is_outdated: Whether it has ended because other hands are mapped there now.
-        trouble: Why the last wish was not fulfilled; None where it was.
+        last_error: Why the last request failed; None if it succeeded.
     """
 
     human: Hand
@@ -53,54 +47,54 @@ class LiveSource(Protocol):
     is_shared: bool
     is_released: bool
     is_outdated: bool
-    trouble: HandmapError | None
+    last_error: HandmapError | None
 
     @property
     def is_busy(self) -> bool:
-        """Whether wishes are still to be carried out."""
+        """Whether requests are pending."""
         ...
 
     def __iter__(self) -> Iterator[ViewSample]:
-        """Samples as they come, ending where the source ends; may raise `HandmapError`."""
+        """Yield samples as they arrive until the source ends; may raise `HandmapError`."""
         ...
 
     def release(self) -> None:
-        """Wish to let go of the robot."""
+        """Request that the robot is released."""
         ...
 
     def clutch(self) -> None:
-        """Wish to take hold of it again."""
+        """Request that mapping resumes."""
         ...
 
     def configure(self, changes: dict[str, Any]) -> None:
-        """Wish for other values of some options."""
+        """Request other values of some options."""
         ...
 
     def close(self) -> None:
-        """Stop: a running iteration ends soon."""
+        """Stop; a running iteration ends soon."""
         ...
 
 
 class LiveViewer:
-    """Shows a mapping that runs elsewhere.
+    """Show a mapping that runs elsewhere.
 
     Args:
         server: A running viser server.
-        source: What to read; a thread does so from here on.
+        source: What to show; a thread reads it from here on.
         patience: How long to wait for the first sample [s].
 
     Attributes:
         scene: The hands.
         gauges: Plots and joint bars.
         sample: The newest one.
-        rows: What the plots show of the samples of the last seconds.
-        news: What is amiss, or how many samples come.
-        steering: Clutch and options; None where the source cannot be steered.
-        picture: What the picture shows.
+        rows: `gauge_row` of each sample of the last 10 s.
+        status_text: The sample rate, or that no sample arrives.
+        steering: Clutch and options; None if the source cannot be steered.
+        display: What the scene shows.
 
     Raises:
-        InvalidInputError: If no sample comes.
-        HandmapError: Whatever the source raised.
+        InvalidInputError: If no sample arrives within `patience`.
+        HandmapError: Any error of the source.
     """
 
     def __init__(
@@ -111,7 +105,7 @@ class LiveViewer:
         self.sample: ViewSample
         self._has_sample, self._has_ended = threading.Event(), threading.Event()
         self._error: HandmapError | None = None
-        self._heard = 0.0
+        self._last_arrival = 0.0
         self._thread = threading.Thread(
             target=self._read, name="handmap view: live source", daemon=True
         )
@@ -126,57 +120,51 @@ class LiveViewer:
         self.scene = HandScene(server, source.human, source.robot, self.sample, self._start.mapping)
         self.gauges = Gauges(server, source.robot)
         dock_main_panel(server)
-        self.news = server.gui.add_markdown("")
+        self.status_text = server.gui.add_markdown("")
         self.steering = (
             SteeringControls(server, source.robot, self._start) if source.is_shared else None
         )
-        self.picture = PictureControls(server) if self.steering is None else self.steering.picture
-        self._gauges_time = 0.0
+        self.display = DisplayControls(server) if self.steering is None else self.steering.display
+        self._gauges_throttle = Throttle(GAUGES_PERIOD)
 
     def tick(self) -> None:
-        """Do what the user asked for, and draw the newest sample.
+        """Pass on the user's requests, and draw the newest sample.
 
         Raises:
-            HandmapError: Whatever the source raised.
+            HandmapError: Any error of the source.
         """
         if self._error is not None:
             raise self._error
         if self.steering is not None:
             self._steer(self.steering)
         sample, rows = self.sample, tuple(self.rows)
-        self.picture.apply_to(self.scene)
+        self.display.apply_to(self.scene)
         self.scene.draw(sample)
-        self.scene.camera.attend()
-        now = time.monotonic()
-        if now - self._gauges_time >= _GAUGES_PERIOD:
+        self.scene.cameras.update()
+        if self._gauges_throttle.is_due():
             self.gauges.set_rows(rows, latest=_SPAN)
             self.gauges.draw(sample, len(rows) - 1)
-            self._gauges_time = now
         if self._has_ended.is_set():
-            self.news.content = "**The source has ended.**"
-        elif now - self._heard > _SILENCE:
-            self.news.content = "**No sample comes.**"
+            self.status_text.content = "**The source has ended.**"
+        elif time.monotonic() - self._last_arrival > _SILENCE:
+            self.status_text.content = "**No sample arrives.**"
         else:
-            self.news.content = f"{1.0 / max(_period(rows), 1e-6):.0f} samples a second"
+            self.status_text.content = f"{1.0 / max(_period(rows), 1e-6):.0f} samples per second"
 
     def run(self) -> None:
-        """Go on until interrupted, until the source fails, or until other hands are mapped there."""
-        while not self._source.is_outdated:
-            started = time.monotonic()
-            with drawing():
-                self.tick()
-            time.sleep(max(0.0, _PERIOD - (time.monotonic() - started)))
+        """Draw frames until interrupted, until the source fails, or until its hands change."""
+        run_frames(lambda _: self.tick(), lambda: self._source.is_outdated)
 
     def close(self) -> None:
-        """Stop reading."""
+        """Stop reading the source."""
         self._source.close()
         self._thread.join(timeout=2.0)
 
     def _steer(self, steering: SteeringControls) -> None:
         source = self._source
-        steering.complain(source.trouble)
+        steering.show_error(source.last_error)
         steering.show_released(source.is_released)
-        # Meanwhile, the controls keep what is wished for.
+        # While requests are pending, the controls keep the requested values.
         if source.is_busy:
             return
         in_force = source.options
@@ -184,14 +172,14 @@ class LiveViewer:
         if in_force.mapping.alignment != self._alignment:
             self.scene.align(in_force.mapping)
             self._alignment = in_force.mapping.alignment
-        # Nothing but what was changed here is sent, for others may have changed other options.
+        # Send only what was changed here: other clients may have changed other options.
         changes = steering.options.take_changes()
-        for wish in steering.take_wishes():
-            if wish == "release":
+        for request in steering.take_requests():
+            if request == "release":
                 source.release()
-            elif wish == "clutch" or source.is_released:
+            elif request == "clutch" or source.is_released:
                 source.clutch()
-            if wish == "reset":
+            if request == "reset":
                 changes |= in_force.changes_to(self._start)
         if changes:
             source.configure(changes)
@@ -200,11 +188,11 @@ class LiveViewer:
         try:
             for sample in self._source:
                 self.sample = sample
-                # The other thread takes all rows at once.
+                # `tick` copies `rows` in one operation, so no lock is needed.
                 self.rows.append(gauge_row(sample))
                 while not 0.0 <= sample.time - self.rows[0][0] <= _SPAN:
                     self.rows.popleft()
-                self._heard = time.monotonic()
+                self._last_arrival = time.monotonic()
                 self._has_sample.set()
         except HandmapError as error:
             self._error = error
@@ -212,28 +200,29 @@ class LiveViewer:
             self._has_ended.set()
 
     def _wait(self, patience: float) -> None:
-        """Wait for the first sample, or for what comes in its place."""
+        """Wait for the first sample, an error, or the end of the source."""
         end = time.monotonic() + patience
         while not self._has_sample.wait(0.02):
             if self._error is not None:
                 raise self._error
             if self._has_ended.is_set() or time.monotonic() > end:
                 raise InvalidInputError(
-                    f"no sample came within {patience:g} s: is anything being mapped there?"
+                    f"no sample arrived within {patience:g} s",
+                    advice="check that a client sends samples to this session",
                 )
 
 
 def show_live(
     server: viser.ViserServer, make_source: Callable[[LiveSource | None], LiveSource]
 ) -> None:
-    """Show a mapping until interrupted, and begin anew whenever other hands are mapped there.
+    """Show a mapping until interrupted, and restart the view whenever its hands change.
 
     Args:
         server: A running viser server.
-        make_source: Makes the source; given the one before, if there was one.
+        make_source: Creates the source; its argument is the previous source, None at first.
 
     Raises:
-        HandmapError: If the source cannot be made or shown, or fails.
+        HandmapError: If the source cannot be created or shown, or fails.
     """
     source = None
     while True:
@@ -248,6 +237,6 @@ def show_live(
 
 
 def _period(rows: tuple[tuple[float, ...], ...]) -> float:
-    """Mean time between the newest samples [s]."""
+    """Return the mean period of the newest samples [s]."""
     newest = rows[-60:]
     return (newest[-1][0] - newest[0][0]) / max(len(newest) - 1, 1)

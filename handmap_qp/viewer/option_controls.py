@@ -1,6 +1,6 @@
-"""A slider, a list or a box for the options.
+"""A slider, a list or a box for each option.
 
-`OptionControls` tells what the user has moved, and shows what is in force.
+`OptionControls` returns what the user has changed, and shows the values in force.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     import viser
 
 LEFT_OUT = ("solver", "joint_tolerance", "step_tolerance", "point_tolerance")
-"""Options without a control: nothing is to be seen of them."""
+"""Options without a control: they have no visible effect."""
 
 
 class Options(NamedTuple):
-    """All options, whose names are different in both parts.
+    """All options; no name occurs in both parts.
 
     Attributes:
-        mapping: The mapping's choices.
+        mapping: Options of the mapping.
         ik: Weights and settings of the QP.
     """
 
@@ -32,16 +32,16 @@ class Options(NamedTuple):
     ik: IkOptions
 
     def with_changes(self, changes: dict[str, Any]) -> Options:
-        """These, with other values for some.
+        """Return a copy with other values for some options.
 
         Raises:
-            InvalidOptionsError: If the options contradict each other then.
+            InvalidOptionsError: If the new options contradict each other.
         """
         mapping, ik = split_changes(changes)
         return Options(replace(self.mapping, **mapping), replace(self.ik, **ik))
 
     def changes_to(self, other: Options) -> dict[str, Any]:
-        """What has to be changed here for the other options, by name."""
+        """Return the values of `other` that differ from these, by option name."""
         pairs = (
             (getattr(a, name), getattr(b, name), name)
             for a, b in zip(self, other, strict=True)
@@ -51,13 +51,13 @@ class Options(NamedTuple):
 
 
 def split_changes(changes: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Changes of the mapping's options, and those of the QP's."""
+    """Split changes into those of the mapping options and those of the QP options."""
     ik = {name: value for name, value in changes.items() if name in IkOptions.__slots__}
     return {name: value for name, value in changes.items() if name not in ik}, ik
 
 
 class _Slider(NamedTuple):
-    """A number among the options: its name, range, step and explanation."""
+    """Name, range, step and tooltip of a numeric option."""
 
     name: str
     low: float
@@ -72,46 +72,54 @@ _MAPPING_SLIDERS = (
         0.0,
         1.0,
         0.005,
-        "Pull of the estimated motion towards a rotation; 0 is the paper's least squares",
+        "Pull of the estimated motion towards a rotation; 0: least squares (eq. 6)",
     ),
-    _Slider("scale", 0.0, 3.0, 0.05, "Factor on translations"),
+    _Slider("scale", 0.0, 3.0, 0.05, "Factor on translations; 1: as the human"),
     _Slider(
         "deformation_gain",
         0.0,
         2.0,
         0.05,
-        "Exponent of the stretch; 1 is the paper, 0 leaves the fingers undeformed",
+        "Exponent g of the stretch U^g; 1: the paper, 0: no deformation",
     ),
     _Slider(
         "residual_gain",
         0.0,
         1.0,
         0.05,
-        "Part of a human point's misfit to T that its partner takes over",
+        "Share of each human point's residual added to its partner's target",
     ),
-    _Slider("stretch_min", 0.05, 1.0, 0.05, "Smallest stretch that is passed on"),
-    _Slider("stretch_max", 1.0, 5.0, 0.05, "Largest stretch that is passed on"),
+    _Slider("stretch_min", 0.05, 1.0, 0.05, "Stretches below this value are raised to it"),
+    _Slider("stretch_max", 1.0, 5.0, 0.05, "Stretches above this value are lowered to it"),
 )
 _IK_SLIDERS = (
-    _Slider("point_weight", 0.0, 5.0, 0.05, "Of the reference points' positions, per 10 mm"),
-    _Slider("wrist_position_weight", 0.0, 10.0, 0.1, "Of the wrist's position, per 10 mm"),
-    _Slider("wrist_orientation_weight", 0.0, 10.0, 0.1, "Of the wrist's orientation, per 0.1 rad"),
-    _Slider("rest_weight", 0.0, 3.0, 0.02, "Pull of every joint to its rest angle"),
-    _Slider("damping", 0.01, 2.0, 0.01, "Cost of any motion"),
+    _Slider("point_weight", 0.0, 5.0, 0.05, "Weight of the reference points' positions, per 10 mm"),
+    _Slider("wrist_position_weight", 0.0, 10.0, 0.1, "Weight of the wrist's position, per 10 mm"),
+    _Slider(
+        "wrist_orientation_weight", 0.0, 10.0, 0.1, "Weight of the wrist's orientation, per 0.1 rad"
+    ),
+    _Slider("rest_weight", 0.0, 3.0, 0.02, "Weight of the distance from the rest angles, per rad"),
+    _Slider(
+        "damping",
+        0.01,
+        2.0,
+        0.01,
+        "Cost of any joint motion; keeps steps short near singular postures",
+    ),
     _Slider(
         "error_damping",
         0.0,
         3.0,
         0.05,
-        "Cost of motion that grows with the error (Levenberg-Marquardt)",
+        "Levenberg-Marquardt damping: cost of motion that grows with the error",
     ),
-    _Slider("max_iterations", 1, 20, 1, "Linearisations per sample"),
+    _Slider("max_iterations", 1, 20, 1, "Largest number of linearisations per sample"),
     _Slider(
         "max_acceleration",
         0.0,
         200.0,
         1.0,
-        "Of every coordinate [rad/s², m/s²]; 0 stands for no limit",
+        "Acceleration limit of every coordinate [rad/s², m/s²]; 0: none",
     ),
 )
 _CHOICES = {
@@ -123,7 +131,7 @@ _CHOICES = {
 _GIVEN = "as given"
 
 
-def _same(value: Any) -> Any:
+def _identity(value: Any) -> Any:
     return value
 
 
@@ -132,20 +140,19 @@ class _Control:
     """One option in the panel.
 
     Attributes:
-        handle: What the user moves.
-        to_shown: What the handle shows for a value of the option: a rounded or clipped picture of
-            it, at times.
-        to_option: The option's value for what the handle shows.
-        taken: What the handle showed when the viewer last looked; anything else the user has moved.
+        handle: The viser control.
+        to_shown: Converts an option's value to the handle's, which may be rounded or clipped.
+        to_option: Converts the handle's value to the option's.
+        taken: The handle's value when it was last read; a different value is a change by the user.
     """
 
     handle: Any
-    to_shown: Callable[[Any], Any] = _same
-    to_option: Callable[[Any], Any] = _same
+    to_shown: Callable[[Any], Any] = _identity
+    to_option: Callable[[Any], Any] = _identity
     taken: Any = None
 
     def __post_init__(self) -> None:
-        """Start from what is shown."""
+        """Start from the value shown."""
         self.taken = self.handle.value
 
 
@@ -154,9 +161,9 @@ class OptionControls:
 
     Args:
         server: A running viser server.
-        robot: The robot hand; one with a fixed wrist has no choice of `rigid_from`, and one that
-            names no pairs of links nothing to keep apart.
-        options: The options to start from.
+        robot: The robot hand. With a fixed wrist, `rigid_from` is `none`. Without collision pairs
+            in its description, there is no box for self-collision.
+        options: The initial options.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
@@ -178,23 +185,23 @@ class OptionControls:
             self._add_box(
                 "has_velocity_limits",
                 "speed limits",
-                "Whether speed limits hold; position limits always do",
+                "Enforce speed limits; position limits always hold",
             )
             if robot.spec.collision is not None:
                 self._add_box(
                     "avoids_self_collision",
                     "self-collision",
-                    "Whether the pairs of links that the hand names are kept apart",
+                    "Keep the link pairs of the hand's `collision` key apart",
                 )
         self.show(options)
 
     @property
     def handles(self) -> dict[str, Any]:
-        """What the user moves, by the option's name."""
+        """The viser controls by option name."""
         return {name: control.handle for name, control in self._controls.items()}
 
     def take_changes(self) -> dict[str, Any]:
-        """The options that the user has moved since the last call, by name."""
+        """Return the options that the user has changed since the last call, by name."""
         changes = {}
         for name, control in self._controls.items():
             value = control.handle.value
@@ -207,7 +214,7 @@ class OptionControls:
         return changes
 
     def show(self, options: Options) -> None:
-        """Put the controls to where the options stand, but for those that the user has moved since `take_changes`."""
+        """Show the options, except where the user has changed a control since `take_changes`."""
         for name, control in self._controls.items():
             part = options.ik if name in IkOptions.__slots__ else options.mapping
             shown = control.to_shown(getattr(part, name))
@@ -221,7 +228,7 @@ class OptionControls:
         )
 
         def to_shown(value: float | None) -> float:
-            # An option beyond the usual range widens it; an infinite one stands at its end.
+            # Widen the range to a value outside it; show infinity as the maximum.
             value = 0.0 if value is None else value
             if value < handle.min:
                 handle.min = value
@@ -240,7 +247,7 @@ class OptionControls:
 
         def to_shown(value: Any) -> str:
             if not isinstance(value, str):
-                # A rotation that somebody gave in numbers.
+                # Alignment given as a rotation matrix.
                 given[:], value = [value], _GIVEN
             if value not in handle.options:
                 handle.options = (*handle.options, value)
@@ -251,7 +258,7 @@ class OptionControls:
         )
 
     def _add_point(self) -> None:
-        hint = "The point of pivot = point, common to both worlds [m]"
+        hint = "The pivot if pivot = point, the same in both worlds [m]"
         handle = self._gui.add_vector3("pivot point", (0.0, 0.0, 0.0), step=0.01, hint=hint)
         self._controls["pivot_point"] = _Control(
             handle, lambda value: handle.value if value is None else tuple(value)

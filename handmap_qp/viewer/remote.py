@@ -1,7 +1,4 @@
-"""A session of the mapping service, as a `LiveSource`.
-
-`ServiceSession` shows it, and steers it where its client shares it.
-"""
+"""A session of the mapping service as a `LiveSource`: `ServiceSession`."""
 
 from __future__ import annotations
 
@@ -29,14 +26,15 @@ from handmap_qp.viewer.option_controls import Options, split_changes
 from handmap_qp.viewer.replay import ViewSample
 
 PORT = 5570
-"""Where `handmap serve` takes requests, unless told otherwise."""
+"""Default port of requests to `handmap serve`."""
 _TIMEOUT = 1.0
-# A service that is still starting, or busy, gets longer for the first answers [s].
+# Timeout of the first replies, longer because the service may still be starting [s].
 _FIRST_TIMEOUT = 3.0
-# Between two looks at what the session is [s], and the longest that a wish waits for the next
-# command.
-_LOOK_PERIOD, _WAIT = 1.0, 0.02
-# What the hands of the view, and whether it can steer, follow from.
+# Period of status requests [s].
+_STATUS_PERIOD = 1.0
+# Longest wait for a command, and so the longest delay of a request [s].
+_WAIT = 0.02
+# Session properties that determine the view's hands and whether it can steer.
 _HANDS = ("robot", "side", "input", "lengths", "human_points", "robot_points", "mount", "is_shared")
 _T = TypeVar("_T")
 
@@ -46,25 +44,25 @@ class ServiceSession:
 
     Args:
         host: `HOST` or `HOST:PORT` of the service's requests.
-        session: Public name of the session; the only one that is open if omitted.
-        robot: The robot hand, where its name does not lead to it here: the path of its hand.yaml.
+        session: Public name of the session; the only open session if omitted.
+        robot: Path of the robot's hand.yaml, if its name is not known on this machine.
         keys: Files `NAME.key_secret` and `server.key` of an encrypted service; None for a plain
             one.
         patience: How long to wait for the session, and for its human hand to be measured [s].
 
     Attributes:
         name: Public name of the session.
-        human: The human hand, of the lengths that the service knows.
+        human: The human hand, with the lengths that the service has measured.
         robot: The robot hand.
-        options: What was in force at the last look.
+        options: Options in force at the last status request.
         is_shared: Whether it can be steered from here.
-        is_released: Whether its client, or somebody here, has let go.
-        is_outdated: Whether the session is of other hands by now.
-        trouble: Why the last wish was not fulfilled; None where it was.
+        is_released: Whether the robot is released, by its client or by a view.
+        is_outdated: Whether the session has changed to other hands.
+        last_error: Why the last request failed; None if it succeeded.
 
     Raises:
         InvalidInputError: If the service cannot be reached, or the session cannot be shown.
-        HandError: If the robot hand is not known here.
+        HandError: If the robot hand is not known on this machine.
         MissingExtraError: If the service's packages are not installed.
     """
 
@@ -85,7 +83,7 @@ class ServiceSession:
             raise MissingExtraError("pyzmq", "service") from error
         self._host = host
         self._refusal = ServiceError
-        self._troubles = (
+        self._failures = (
             ServiceError,
             ServiceTimeoutError,
             zmq.ZMQError,
@@ -97,17 +95,18 @@ class ServiceSession:
         self._is_closed, self._is_read = threading.Event(), False
         self._start: float | None = None
         self._detail: dict[str, Any] = {}
-        self._wishes: deque[Callable[[], Any]] = deque()
+        self._requests: deque[Callable[[], Any]] = deque()
         self.is_outdated, self.is_released = False, False
-        self.trouble: HandmapError | None = None
+        self.last_error: HandmapError | None = None
         address = _address(host)
         self._client = self._try(lambda: Client(address, timeout=_FIRST_TIMEOUT, keys=keys))
         try:
-            about = self._look_for(session, time.monotonic() + patience)
+            about = self._find_session(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
             if not (about["has_detail"] or self.is_shared):
                 raise self._error(
-                    "the session tells too little to be seen: open it with has_detail=True or is_shared=True"
+                    "the session does not send enough detail to be shown",
+                    "open it with has_detail=True or is_shared=True",
                 )
             self._about = {name: about[name] for name in _HANDS}
             self.options = _options(about)
@@ -125,32 +124,35 @@ class ServiceSession:
         self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
     def __iter__(self) -> Iterator[ViewSample]:
-        """Samples as commands come, until `close`, or until the session is of other hands.
+        """Yield a sample per command until `close`, or until the session changes to other hands.
 
-        Carries out wishes meanwhile.
+        Carries out requests in between.
 
         Raises:
-            InvalidInputError: If the session is of another robot than `robot`.
+            InvalidInputError: If the session's robot is not `robot`.
         """
-        self._is_read, next_look = True, -np.inf
+        self._is_read, next_status = True, -np.inf
         with self._client as client:
             while not self._is_closed.is_set():
-                self._fulfil_wishes()
-                if time.monotonic() >= next_look:
-                    self._look()
-                    next_look = time.monotonic() + _LOOK_PERIOD
+                self._carry_out_requests()
+                if time.monotonic() >= next_status:
+                    self._update_status()
+                    next_status = time.monotonic() + _STATUS_PERIOD
                 try:
                     command = client.latest(_WAIT)
                 except self._refusal:
-                    # Of a sample that the service could not use; its client has been told.
+                    # The service refused a sample of its client; the client gets the error.
                     continue
                 if command is None or command.wrist is None:
                     continue
                 if not self._is_as_before(command):
-                    self._look()
+                    self._update_status()
                     if not self.is_outdated and command.joint_names != self.robot.joint_names:
                         raise InvalidInputError(
-                            f"--robot {self.robot.name}: session {self.name} is of another hand, with {command.joint_names}"
+                            argument="--robot",
+                            problem=f"session {self.name} is of another hand than "
+                            f"{self.robot.name}, with the joints {', '.join(command.joint_names)}",
+                            value=self.robot.name,
                         )
                 if self.is_outdated:
                     return
@@ -160,8 +162,8 @@ class ServiceSession:
 
     @property
     def is_busy(self) -> bool:
-        """Whether wishes are still to be carried out."""
-        return bool(self._wishes)
+        """Whether requests are pending."""
+        return bool(self._requests)
 
     def close(self) -> None:
         """Stop reading."""
@@ -170,35 +172,32 @@ class ServiceSession:
             self._client.close()
 
     def release(self) -> None:
-        """Wish to let go of the robot."""
-        self._wishes.append(self._client.release)
+        """Request that the robot is released."""
+        self._requests.append(self._client.release)
 
     def clutch(self) -> None:
-        """Wish to take hold of it again."""
-        self._wishes.append(self._client.clutch)
+        """Request that mapping resumes."""
+        self._requests.append(self._client.clutch)
 
     def configure(self, changes: dict[str, Any]) -> None:
-        """Wish for other values of some options."""
+        """Request other values of some options."""
         mapping, ik = split_changes(changes)
-        self._wishes.append(lambda: self._client.configure(mapping=mapping, ik=ik))
+        self._requests.append(lambda: self._client.configure(mapping=mapping, ik=ik))
 
-    def _fulfil_wishes(self) -> None:
-        """Carry out what was wished for, and see what came of it."""
-        while self._wishes:
+    def _carry_out_requests(self) -> None:
+        """Carry out pending requests and record their outcome."""
+        while self._requests:
             try:
-                self._try(self._wishes[0])
-                self.trouble = None
+                self._try(self._requests[0])
+                self.last_error = None
             except InvalidInputError as error:
-                self.trouble = error
-            self._look()
-            # Not before its outcome is known.
-            self._wishes.popleft()
+                self.last_error = error
+            self._update_status()
+            # Remove it only now, so that `is_busy` holds until the outcome is known.
+            self._requests.popleft()
 
-    def _look(self) -> None:
-        """See what the session is now, if the service answers.
-
-        Whoever opened it may have opened another one.
-        """
+    def _update_status(self) -> None:
+        """Read the session's status if the service answers; its client may have reopened it."""
         try:
             state = self._client.status()
             about = state.about or {}
@@ -206,43 +205,45 @@ class ServiceSession:
                 self._client.configure(has_detail=True)
             self.is_outdated = {name: about[name] for name in _HANDS} != self._about
             self.options = _options(about)
-        except (*self._troubles, LookupError):
+        except (*self._failures, LookupError):
             return
         self.is_released = state.is_released
 
-    def _look_for(self, session: str | None, end: float) -> dict[str, Any]:
-        """What the service says of the session, once there is one and its human hand is known."""
+    def _find_session(self, session: str | None, end: float) -> dict[str, Any]:
+        """Wait until a session is open and its human hand is measured; return its properties."""
         while True:
             names = () if session else self._try(self._client.status).names
             if len(names) > 1:
                 raise self._error(
-                    f"several sessions are open; choose one with --session: {', '.join(names)}"
+                    "several sessions are open", f"choose one with --session: {', '.join(names)}"
                 )
             self.name = session or "".join(names)
-            complaint = "no session is open there"
+            problem, advice = "no session is open there", "start a client that opens one"
             if self.name:
                 state = self._try(lambda: self._client.watch(self.name))
                 self.is_released = state.is_released
                 about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
                     return about
-                complaint = "the human hand has not been measured yet: do landmarks come?"
+                problem = "the human hand has not been measured yet"
+                advice = "check that its client sends landmarks"
             if time.monotonic() > end:
-                raise self._error(complaint)
+                raise self._error(problem, advice)
             time.sleep(0.1)
 
     def _load_robot(self, robot: str | Path, about: dict[str, Any]) -> Hand:
-        """The robot hand, from a name or file of this side."""
+        """Load the robot hand from a name or file of this machine."""
         if robot == about["robot"] and robot not in hand_names():
             raise self._error(
-                f"the session's hand {robot!r} is one of the service's own; give its hand.yaml here: --robot FILE"
+                f"the session's hand {robot!r} is not known on this machine",
+                "give its description with --robot hand.yaml",
             )
         return load_hand(robot, points=about["robot_points"], mount=about["mount"])
 
     def _is_as_before(self, command: Any) -> bool:
-        """Whether a command can be of the session that was last looked at."""
+        """Return whether a command fits the session properties read last."""
         if command.detail is None and command.point_error and self.is_shared:
-            # One that its client had to open anew has forgotten that it was asked for details.
+            # The client reopened the session, which lost the request for details.
             return False
         points = () if command.detail is None else command.detail["human_points"]
         return (
@@ -252,9 +253,9 @@ class ServiceSession:
         )
 
     def _sample(self, command: Any) -> ViewSample | None:
-        """What the view shows of a command; None where it shows nothing."""
+        """Convert a command to a sample; None if it has nothing to show."""
         self.is_released = "released" in command.flags
-        # A held robot's commands say nothing of the human.
+        # Commands of a held robot have no detail: keep the last one.
         self._detail = command.detail or self._detail
         if not self._detail:
             return None
@@ -268,7 +269,7 @@ class ServiceSession:
         return ViewSample(
             time=command.server_time - self._start,
             human_q=None if human_q is None else np.array(human_q),
-            human_wrist=self._lay_on(human_points)
+            human_wrist=self._estimate_wrist(human_points)
             if human_wrist is None
             else msgspec.convert(human_wrist, type(command.wrist)).matrix,
             human_points=human_points,
@@ -278,27 +279,26 @@ class ServiceSession:
             targets=None if self.is_released else np.array(detail["targets"]),
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
-            at_limit=np.array([name in command.at_limit for name in self.robot.joint_names]),
+            is_limited=np.array([name in command.at_limit for name in self.robot.joint_names]),
             status=command.status,
             duration=command.solve_time,
             is_seen=command.detail is not None,
         )
 
-    def _lay_on(self, points: np.ndarray) -> np.ndarray:
-        """About where the wrist is of which only points are known (n, 3), shape (4, 4).
-
-        Where it is in the hand at rest.
-        """
+    def _estimate_wrist(self, points: np.ndarray) -> np.ndarray:
+        """Estimate the wrist pose from points (n, 3) by a rigid fit of the hand at rest, (4, 4)."""
         return rigid_fit(self._rest_points, points)
 
     def _try(self, call: Callable[[], _T]) -> _T:
         try:
             return call()
-        except self._troubles as error:
+        except self._failures as error:
             raise self._error(str(error)) from error
 
-    def _error(self, message: str) -> InvalidInputError:
-        return InvalidInputError(f"--live {self._host}: {message}", value=self._host)
+    def _error(self, problem: str, advice: str = "") -> InvalidInputError:
+        return InvalidInputError(
+            argument="--live", problem=f"{self._host}: {problem}", value=self._host, advice=advice
+        )
 
 
 def _options(about: dict[str, Any]) -> Options:
@@ -308,7 +308,7 @@ def _options(about: dict[str, Any]) -> Options:
 
 
 def _address(host: str) -> str:
-    """The ZeroMQ address of `HOST`, `HOST:PORT` or `[IPv6]:PORT`.
+    """Return the ZeroMQ address of `HOST`, `HOST:PORT` or `[IPv6]:PORT`.
 
     Raises:
         InvalidInputError: If there is no such host or port.
@@ -321,11 +321,11 @@ def _address(host: str) -> str:
         socket.getaddrinfo(name.strip("[]"), None)
     except ValueError as error:
         raise InvalidInputError(
-            f"--live: expected HOST or HOST:PORT, got {host!r}", value=host
+            argument="--live", expected="HOST or HOST:PORT", value=host
         ) from error
     except OSError as error:
         raise InvalidInputError(
-            f"--live {host}: there is no host {name!r}: {error.strerror}", value=host
+            argument="--live", problem=f"unknown host {name!r}: {error.strerror}", value=host
         ) from error
-    check_port(f"--live {host}", number)
+    check_port("--live", number)
     return f"tcp://{name}:{number}"

@@ -1,4 +1,4 @@
-"""What the view shows at one instant, and a recording as a sequence of that, mapped anew whenever options change."""
+"""What the view shows at one instant, and a recording as a sequence of such samples."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ class ViewSample:
     """One instant of both hands.
 
     Attributes:
-        time: Since the start [s].
-        human_q: Human joint angles [rad], shape (n_human,); None where only the points are known.
+        time: Time since the start [s].
+        human_q: Human joint angles [rad], shape (n_human,); None if only the points are known.
         human_wrist: Human wrist pose in W, shape (4, 4).
         human_points: Human reference points in W [m], shape (n_h, 3).
         robot_q: Robot joint angles [rad], shape (n,).
         robot_wrist: Robot wrist pose in V, shape (4, 4).
         robot_points: Robot reference points in V [m], shape (n_r, 3).
-        targets: Where those should be [m], shape (n_r, 3); None where the source does not say, or
-            the robot was let go.
-        deformation: Linear part of T_def, shape (3, 3); None where the source does not say.
-        pivot: Where T takes the human's pivot [m], shape (3,); goes with `deformation`.
-        at_limit: Robot joints that a limit holds, shape (n,).
+        targets: Targets of the robot reference points in V [m], shape (n_r, 3); None if the source
+            does not report them or the robot is released.
+        deformation: Linear part of T_def, shape (3, 3); None if the source does not report it.
+        pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
+        is_limited: Whether a position or speed limit held each robot joint in this step, shape
+            (n,).
         status: How the inverse kinematics ended.
-        duration: Wall time of the mapping's step [s].
-        is_seen: Whether the tracker saw the hand; else this is the instant before, held.
+        duration: Wall time of the mapping step [s].
+        is_seen: Whether the tracker saw the hand; if not, the previous sample is held.
     """
 
     time: float
@@ -47,51 +48,50 @@ class ViewSample:
     targets: np.ndarray | None
     deformation: np.ndarray | None
     pivot: np.ndarray | None
-    at_limit: np.ndarray
+    is_limited: np.ndarray
     status: str
     duration: float
     is_seen: bool = True
 
     @property
     def point_error(self) -> np.ndarray:
-        """Distance of the robot's points from their targets [m], shape (n_r,).
-
-        Empty where there are no targets.
-        """
+        """Distances of the robot points from their targets [m], shape (n_r,); empty if none."""
         if self.targets is None:
             return np.empty(0)
         return np.linalg.norm(self.targets - self.robot_points, axis=1)
 
 
 class Replay:
-    """A recorded motion, mapped as a whole with whatever options are asked for.
+    """A recorded motion, mapped as a whole and again whenever options change.
 
     Args:
         motion: The human's motion.
         human: The human hand with the reference points to use.
         robot: The robot hand.
-        mapping: The mapping's choices.
+        mapping: Options of the mapping.
         ik: Weights and settings of the QP.
 
     Attributes:
         human: The human hand.
         robot: The robot hand.
-        time: Instants since the first one [s], shape (T,).
-        mapping: The options of the present `samples`.
-        ik: Theirs, too.
-        switches: Where the user released (True) or clutched (False), by sample.
+        time: Time since the first instant [s], shape (T,).
+        mapping: Mapping options of the current `samples`.
+        ik: QP options of the current `samples`.
+        switches: Sample indices at which the user released (True) or clutched (False).
         samples: One per instant.
 
     Raises:
         InvalidInputError: If no sample of the motion is valid.
-        HandmapError: If options and hands do not go together.
+        HandmapError: If the options do not fit the hands.
     """
 
     def __init__(
         self, motion: HumanMotion, human: Hand, robot: Hand, mapping: MappingOptions, ik: IkOptions
     ) -> None:
         if not motion.valid.any():
-            raise InvalidInputError("motion: no sample is valid, there is nothing to show")
+            raise InvalidInputError(
+                argument="motion", problem="no sample is valid, there is nothing to show"
+            )
         self.human, self.robot = human, robot
         self.time = motion.time - motion.time[0]
         self.switches: dict[int, bool] = {}
@@ -99,34 +99,33 @@ class Replay:
         self.remap(mapping, ik)
 
     def remap(self, mapping: MappingOptions, ik: IkOptions) -> None:
-        """Map the motion anew, from its reference to its end.
+        """Map the whole motion with these options.
 
         Args:
-            mapping: The mapping's choices.
+            mapping: Options of the mapping.
             ik: Weights and settings of the QP.
 
         Raises:
-            HandmapError: If the options cannot be used; everything is then as it was before.
+            HandmapError: If the options cannot be used; the replay is then unchanged.
         """
         self.samples = self._map(HandMapper(self.human, self.robot, mapping, ik=ik))
         self.mapping, self.ik = mapping, ik
 
     def is_released(self, index: int) -> bool:
-        """Whether the robot holds still at a sample because the user let go."""
+        """Return whether the robot is released at a sample."""
         earlier = [i for i in self.switches if i <= index]
         return bool(earlier) and self.switches[max(earlier)]
 
     def _map(self, mapper: HandMapper) -> tuple[ViewSample, ...]:
         motion = self._motion
-        # Before the hand is first seen, the view shows the reference.
+        # Until the hand is first seen, show the reference.
         first = int(np.argmax(motion.valid))
         step = mapper.map_step(motion.q[first], motion.wrist[first], dt=motion.dt[first])
         mapper.reset()
         samples = []
         for i in range(len(motion.time)):
             if i in self.switches:
-                act = mapper.release if self.switches[i] else mapper.clutch
-                act()
+                (mapper.release if self.switches[i] else mapper.clutch)()
             if motion.valid[i]:
                 step = mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
             samples.append(
@@ -149,13 +148,13 @@ def view_sample(
     *,
     is_seen: bool = True,
 ) -> ViewSample:
-    """What the view shows of one step of a mapper.
+    """Return what the view shows of one step of a mapper.
 
     Args:
-        time: Since the start [s].
+        time: Time since the start [s].
         human_q: Joint angles that were mapped [rad], shape (n_human,).
         human_wrist: Wrist pose that was mapped, shape (4, 4).
-        step: The mapper's answer.
+        step: Result of the step.
         is_seen: Whether the tracker saw the hand.
 
     Returns:
@@ -172,7 +171,7 @@ def view_sample(
         targets=None if step.status == "released" else step.targets,
         deformation=step.motion_deformation[:3, :3],
         pivot=step.transfer.image,
-        at_limit=step.at_limit,
+        is_limited=step.at_limit,
         status=step.status,
         duration=step.duration,
         is_seen=is_seen,

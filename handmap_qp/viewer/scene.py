@@ -1,9 +1,8 @@
 """Both hands side by side in a viser scene: `HandScene.draw` shows one sample.
 
-The scene's axes are those of the human's palm at the first sample: +y distal, which is up, +z
-dorsal. Each hand's world hangs in it as a node of its own, so that everything below takes
-coordinates of that world as they are; the robot's is turned by the mapping's alignment, so that
-equal motions look equal.
+The scene's axes are those of the human's palm at the first sample: +y is distal and up, +z is
+dorsal. Each hand's world is a node of the scene, so its children take coordinates of that world.
+The robot's world is rotated by the mapping's alignment, so that equal motions look equal.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
-from handmap_qp.viewer.camera import Camera
+from handmap_qp.viewer.camera import BrowserCameras
 from handmap_qp.viewer.replay import ViewSample
 
 if TYPE_CHECKING:
@@ -33,14 +32,14 @@ DeformationShape = Literal["ellipsoid", "cube", "off"]
 
 TARGET_COLOUR = (0.98, 0.66, 0.10)
 DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
-# Part of the hand's size: as large as fingertips, to be seen at all. Targets are a little larger,
-# so that a point which has arrived does not hide its target.
+# Radii relative to the hand's size, about those of fingertips. Targets are larger, so that a point
+# that has arrived does not hide its target.
 _HUMAN_POINT_SIZE, _ROBOT_POINT_SIZE, _TARGET_SIZE = 0.08, 0.1, 0.115
+# Between the two hands [m].
 _GAP = 0.05
-# Height of the names and the caption below the hands, and as much above [m].
+# Height added to the view for names and caption below the hands, and the same above [m].
 _CAPTION_ROOM = 0.15
-# A box that travels are seen to stay in grows by more than it has to, so that it does not grow all
-# the time [m].
+# A travel box grows by this margin more than needed, so that it does not grow at every sample [m].
 _MARGIN = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
@@ -52,20 +51,20 @@ class _World:
 
     Attributes:
         hand: The hand.
-        model: Its shapes, by viser.
-        order: For each of the model's joints, its place in `hand.joint_names`; None for one that
-            the hand does not move.
+        model: Its shapes, a `ViserUrdf`.
+        order: For each joint of the model, its index in `hand.joint_names`; None for a joint that
+            is not one of the hand's.
         root: URDF root link.
         frame: Node of the world.
         body: Node of the root link.
         label: Node of the hand's name.
         axes: From the world's axes to the scene's, shape (3, 3).
-        focus: The hand's middle in its wrist frame [m], shape (3,).
-        radius: Distance of its farthest part from there [m].
-        anchor: Where the view holds the middle, or the middle of its travel, in the scene [m],
-            shape (3,).
-        travel: Lowest and highest place of the middle that there is room for, along the scene's
-            axes [m], shape (2, 3).
+        focus: The hand's centre in its wrist frame [m], shape (3,).
+        radius: Distance of its farthest part from the centre [m].
+        anchor: Position in the scene at which the view shows the centre, or the middle of its
+            travel [m], shape (3,).
+        travel: Box of the centre's positions that the view has room for, lowest and highest corner
+            along the scene's axes [m], shape (2, 3).
     """
 
     hand: Hand
@@ -81,20 +80,20 @@ class _World:
     anchor: np.ndarray = field(default_factory=lambda: np.zeros(3))
     travel: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
-    def middle(self, wrist: np.ndarray) -> np.ndarray:
-        """Where the hand's middle is with its wrist at a pose (4, 4), along the scene's axes [m], shape (3,)."""
+    def centre(self, wrist: np.ndarray) -> np.ndarray:
+        """Return the hand's centre for a wrist pose (4, 4), along the scene's axes [m], (3,)."""
         return self.axes @ transform_points(wrist, self.focus[None])[0]
 
-    def see(self, middle: np.ndarray) -> None:
-        """Let `travel` include a place (3,)."""
+    def include(self, centre: np.ndarray) -> None:
+        """Extend `travel` to include a position (3,)."""
         if not len(self.travel):
-            self.travel = np.array([middle, middle])
-        elif (middle < self.travel[0]).any() or (middle > self.travel[1]).any():
+            self.travel = np.array([centre, centre])
+        elif (centre < self.travel[0]).any() or (centre > self.travel[1]).any():
             low, high = self.travel
             self.travel = np.array(
                 [
-                    np.where(middle < low, middle - _MARGIN, low),
-                    np.where(middle > high, middle + _MARGIN, high),
+                    np.where(centre < low, centre - _MARGIN, low),
+                    np.where(centre > high, centre + _MARGIN, high),
                 ]
             )
 
@@ -106,14 +105,13 @@ class HandScene:
         server: A running viser server.
         human: The human hand.
         robot: The robot hand.
-        first: The sample at which the view starts; its palm gives the scene's axes.
-        options: The mapping's choices, for the alignment of the two worlds.
+        first: First sample; its palm gives the scene's axes.
+        options: Mapping options, for the alignment of the two worlds.
 
     Attributes:
-        follow: Whether the picture goes along with each hand, or stays with the worlds.
+        follow: `hands` keeps each hand in place; `world` shows how it travels.
         deformation_shape: How T_def is shown.
-        camera: Where the browsers look from; wants to be told to `attend` even where nothing new is
-            drawn.
+        cameras: The browsers' cameras; call `cameras.update()` at every frame.
     """
 
     def __init__(
@@ -131,7 +129,7 @@ class HandScene:
         self._set_up_stage()
         self._human = self._add_hand("human", human, first.human_q)
         self._robot = self._add_hand("robot", robot, first.robot_q)
-        self.camera = Camera(server)
+        self.cameras = BrowserCameras(server)
         self.align(options)
         self._human_points = self._add_spheres(
             self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR
@@ -174,10 +172,10 @@ class HandScene:
         self._laid_out: tuple[object, ...] = ()
 
     def align(self, options: MappingOptions) -> None:
-        """Turn both worlds so that the human's palm stands upright at the first sample and equal motions look equal.
+        """Rotate both worlds: the first human palm is upright, and equal motions look equal.
 
         Args:
-            options: The mapping's choices; only `alignment` matters.
+            options: Mapping options; only `alignment` is used.
         """
         first = self._first
         human_palm = (first.human_wrist @ self._human.hand.wrist_to_palm)[:3, :3]
@@ -193,34 +191,34 @@ class HandScene:
             world.frame.wxyz = quat_wxyz_from_rotation(world.axes)
             world.travel = np.empty((0, 3))
 
-    def foresee(self, samples: Sequence[ViewSample]) -> None:
-        """Make room for hands that travel with their worlds.
+    def reserve_travel(self, samples: Sequence[ViewSample]) -> None:
+        """Make room in the view for the travel of both hands.
 
-        Otherwise there is room for what was drawn since `align`.
+        Without this, the view has room for what was drawn since `align`.
 
         Args:
-            samples: All that will be drawn.
+            samples: All samples that will be drawn.
         """
         for world, wrists in (
             (self._human, np.array([sample.human_wrist for sample in samples])),
             (self._robot, np.array([sample.robot_wrist for sample in samples])),
         ):
-            middles = (wrists[:, :3, :3] @ world.focus + wrists[:, :3, 3]) @ world.axes.T
-            world.travel = np.array([middles.min(axis=0), middles.max(axis=0)])
+            centres = (wrists[:, :3, :3] @ world.focus + wrists[:, :3, 3]) @ world.axes.T
+            world.travel = np.array([centres.min(axis=0), centres.max(axis=0)])
 
     def draw(self, sample: ViewSample) -> None:
         """Show one sample.
 
         Args:
-            sample: What to show.
+            sample: The sample.
         """
-        middles = self._human.middle(sample.human_wrist), self._robot.middle(sample.robot_wrist)
+        centres = self._human.centre(sample.human_wrist), self._robot.centre(sample.robot_wrist)
         if sample.human_q is None:
-            middles = self._human.axes @ sample.human_points.mean(axis=0), middles[1]
+            centres = self._human.axes @ sample.human_points.mean(axis=0), centres[1]
         with self.server.atomic():
-            self._lay_out(middles)
-            self._place(self._human, sample.human_q, sample.human_wrist, middles[0])
-            self._place(self._robot, sample.robot_q, sample.robot_wrist, middles[1])
+            self._lay_out(centres)
+            self._place(self._human, sample.human_q, sample.human_wrist, centres[0])
+            self._place(self._robot, sample.robot_q, sample.robot_wrist, centres[1])
             _move(self._human_points, sample.human_points)
             _move(self._robot_points, sample.robot_points)
             _move(self._targets, sample.targets)
@@ -228,39 +226,32 @@ class HandScene:
             self._caption.text = caption(sample)
 
     def _draw_deformation(self, sample: ViewSample) -> None:
-        """What T_def makes of a ball, or of a cube, about the pivot."""
+        """Draw a ball or a cube about the pivot as T_def deforms it."""
         shape = self.deformation_shape if sample.deformation is not None else "off"
         self._reference_ball.visible = shape == "ellipsoid"
         self._ellipsoid.visible, self._cube.visible = shape == "ellipsoid", shape == "cube"
         if sample.deformation is None or sample.pivot is None:
             return
         if shape == "ellipsoid":
-            # A ball has no direction of its own, so the rotation that a T_def with a measured wrist
-            # may hold cannot be seen.
+            # A rotation leaves the ball unchanged, so the rotation that T_def contains with
+            # rigid_from="wrist" is not drawn.
             factors = polar(sample.deformation)
             scales = np.maximum(np.abs(factors.stretches), 1e-3)
             self._ellipsoid.scale = (float(scales[0]), float(scales[1]), float(scales[2]))
             self._reference_ball.position = sample.pivot
             axes = factors.axes * (1.0, 1.0, np.sign(np.linalg.det(factors.axes)))
-            self._ellipsoid.wxyz, self._ellipsoid.position = (
-                quat_wxyz_from_rotation(axes),
-                sample.pivot,
-            )
+            self._ellipsoid.wxyz = quat_wxyz_from_rotation(axes)
+            self._ellipsoid.position = sample.pivot
         elif shape == "cube":
             corners = (self._ball / np.sqrt(3.0) * _CORNERS) @ sample.deformation.T
-            self._cube.position, self._cube.points = (
-                sample.pivot,
-                corners[_EDGES].astype(np.float32),
-            )
+            self._cube.position = sample.pivot
+            self._cube.points = corners[_EDGES].astype(np.float32)
 
-    def _lay_out(self, middles: tuple[np.ndarray, np.ndarray]) -> None:
-        """Side by side, with room for what either hand, or its travel, takes.
-
-        And the camera at the distance for both.
-        """
+    def _lay_out(self, centres: tuple[np.ndarray, np.ndarray]) -> None:
+        """Place the hands side by side with room for their travel, and fit the cameras."""
         human, robot = self._human, self._robot
-        for world, middle in zip((human, robot), middles, strict=True):
-            world.see(middle)
+        for world, centre in zip((human, robot), centres, strict=True):
+            world.include(centre)
         is_travelling = self.follow == "world"
         state = (
             (is_travelling, human.travel.tobytes(), robot.travel.tobytes())
@@ -274,21 +265,18 @@ class HandScene:
                 for world in (human, robot)
             ]
             width, height = sizes[0][0] + _GAP + sizes[1][0], max(size[1] for size in sizes)
-            # Seen from the palm, +x is on the left.
+            # Seen from the palm side, +x points left.
             human.anchor = np.array([0.5 * (width - sizes[0][0]), 0.0, 0.0])
             robot.anchor = np.array([-0.5 * (width - sizes[1][0]), 0.0, 0.0])
             self._caption.position = (0.0, -0.5 * height - 0.055, 0.0)
-            # A hand is widest in its middle, not in front.
+            # A hand is widest at its centre, not at the front of its sphere.
             depth = max(sizes[0][2] - human.radius, sizes[1][2] - robot.radius)
-            self.camera.fit(width, height + _CAPTION_ROOM, depth)
+            self.cameras.fit(width, height + _CAPTION_ROOM, depth)
 
     def _place(
-        self, world: _World, q: np.ndarray | None, wrist: np.ndarray, middle: np.ndarray
+        self, world: _World, q: np.ndarray | None, wrist: np.ndarray, centre: np.ndarray
     ) -> None:
-        """Put a hand into its world, and its world into the scene.
-
-        Nothing but its points where no posture is known.
-        """
+        """Place a hand in its world and its world in the scene; hide a hand of unknown posture."""
         hand = world.hand
         world.body.visible = q is not None
         if q is not None:
@@ -299,10 +287,10 @@ class HandScene:
                 pose[:3, 3],
             )
         world.frame.position = world.anchor - (
-            middle if self.follow == "hands" else world.travel.mean(axis=0)
+            centre if self.follow == "hands" else world.travel.mean(axis=0)
         )
         low = max(self._human.radius, self._robot.radius) + 0.02
-        world.label.position = world.frame.position + middle - (0.0, low, 0.0)
+        world.label.position = world.frame.position + centre - (0.0, low, 0.0)
 
     def _add_hand(self, node: str, hand: Hand, q: np.ndarray | None) -> _World:
         from viser.extras import ViserUrdf
@@ -320,7 +308,7 @@ class HandScene:
         model.update_cfg(in_order(order, q))
         to_wrist = inverse_pose(hand.frame_pose("wrist", q))
         if hand.has_moving_wrist and not hand.is_floating:
-            # On an arm, of which the picture shows what there is room for.
+            # On an arm: fit the view to the hand; parts of the arm may lie outside.
             points = transform_points(to_wrist, hand.points(q))
             focus, radius = 0.5 * points.mean(axis=0), float(np.linalg.norm(points, axis=1).max())
         else:
@@ -344,9 +332,9 @@ class HandScene:
         *,
         opacity: float | None = None,
     ) -> list[Any]:
-        """A node for each point.
+        """Add a node per point.
 
-        A browser that is short of time moves nodes all at once, where a batch of points would lag.
+        A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
         """
         return [
             self.server.scene.add_icosphere(
@@ -380,21 +368,18 @@ class HandScene:
 
 
 def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
-    """For each joint of a model that draws a hand, its place in `hand.joint_names`.
-
-    None for one that the hand does not move.
-    """
+    """Return each drawn joint's index in `hand.joint_names`; None if it is not the hand's."""
     places = {name: i for i, name in enumerate(hand.joint_names)}
     return [places.get(name) for name in names]
 
 
 def in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
-    """Joint angles for the model that draws a hand."""
+    """Return the joint angles of a drawn model; 0 for joints that are not the hand's."""
     return np.array([0.0 if i is None else q[i] for i in order])
 
 
 def _move(nodes: list[Any], points: np.ndarray | None) -> None:
-    """Put nodes at points, or out of sight where there are none."""
+    """Place nodes at points (n, 3), or hide them if there are none."""
     for i, node in enumerate(nodes):
         node.visible = points is not None
         if points is not None:
@@ -402,21 +387,21 @@ def _move(nodes: list[Any], points: np.ndarray | None) -> None:
 
 
 def caption(sample: ViewSample) -> str:
-    """The line below both hands: time, point error and what is out of the ordinary."""
+    """Return the line below both hands: time, mean point error and status."""
     parts = [f"{sample.time:.2f} s"]
     if sample.targets is not None:
         parts.append(f"point error {1e3 * sample.point_error.mean():.1f} mm")
-    parts.append("no hand seen, held" if not sample.is_seen else sample.status)
+    parts.append("hand not seen, robot held" if not sample.is_seen else sample.status)
     return " · ".join(parts)
 
 
 def load_urdf(hand: Hand) -> Any:
-    """The hand's URDF with its meshes, as `ViserUrdf` wants it."""
+    """Load the hand's URDF with its meshes for `ViserUrdf`."""
     from yourdfpy import URDF
 
     robot = parse_urdf(hand.urdf_text)
-    # ViserUrdf names its nodes after links and shapes alike, so a shape that bears a link's name
-    # would take the link's place.
+    # ViserUrdf names the nodes of links and of shapes alike, and a shape with a link's name would
+    # replace the link: rename all shapes.
     for link in robot.iterfind("link"):
         for i, visual in enumerate(link.iterfind("visual")):
             visual.set("name", f"{link.get('name')}_shape_{i}")

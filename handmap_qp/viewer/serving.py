@@ -1,4 +1,4 @@
-"""The web server of the view, which only its own page may talk to."""
+"""The web server of the view, which accepts connections from its own page only."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServer]:
-    """A viser server for as long as the block runs, without its banner, for its own page alone.
+    """Run a viser server while the block runs; it prints no banner and refuses foreign pages.
 
     Args:
         host: Address to listen on.
-        port: Port; the next free one where it is taken, any free one for 0.
+        port: Port; the next free one if it is taken; 0 takes any free port.
 
     Yields:
         The server, running in a thread of its own.
 
     Raises:
-        InvalidInputError: If there is no such address on this machine.
+        InvalidInputError: If the host is empty or no address of this machine.
         MissingExtraError: If viser is not installed.
     """
     try:
@@ -38,15 +38,21 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
         raise MissingExtraError("viser", "view") from error
     if not host.strip():
         raise InvalidInputError(
-            "--host: expected an address; nothing stands for all of this machine's", value=host
+            argument="--host",
+            expected="an address",
+            value=host,
+            advice="an empty host would listen on all interfaces",
         )
-    # viser takes every refusal for a port in use, and would try the next thousand without a word.
+    # viser treats every bind error as a port in use and silently tries the next thousand, so bind
+    # once here to report the real reason.
     try:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
             probe.bind((host, 0))
     except OSError as error:
         raise InvalidInputError(
-            f"--host {host}: cannot be served on: {error.strerror or error}", value=host
+            argument="--host",
+            problem=f"cannot listen on {host}: {error.strerror or error}",
+            value=host,
         ) from error
     with _own_pages_only(host), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="handmap view", verbose=False)
@@ -59,33 +65,16 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
 
 
 @contextlib.contextmanager
-def drawing() -> Iterator[None]:
-    """While a picture is drawn: let it be where viser stumbles, for the next one.
-
-    viser 1.1 wakes its own thread by an `asyncio.Event` that it sets in ours. If that thread begins
-    to wait at the same moment, `set` finds its list of those who wait changed. What was to be drawn
-    has been noted by then.
-    """
-    try:
-        yield
-    except RuntimeError as error:
-        if "mutated during iteration" not in str(error):
-            raise
-
-
-@contextlib.contextmanager
 def _own_pages_only(host: str) -> Iterator[None]:
-    """While a viser server starts.
+    """Make a viser server that starts in this block accept its own page only.
 
-    Let it take connections from the page that it serves, and from no other.
-
-    A page that some web site has put into the user's browser reaches loopback too, and could press
-    the view's buttons. viser takes all that comes and has no setting for it, so that the check goes
-    in where it starts listening.
+    Any web page open in the user's browser can reach loopback, so it could press the view's
+    buttons. viser accepts every connection and has no setting for it, so wrap the `serve` function
+    of websockets that it calls.
     """
-    from websockets.asyncio import server as listener
+    from websockets.asyncio import server as websocket_server
 
-    serve = listener.serve
+    serve = websocket_server.serve
 
     def serve_own_pages(handler: Any, *where: Any, process_request: Any, **settings: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
@@ -94,25 +83,25 @@ def _own_pages_only(host: str) -> Iterator[None]:
             ):
                 return process_request(connection, request)
             return connection.respond(
-                http.HTTPStatus.FORBIDDEN, "pages of other sites may not use the view\n"
+                http.HTTPStatus.FORBIDDEN, "pages of other sites cannot use the view\n"
             )
 
         return serve(handler, *where, process_request=check, **settings)
 
-    listener.serve = serve_own_pages  # type: ignore[assignment]
+    websocket_server.serve = serve_own_pages  # type: ignore[assignment]
     try:
         yield
     finally:
-        listener.serve = serve  # type: ignore[misc]
+        websocket_server.serve = serve  # type: ignore[misc]
 
 
 def is_own_page(host: str, asked: str, origins: list[str]) -> bool:
-    """Whether a request comes from the page that this server gave out, or from no page at all.
+    """Return whether a request comes from the page of this server, or from no page at all.
 
     Args:
         host: Address that the server listens on.
-        asked: The request's `Host`, which on loopback has to be a name of that.
-        origins: Its `Origin`, which browsers set and pages cannot.
+        asked: `Host` header; on loopback it must name loopback.
+        origins: `Origin` headers; browsers set them and pages cannot change them.
     """
     return (names_loopback(asked) or not is_loopback(host)) and all(
         urlsplit(origin).netloc == asked for origin in origins

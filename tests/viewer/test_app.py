@@ -5,6 +5,7 @@ And the same in a browser.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -30,11 +31,12 @@ from handmap_qp.mapping.options import RigidFrom
 from handmap_qp.offline.trajectory import map_motion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
-from handmap_qp.viewer.gauges import short_names
+from handmap_qp.viewer.frames import skip_wakeup_race
+from handmap_qp.viewer.gauges import joint_bars, short_names
 from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls, Options
 from handmap_qp.viewer.replay import Replay
 from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
-from handmap_qp.viewer.serving import drawing, serving
+from handmap_qp.viewer.serving import serving
 
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -224,7 +226,7 @@ def test_both_hands_are_in_the_picture_of_a_page_that_stands_upright(
 ) -> None:
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
-    scene.foresee(replay.samples)
+    scene.reserve_travel(replay.samples)
     scene.follow = follow
     for sample in replay.samples:
         scene.draw(sample)
@@ -243,8 +245,8 @@ def test_both_hands_are_in_the_picture_of_a_page_that_stands_upright(
 
 def test_caption_says_that_the_hand_was_not_seen() -> None:
     samples = make_replay().samples
-    assert "no hand seen" in caption(samples[GAP.start])
-    assert "no hand seen" not in caption(samples[0])
+    assert "hand not seen" in caption(samples[GAP.start])
+    assert "hand not seen" not in caption(samples[0])
 
 
 # -- what the controls do
@@ -391,12 +393,12 @@ def test_a_picture_that_viser_stumbles_at_loses_no_wish(
     viewer.steering.options.handles["ridge"].value = 0.3
     with monkeypatch.context() as once:
         once.setattr(viewer.server, "flush", stumble)
-        with drawing():
+        with skip_wakeup_race():
             viewer.tick(0.0)
         assert viewer.replay.mapping.ridge == 0.1
     viewer.tick(0.0)
     assert viewer.replay.mapping.ridge == 0.3
-    with pytest.raises(RuntimeError, match="another"), drawing():
+    with pytest.raises(RuntimeError, match="another"), skip_wakeup_race():
         raise RuntimeError("another mistake")
 
 
@@ -428,6 +430,16 @@ def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     for name, q in zip(viewer.replay.robot.joint_names, samples[40].robot_q, strict=True):
         assert name in bars
         assert f"{np.degrees(q):.0f}°" in bars
+
+
+def test_joint_bars_tell_a_position_limit_from_a_speed_limit() -> None:
+    robot, sample = load_hand("three_finger"), make_replay().samples[0]
+    q, is_limited = robot.rest.copy(), np.zeros(len(robot.rest), dtype=bool)
+    q[0], q[1] = robot.upper_limits[0], robot.lower_limits[1]
+    is_limited[[0, 2]] = True
+    bars = joint_bars(robot, replace(sample, robot_q=q, is_limited=is_limited))
+    colours = re.findall(r"text-align:right;color:(#\w+)", bars)
+    assert colours == ["#d62929", "#d62929", "#f08c00"] + ["#2166d8"] * (len(q) - 3)
 
 
 def test_long_names_of_joints_stay_different() -> None:

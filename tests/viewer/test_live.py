@@ -33,7 +33,7 @@ class Source:
         self.human, self.robot, self.samples = replay.human, replay.robot, replay.samples
         self.options = Options(replay.mapping, replay.ik)
         self.is_shared, self.is_released, self.is_busy, self.is_outdated = True, False, False, False
-        self.trouble: HandmapError | None = None
+        self.last_error: HandmapError | None = None
         self.asked: list[dict[str, Any]] = []
         self.given: queue.Queue[ViewSample | HandmapError | None] = queue.Queue()
 
@@ -52,12 +52,12 @@ class Source:
     def configure(self, changes: dict[str, Any]) -> None:
         self.asked.append(changes)
         options = self.options.with_changes(changes)
-        self.trouble = (
+        self.last_error = (
             InvalidInputError("the service does not want that")
             if options.mapping.scale > 2.0
             else None
         )
-        self.options = self.options if self.trouble else options
+        self.options = self.options if self.last_error else options
 
     def close(self) -> None:
         self.given.put(None)
@@ -92,7 +92,7 @@ def test_the_newest_sample_is_drawn_and_all_are_plotted(
         )
     ago = [sample.time - source.samples[39].time for sample in source.samples[:40]]
     np.testing.assert_allclose(viewer.gauges.error.data[0], ago)
-    assert "30 samples a second" in viewer.news.content
+    assert "30 samples per second" in viewer.status_text.content
     viewer.close()
 
 
@@ -101,7 +101,7 @@ def test_silence_is_said(server: Any, source: Source, monkeypatch: pytest.Monkey
     viewer = LiveViewer(server, source)
     monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", 0.0)
     viewer.tick()
-    assert "No sample comes" in viewer.news.content
+    assert "No sample arrives" in viewer.status_text.content
     viewer.close()
 
 
@@ -113,7 +113,7 @@ def test_the_end_of_the_source_is_said_and_its_last_sample_stays(
     source.given.put(None)
     wait_until(lambda: not viewer._thread.is_alive())
     viewer.tick()
-    assert "has ended" in viewer.news.content
+    assert "has ended" in viewer.status_text.content
 
 
 def test_what_the_source_raises_reaches_the_user(server: Any, source: Source) -> None:
@@ -126,7 +126,7 @@ def test_what_the_source_raises_reaches_the_user(server: Any, source: Source) ->
 
 
 def test_a_source_without_samples_is_given_up(server: Any, source: Source) -> None:
-    with pytest.raises(InvalidInputError, match="no sample came"):
+    with pytest.raises(InvalidInputError, match="no sample arrived"):
         LiveViewer(server, source, patience=0.1)
 
 
@@ -235,7 +235,7 @@ def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: 
 def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
-    viewer.picture.follow.value = "world"
+    viewer.display.follow.value = "world"
     viewer.tick()
     near = np.linalg.norm(server.initial_camera.position)
     shift = np.array([0.8, 0.0, 0.0])

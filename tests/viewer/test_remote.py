@@ -296,7 +296,7 @@ def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(
     service: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Not by the look that is due every second.
-    monkeypatch.setattr("handmap_qp.viewer.remote._LOOK_PERIOD", np.inf)
+    monkeypatch.setattr("handmap_qp.viewer.remote._STATUS_PERIOD", np.inf)
     with (
         connected(service, name="lab", is_shared=True) as client,
         moving(client),

@@ -12,7 +12,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 
 import viser
 from patience import wait_until
-from websockets.asyncio import server as listener
+from websockets.asyncio import server as websocket_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
@@ -89,7 +89,7 @@ def test_whose_page_it_is(host: str, asked: str, origins: list[str], expected: b
 
 
 def test_others_that_listen_are_left_alone(server: Any) -> None:
-    assert listener.serve.__module__.startswith("websockets")
-    with pytest.raises(InvalidInputError, match="cannot be served on"), serving("192.0.2.1"):
+    assert websocket_server.serve.__module__.startswith("websockets")
+    with pytest.raises(InvalidInputError, match="cannot listen on"), serving("192.0.2.1"):
         pass
-    assert listener.serve.__module__.startswith("websockets")
+    assert websocket_server.serve.__module__.startswith("websockets")
