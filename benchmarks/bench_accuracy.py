@@ -1,11 +1,10 @@
-"""How the mapping's choices show in the robot's motion.
+"""Measure how the options of the mapping affect the robot's motion.
 
-The measurement that the defaults come from.
-
-One factor at a time is varied around the defaults (some together with a second one), over all
-recordings and two robots. Two kinds of numbers come out. How well does the robot do what the
-mapping asks for: point error, joint limits, speed, jerk? And is that what the person did: does the
-palm follow the human's, and does every finger stretch and bend with the human's, and as far?
+One factor at a time is varied around `MappingOptions()` and `IkOptions()` (some together with a
+second one), over all recordings and two robots. Two kinds of numbers are measured. How well the
+robot reaches the targets of the mapping: point error, joint limits, speed, jerk. How well it
+reproduces the human motion: displacement of the palm, and correlation and range of each finger's
+extension.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FINGERS = ("thumb", "index", "middle", "ring")
-"""Fingers that some robot has."""
+"""Fingers that at least one robot has."""
 FOLLOW_POINTS = {"rigid_from": "points", "pivot": "centroid"}
 FOLLOW_WRIST = {"rigid_from": "wrist", "pivot": "palm"}
 PAPER = {
@@ -47,12 +46,12 @@ PAPER = {
     "residual_gain": 0.0,
     "deformation_gain": 1.0,
 }
-"""The paper's estimation, in the coordinates of the centroid."""
+"""The paper's estimation, in coordinates about the centroid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A complete set of choices."""
+    """A complete set of options."""
 
     human_points: str = load_hand("human").spec.reference
     robot_points: str = load_hand("three_finger").spec.reference
@@ -60,7 +59,7 @@ class Case:
     ik: IkOptions = field(default_factory=IkOptions)
 
     def changed(self, changes: dict[str, Any]) -> Case:
-        """The same with some choices changed, by their names in whichever of the options they are."""
+        """Return the case with some options changed, of the mapping, of the IK or of the points."""
         mapping = {
             name: value for name, value in changes.items() if name in MappingOptions.__slots__
         }
@@ -73,14 +72,14 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A choice, the values it takes, and other choices to try them under (the defaults first)."""
+    """An option, its values, and variants of other options to combine them with."""
 
     name: str
     values: tuple[Any, ...]
     variants: tuple[dict[str, Any], ...] = ({},)
 
     def cases(self) -> Iterator[tuple[dict[str, Any], Any, Case]]:
-        """Variant, value and case."""
+        """Yield variant, value and case."""
         for variant in self.variants:
             for value in self.values:
                 yield variant, value, Case().changed({**variant, self.name: value})
@@ -111,7 +110,7 @@ FACTORS = (
     Factor("max_iterations", (1, 2, 3, 6)),
     Factor("error_damping", (0.0, 0.1, 0.3, 0.7, 1.0, 3.0)),
     Factor("rest_weight", (0.0, 0.1, 0.2, 0.5, 1.0)),
-    # In the table only.
+    # The factors from here on are in the table only.
     Factor(
         "human_points",
         ("fingertips", "fingertips_middle", "joints"),
@@ -127,21 +126,21 @@ FACTORS = (
         ({"human_points": "joints", **FOLLOW_WRIST, "residual_gain": 1.0},),
     ),
     Factor("robot_points", ("fingertips", "fingertips_middle")),
-    Factor("reference", ("initial", "previous"), ({}, PAPER)),
+    Factor("reference", (MappingOptions().reference, "previous"), ({}, PAPER)),
 )
 QUICK_FACTORS = (
     Factor("ridge", (0.1, 1.0)),
     Factor("residual_gain", (0.0, 1.0), (FOLLOW_POINTS, FOLLOW_WRIST)),
 )
 DRAWN = 8
-"""So many factors, from the first on, are in the picture."""
+"""Number of factors in the picture, from the first on."""
 
 
 class WatchedMapper(HandMapper):
-    """A mapper that keeps the stretches it saw."""
+    """A mapper that records the stretches of each step."""
 
     def map_step(self, *arguments: Any, **words: Any) -> MapStep:
-        """As ever."""
+        """Map one sample and record its stretches."""
         step = super().map_step(*arguments, **words)
         self.watched = [
             *getattr(self, "watched", ()),
@@ -151,7 +150,16 @@ class WatchedMapper(HandMapper):
 
 
 def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
-    """Map all scenes to a robot and sum up."""
+    """Map all scenes to a robot and summarise.
+
+    Args:
+        case: The options.
+        family: The robot, one of `ROBOTS`.
+        scenes: The recordings.
+
+    Returns:
+        Numbers by name, with units in the names.
+    """
     qualities: list[MotionQuality] = []
     watched: list[tuple[float, float, bool]] = []
     for scene in scenes:
@@ -179,7 +187,7 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
         "share_at_limit": mean("share_at_limit"),
         "speed_rad_s_rms": mean("speed"),
         "jerk_rad_s3_rms": mean("jerk"),
-        # Recordings differ tenfold in rate and noise, so each counts by its ratio.
+        # Geometric mean: recordings differ tenfold in rate and noise.
         "jerk_over_human": float(
             np.exp(np.mean([np.log(quality.jerk / quality.human_jerk) for quality in qualities]))
         ),
@@ -217,7 +225,7 @@ def _work(job: tuple[Case, str]) -> dict[str, Any]:
 def measure_all(
     jobs: list[tuple[Case, str]], files: list[Path], arguments: Namespace
 ) -> list[dict[str, Any]]:
-    """Measure every case, in as many processes as asked for."""
+    """Measure every case, in `arguments.jobs` processes."""
     samples = 60 if arguments.quick else None
     prepare = partial(_start_worker, files, arguments.every, samples)
     with common.progress("settings", len(jobs)) as advance:
@@ -237,7 +245,7 @@ def _advanced(advance: Any, result: dict[str, Any]) -> dict[str, Any]:
 def table_rows(
     factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """The table: a line for every case and robot."""
+    """Format the results as a table, one row per case and robot."""
     rows: list[dict[str, Any]] = []
     for factor in factors:
         for variant, value, case in factor.cases():
@@ -257,7 +265,9 @@ def table_rows(
 def _cells(result: dict[str, Any]) -> dict[str, str]:
     pairs = {finger: result["fingers"].get(finger) for finger in FINGERS}
     return {
-        "point error mm": f"{result['point_error_mm_mean']:.1f} / {result['point_error_mm_p95']:.0f}",
+        "point error mm": (
+            f"{result['point_error_mm_mean']:.1f} / {result['point_error_mm_p95']:.0f}"
+        ),
         "stretch": f"{result['stretch_min']:.2f} .. {result['stretch_max']:.2f}",
         "palm off": f"{result['palm_off_mm_rms']:.0f} mm {result['palm_off_deg_rms']:3.0f} deg",
         "at limit": f"{result['share_at_limit']:.0%}",
@@ -281,14 +291,14 @@ METRICS = (
     ("point_error_mm_mean", "point error\n[mm]", (0.0, 40.0)),
     ("jerk_over_human", "joint jerk over\nthe human's", (0.0, 1.6)),
 )
-"""Rows of the picture: a result, its label and the range of its axis.
+"""Rows of the picture: result, label and range of the axis.
 
-What lies outside is drawn at the edge, as a triangle.
+Values outside the range are drawn as triangles at its edge.
 """
 
 
 def draw(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]) -> Figure:
-    """Small multiples: a column for every factor, a row for every metric, the default marked."""
+    """Draw a grid: a column per factor, a row per metric, with the default marked."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -386,7 +396,7 @@ def _words(variant: dict[str, Any]) -> str:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Measure, print, write, draw."""
+    """Run the benchmark."""
     parser = common.make_parser(" ".join(str(__doc__).split("\n\n")[0].split()))
     parser.add_argument(
         "--every",
@@ -400,7 +410,7 @@ def main(words: Sequence[str] | None = None) -> None:
     files = common.find_recordings(arguments.recordings)[: 2 if arguments.quick else None]
     arguments.jobs = 1 if arguments.quick else max(1, arguments.jobs)
     factors = QUICK_FACTORS if arguments.quick else FACTORS
-    # Each case once, however many factors it belongs to.
+    # Measure each case once, also if it belongs to several factors.
     jobs = list(
         dict.fromkeys(
             (case, family) for factor in factors for *_, case in factor.cases() for family in ROBOTS
@@ -408,12 +418,13 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     results = dict(zip(jobs, measure_all(jobs, files, arguments), strict=True))
     common.print_table(
-        f"What the choices do: {len(files)} recordings, mean over them",
+        f"Effect of the options: mean over {len(files)} recordings",
         table_rows(factors, results),
         to_stderr=arguments.json == "-",
-        caption="* the default. point error: mean / 95th percentile. palm off: from doing what the human's palm does, RMS. "
-        "speed rad/s and jerk rad/s^3, RMS; x human: geometric mean of the ratios to the human's. Fingers: correlation of the "
-        "distance from tip to palm with the human's, and x its range in parts of the human's.",
+        caption="* the default. point error: mean / 95th percentile. palm off: RMS difference of "
+        "the palms' displacements. speed [rad/s] and jerk [rad/s^3]: RMS. x human: geometric mean "
+        "of the ratios to the human's. Fingers: correlation of the distance from tip to palm with "
+        "the human's, and x the ratio of its range to the human's.",
     )
     document = {
         "default": asdict(Case()),

@@ -1,11 +1,9 @@
-"""What limit handling costs and buys: the QP against eq.
+"""Compare limit handling: the QP, and eq. (8) without limits, clipped, and damped with clipping.
 
-(8) with no limits, with clipping, and damped with clipping.
-
-Each way moves the same robots through the same recordings. Limits that are looked at after the
-step, or not at all, are violated or bend the step for every finger; a QP knows them while it
-solves. The last columns look at the samples in which some fingers have a joint at a position limit
-and others have none: what happens to those others?
+Each method maps the same recordings to the same robots. Limits that are ignored are violated;
+limits that are applied after the step change the motion of all fingers. A QP takes them into
+account while it solves. The last two columns are over samples in which some fingers have a joint at
+a position limit and others have none: point errors of the former and of the latter.
 
     python benchmarks/bench_limits.py --picture limits.png --json limits.json
 """
@@ -19,7 +17,7 @@ import common
 import numpy as np
 import scenes
 
-from handmap_qp import HandMapper, IkOptions
+from handmap_qp import HandMapper, IkOptions, MappingOptions
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
@@ -37,7 +35,14 @@ _TOLERANCE = 1e-9
 
 
 def measure(trajectories: Sequence[Trajectory]) -> dict[str, float]:
-    """Error, violation and jerk over several trajectories of one way."""
+    """Errors, violations and jerk over the trajectories of one method.
+
+    Args:
+        trajectories: One trajectory per recording.
+
+    Returns:
+        Numbers by column of the table; the name holds the unit.
+    """
     point, wrist, jerk, others, saturated = [], [], [], [], []
     violations, largest, at_limit, fastest, samples = 0, 0.0, 0, 0.0, 0
     for trajectory in trajectories:
@@ -75,9 +80,13 @@ def measure(trajectories: Sequence[Trajectory]) -> dict[str, float]:
 
 
 def split_by_saturation(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Point errors [m] where some fingers have a joint at a limit and others none.
+    """Split point errors where some fingers have a joint at a limit and others have none.
 
-    Of the former, and of the latter.
+    Args:
+        trajectory: The trajectory.
+
+    Returns:
+        Errors of the saturated fingers and of the others [m].
     """
     robot = trajectory.robot
     moves = (
@@ -95,7 +104,7 @@ def _mean(parts: list[np.ndarray]) -> float:
 
 
 def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
-    """Error, violation and jerk of every way, a row of panels for each robot."""
+    """Draw error, violation and jerk of each method, a row of panels per robot."""
     from matplotlib.figure import Figure
 
     panels = {
@@ -131,7 +140,7 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser(
-        "Limit handling: the QP against eq. (8) unlimited, clipped, and damped with clipping."
+        "Limit handling: the QP, and eq. (8) without limits, clipped, and damped with clipping."
     )
     arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
@@ -145,7 +154,9 @@ def main(words: Sequence[str] | None = None) -> None:
                 trajectories = []
                 for scene in found:
                     mapper = HandMapper(
-                        scene.motion.human.with_points(None), scenes.robot_for(family, scene.side)
+                        scene.motion.human.with_points(None),
+                        scenes.robot_for(family, scene.side),
+                        MappingOptions(),
                     )
                     mapper._ik = make(mapper.robot, IkOptions())
                     trajectories.append(map_motion(mapper, scene.motion))

@@ -1,10 +1,10 @@
-"""Every QP solver on the same problems.
+"""Compare QP solvers on the same problems.
 
-Time, failures, distance to the exact answer, violation, and what a warm start gains.
-
-Two sets of box-constrained problems. *Recorded*: those of a headset recording mapped to the Allegro
-hand, in their order, where a warm start can help. *Hard*: random ones, with targets out of reach,
-joints at and outside their limits, stretched-out singular postures, short and long time steps.
+Measured: time, failures, distance to the exact solution, violation, and the gain of a warm start.
+There are two sets of box-constrained problems. *Recorded*: the sequence of problems of a headset
+recording mapped to the Allegro hand, where a warm start can help. *Hard*: random problems with
+targets out of reach, joints at and outside their limits, singular (stretched) postures, and short
+and long time steps.
 
     python benchmarks/bench_solvers.py --picture solvers.png --json solvers.json
 """
@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 import synthetic
 
-from handmap_qp import HandMapper, IkOptions, load_hand
+from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver, Rows
@@ -42,7 +42,7 @@ class Problem(NamedTuple):
 
 
 class Recorder:
-    """A solver that keeps the problems it is given."""
+    """A solver that records its problems."""
 
     def __init__(self, size: int) -> None:
         self.problems: list[Problem] = []
@@ -62,8 +62,8 @@ class Recorder:
 
 
 def recorded_problems(motion: HumanMotion) -> list[Problem]:
-    """The problems that mapping a motion to the Allegro hand poses, in their order."""
-    mapper = HandMapper(motion.human, load_hand("allegro_right"))
+    """Record the problems of mapping a motion to the Allegro hand, in order."""
+    mapper = HandMapper(motion.human, load_hand("allegro_right"), MappingOptions())
     recorder = Recorder(mapper.robot.model.nv)
     mapper._ik._solver = recorder
     for i in range(len(motion.time)):
@@ -72,7 +72,7 @@ def recorded_problems(motion: HumanMotion) -> list[Problem]:
 
 
 def hard_problems(count: int, seed: int = 0) -> list[Problem]:
-    """Problems that no recording poses, for two hands in turn."""
+    """Generate hard random problems, for two hands in turn."""
     rng = np.random.default_rng(seed)
     iks = [PointIk(load_hand(name), IkOptions()) for name in _ROBOTS]
     return [_hard_problem(iks[i % len(iks)], i // len(iks) % 4, rng) for i in range(count)]
@@ -87,7 +87,7 @@ def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
             np.where(rng.random(len(q)) < 0.5, hand.lower_limits, hand.upper_limits),
             q,
         )
-    elif kind == 2:  # stretched out: singular
+    elif kind == 2:  # stretched: singular
         q = np.clip(np.zeros(len(q)), hand.lower_limits, hand.upper_limits)
     elif kind == 3:  # outside the limits
         q = q + rng.uniform(-0.5, 0.5, len(q))
@@ -100,14 +100,17 @@ def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
 
 
 def exact_answer(problem: Problem) -> np.ndarray:
-    """The minimiser to rounding.
+    """Return the minimiser up to rounding.
 
-    DAQP's active set, the other variables solved for directly, the KKT conditions checked.
+    Takes DAQP's active set, solves for the free variables directly and checks the KKT conditions.
+
+    Raises:
+        RuntimeError: If DAQP fails or the KKT conditions do not hold.
     """
     H, c, lower, upper = problem
     start = DaqpSolver(len(c)).solve(*problem)
     if start is None:
-        raise RuntimeError("the exact answer needs a solution to start from")
+        raise RuntimeError("DAQP found no solution to start from")
     tolerance = 1e-9 * (1.0 + np.abs(start))
     at_lower, at_upper = start <= lower + tolerance, start >= upper - tolerance
     x = np.where(at_lower, lower, np.where(at_upper, upper, start))
@@ -122,12 +125,12 @@ def exact_answer(problem: Problem) -> np.ndarray:
         and (x <= upper + 1e-12).all()
         and (np.abs(slope[free]) <= scale).all()
     )
-    # On a bound that is hardly held, slope and distance are both zero and either side is right.
+    # At a weakly active bound both gradient and distance are zero: either set is correct.
     signs = (slope[at_lower & ~at_upper] >= -scale).all() and (
         slope[at_upper & ~at_lower] <= scale
     ).all()
     if not (ok and signs):
-        raise RuntimeError("the exact answer fails its own optimality conditions")
+        raise RuntimeError("the exact solution violates the KKT conditions")
     return x
 
 
@@ -138,7 +141,17 @@ def measure(
     *,
     is_warm: bool,
 ) -> dict[str, Any]:
-    """One solver on one set of problems."""
+    """Run one solver on one set of problems.
+
+    Args:
+        make: Constructor of the solver, given the number of variables.
+        problems: The problems.
+        answers: Their exact solutions.
+        is_warm: Whether to keep the solver from problem to problem (warm start).
+
+    Returns:
+        CPU times [us], number of failures, largest distance to the exact solution and violation.
+    """
     solvers: dict[int, Any] = {}
     times, distances, violations, failures = [], [], [], 0
     for problem, answer in zip(problems, answers, strict=True):
@@ -149,7 +162,7 @@ def measure(
         try:
             x = solvers[size].solve(*problem)
         except Exception:
-            x = None  # a solver that raises has failed, whatever it raises
+            x = None  # any exception counts as a failure
         times.append(1e-3 * (time.thread_time_ns() - started))
         if x is None or not np.isfinite(x).all():
             failures += 1
@@ -166,7 +179,7 @@ def measure(
 
 
 def solvers() -> list[tuple[str, Callable[[int], Any], bool]]:
-    """Name, constructor and warmth of every solver there is."""
+    """Name, constructor and warm start of each installed solver."""
     import qpsolvers
 
     rows: list[tuple[str, Callable[[int], Any], bool]] = [
@@ -183,7 +196,7 @@ def solvers() -> list[tuple[str, Callable[[int], Any], bool]]:
 
 
 def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
-    """Time of every solver as bars, its distance to the exact answer and its failures beside them."""
+    """Draw the time of each solver as a bar, labelled with its distance and failures."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
@@ -214,7 +227,7 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Every QP solver on recorded and on hard problems.")
+    parser = common.make_parser("Compare QP solvers on recorded and on hard problems.")
     parser.add_argument("--hard", type=int, default=_HARD, help="number of hard problems")
     arguments = common.parse_arguments(parser, words)
     motion = synthetic.motion_or_synergies(arguments.recordings, "quest3_webxr_right")
@@ -229,9 +242,8 @@ def main(words: Sequence[str] | None = None) -> None:
             common.progress(f"{name} problems", len(solvers())) as advance,
             warnings.catch_warnings(),
         ):
-            warnings.simplefilter(
-                "ignore"
-            )  # what solvers warn of is counted as failure or distance
+            # Warnings of solvers show as failures or distances.
+            warnings.simplefilter("ignore")
             for label, make, is_warm in solvers():
                 rows.append({"solver": label, **measure(make, problems, answers, is_warm=is_warm)})
                 advance()

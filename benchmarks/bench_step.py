@@ -1,9 +1,9 @@
-"""How long one whole `map_step` takes, part by part, and how it grows with reference points and joints.
+"""CPU time of one `map_step`: in total, by part, per hand, and by number of points and joints.
 
-Times are CPU times of one thread; what counts is their ratio to one `pin.computeJointJacobians` on
-the same robot in the same run, which hardly depends on the machine. The scene is a headset
-recording mapped to the Allegro hand with a floating wrist (22 variables) under default options;
-without recordings, the human hand moving along its synergies.
+Times are CPU times of one thread. The ratio to one `pin.computeJointJacobians` on the same robot in
+the same run hardly depends on the machine. The motion is a headset recording, mapped with
+`MappingOptions()` (the paper's choices); without recordings, it is the human hand moving along its
+synergies. Parts and growth are measured on the Allegro hand with a floating wrist (22 variables).
 
     python benchmarks/bench_step.py --picture step.png
     python benchmarks/bench_step.py --save before.json     # change something
@@ -27,17 +27,28 @@ import synthetic
 import handmap_qp.ik.qp
 import handmap_qp.mapping.mapper
 import handmap_qp.mapping.transfer
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import HandMapper, MappingOptions, MissingExtraError, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.trackers.recording import HumanMotion
 
 RECORDING = "quest3_webxr_right"
 POINT_COUNTS = (3, 4, 6, 10, 20, 35, 50)
 FINGER_COUNTS = (2, 3, 4, 5, 6, 8, 10)
+ROBOTS = ("allegro_right", "three_finger", "romeo_right", "g1_right")
+"""Hands in the table of ratios; the first is the one that is measured by part."""
 
 
 def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[str, Any]:
-    """Time whole steps over a motion, between batches of the Jacobian that they are compared with."""
+    """Time whole steps over a motion, interleaved with batches of the robot's Jacobian.
+
+    Args:
+        mapper: The mapper.
+        motion: The motion; all samples must be valid.
+        rounds: How often to map the motion.
+
+    Returns:
+        CPU times [us], their ratios to one `pin.computeJointJacobians` and numbers of iterations.
+    """
     jacobian, steps, iterations = [], [], []
     data, q = mapper.robot.model.createData(), mapper.robot.configuration_vector(mapper.robot.rest)
     jacobi = partial(pin.computeJointJacobians, mapper.robot.model, data, q)
@@ -64,17 +75,14 @@ def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[s
 
 
 class Stopwatches:
-    """Own times of functions that call each other, taken by wrapping them.
-
-    The time inside a wrapped callee is not the caller's.
-    """
+    """Own times of nested functions: the time inside a wrapped callee is not the caller's."""
 
     def __init__(self) -> None:
         self.sums: dict[str, float] = {}
         self._open: list[float] = []
 
     def wrap(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, its own time added up under a name."""
+        """Return the function wrapped so that its own time is added up under a name."""
         self.sums.setdefault(name, 0.0)
 
         def timed(*arguments: Any, **keywords: Any) -> Any:
@@ -91,10 +99,7 @@ class Stopwatches:
 
 
 def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
-    """Mean CPU time of each part of a step [us].
-
-    Wrapping costs each some 0.6 us, which is taken off.
-    """
+    """Mean CPU time of each part of a step [us], less the measured cost of the wrapper."""
     watches = Stopwatches()
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
@@ -147,10 +152,19 @@ def _counted(calls: dict[str, int], part: str, function: Callable[..., Any]) -> 
 def measure_growth(
     motion: HumanMotion, hands: Sequence[tuple[int, Hand]], what: str
 ) -> list[dict[str, float]]:
-    """Median step over a motion for each robot of a row of growing ones."""
+    """Median step over a motion for each robot of a sequence of growing ones.
+
+    Args:
+        motion: The motion.
+        hands: Sizes and robots.
+        what: Name of the size.
+
+    Returns:
+        One row per robot: size, variables, median step [us], ratio to one Jacobian.
+    """
     rows = []
     for size, robot in hands:
-        result = measure_step(HandMapper(motion.human, robot), motion, 1)
+        result = measure_step(HandMapper(motion.human, robot, MappingOptions()), motion, 1)
         rows.append(
             {
                 what: size,
@@ -162,10 +176,35 @@ def measure_growth(
     return rows
 
 
+def measure_robots(motion: HumanMotion, rounds: int) -> list[dict[str, Any]]:
+    """Median step of each hand of `ROBOTS` that is installed, and its ratio to one Jacobian."""
+    rows = []
+    for name in ROBOTS:
+        try:
+            robot = load_hand(name)
+        except MissingExtraError:
+            continue
+        mapper = HandMapper(motion.human, robot, MappingOptions())
+        measure_step(mapper, synthetic.shortened(motion, 20), 1)
+        result = measure_step(mapper, motion, rounds)
+        rows.append(
+            {
+                "robot": name,
+                "variables": robot.model.nv,
+                "step_us": result["step_cpu_us_median"],
+                "jacobian_us": result["jacobian_cpu_us_median"],
+                "ratio": result["ratio_median"],
+                "ratio_p99": result["ratio_p99"],
+                "iterations": result["iterations_mean"],
+            }
+        )
+    return rows
+
+
 def draw(
     step: dict[str, Any], parts: dict[str, float], growth: dict[str, list[dict[str, float]]]
 ) -> Any:
-    """Parts as bars, growth as two curves."""
+    """Draw the parts as bars and the growth as two curves."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
@@ -173,7 +212,7 @@ def draw(
     names = sorted(parts, key=lambda part: parts[part])
     bars.barh(names, [parts[name] for name in names], color=common.PALETTE[1])
     bars.set(
-        title=f"One step: {step['step_cpu_us_median']:.0f} us, {step['ratio_median']:.0f} Jacobians",
+        title=f"{step['step_cpu_us_median']:.0f} us = {step['ratio_median']:.0f} Jacobians",
         xlabel="mean CPU time [us]",
     )
     bars.grid(axis="y", visible=False)
@@ -194,7 +233,7 @@ def draw(
 
 
 def _read(file: str) -> dict[str, Any]:
-    """Numbers that an earlier run saved."""
+    """Read the numbers of an earlier run."""
     try:
         return json.loads(Path(file).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -204,7 +243,7 @@ def _read(file: str) -> dict[str, Any]:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser(
-        "CPU time of one map_step: whole, by part, and as points and joints grow."
+        "CPU time of one map_step: in total, by part, per hand, by number of points and joints."
     )
     parser.add_argument(
         "--save", metavar="FILE", help="the same as --json: numbers to compare with later"
@@ -217,10 +256,11 @@ def main(words: Sequence[str] | None = None) -> None:
     motion = synthetic.motion_or_synergies(arguments.recordings, RECORDING)
     if arguments.quick:
         motion = synthetic.shortened(motion, 60)
-    mapper = HandMapper(motion.human, load_hand("allegro_right"))
-    measure_step(mapper, motion, 1)  # so that what is compiled and cached at first use is
+    mapper = HandMapper(motion.human, load_hand(ROBOTS[0]), MappingOptions())
+    measure_step(mapper, motion, 1)  # warm-up: fill caches
     step = measure_step(mapper, motion, 1 if arguments.quick else 5)
     parts = measure_parts(mapper, motion)
+    robots = measure_robots(motion, 1 if arguments.quick else 2)
     counts, fingers = (
         (POINT_COUNTS[:2], FINGER_COUNTS[:2]) if arguments.quick else (POINT_COUNTS, FINGER_COUNTS)
     )
@@ -233,14 +273,19 @@ def main(words: Sequence[str] | None = None) -> None:
             synergies, [(4 * count, synthetic.comb_hand(count)) for count in fingers], "joints"
         ),
     }
-    results = {**step, "parts_cpu_us": parts, "growth": growth}
+    results = {**step, "parts_cpu_us": parts, "robots": robots, "growth": growth}
     is_json = arguments.json == "-"
     summary = [
         {"what": name, "now": value, **({"before": before.get(name, "")} if before else {})}
         for name, value in step.items()
     ]
     common.print_table(
-        "map_step, Allegro hand with floating wrist, default options", summary, to_stderr=is_json
+        "map_step, Allegro hand with floating wrist, the paper's options",
+        summary,
+        to_stderr=is_json,
+    )
+    common.print_table(
+        "Per hand: map_step over one pin.computeJointJacobians", robots, to_stderr=is_json
     )
     ordered = sorted(parts.items(), key=lambda item: -item[1])
     earlier = before.get("parts_cpu_us", {})

@@ -1,10 +1,8 @@
-"""What all benchmarks share.
+"""Shared by all benchmarks: arguments, progress, tables, JSON, machine, CPU time, picture style.
 
-Arguments, progress, tables, JSON, facts about the machine, CPU time and the style of pictures.
-
-A benchmark is a script: `python benchmarks/bench_accuracy.py --json results.json --picture
-results.png`. Results go to stdout, progress and complaints to stderr; a mistake of the user's is
-one line and exit code 2.
+A benchmark is a script, for example `python benchmarks/bench_accuracy.py --json results.json
+--picture results.png`. Results go to stdout, progress and errors to stderr. A usage error is one
+line and exit code 2.
 """
 
 # ruff: noqa: E402
@@ -12,8 +10,7 @@ from __future__ import annotations
 
 import os
 
-# One thread, set before numpy is imported: our matrices are small, so that more threads only wait
-# for each other.
+# Use one thread: for small matrices more threads cost time. Set this before numpy is imported.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
@@ -47,11 +44,11 @@ PACKAGES = (
     "numpy",
     "scipy",
 )
-"""Packages whose versions `facts` tells, where they are installed."""
+"""Packages whose versions `facts` reports, if they are installed."""
 COLOURS = {"three_finger": "#c8452f", "allegro": "#3f6fb5"}
 """Colours of the robots in every picture."""
 PALETTE = ("#c8452f", "#3f6fb5", "#2f7d6b", "#c48a1d", "#7a56a6", "#6b7280")
-"""Colours of anything else."""
+"""Colours of all other curves and bars."""
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -82,13 +79,13 @@ STYLE: dict[Any, Any] = {
 
 
 def make_parser(description: str) -> argparse.ArgumentParser:
-    """A parser with the arguments that every benchmark takes.
+    """Return a parser with the common arguments; a benchmark may add its own.
 
     Args:
-        description: What the benchmark measures, in a sentence.
+        description: What the benchmark measures, in one sentence.
 
     Returns:
-        The parser; a benchmark adds its own arguments.
+        The parser.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
@@ -102,12 +99,13 @@ def make_parser(description: str) -> argparse.ArgumentParser:
         metavar="DIR",
         type=Path,
         default=Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings"),
-        help="folder of recordings of human hands; by default $HANDMAP_RECORDINGS, else ../shared/recordings",
+        help="folder of recordings of human hands "
+        "(default: $HANDMAP_RECORDINGS, else ../shared/recordings)",
     )
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="few samples and settings: to see that it works, not to measure",
+        help="few samples and settings: to test the script, not to measure",
     )
     return parser
 
@@ -115,11 +113,11 @@ def make_parser(description: str) -> argparse.ArgumentParser:
 def parse_arguments(
     parser: argparse.ArgumentParser, words: Sequence[str] | None = None
 ) -> argparse.Namespace:
-    """Parse the command line and refuse files that could not be written, before any work is done.
+    """Parse the command line, and reject output files in folders that do not exist.
 
     Args:
-        parser: Of `make_parser`.
-        words: The command line; the process's own if omitted.
+        parser: Result of `make_parser`.
+        words: The command line; `sys.argv` if omitted.
 
     Returns:
         The arguments.
@@ -127,31 +125,34 @@ def parse_arguments(
     arguments = parser.parse_args(words)
     for option, file in (("--json", arguments.json), ("--picture", arguments.picture)):
         if file not in (None, "-") and not Path(file).absolute().parent.is_dir():
-            stop(f"{option} {file}: there is no such folder")
+            stop(f"{option} {file}: the folder does not exist")
     return arguments
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """The recordings of a folder, by name; without any, one line and exit code 2."""
+    """Return the recordings of a folder, sorted by name; exit with code 2 if there are none."""
     files = sorted(folder.glob("*.npz"))
     if not files:
-        stop(
-            f"no recordings (*.npz) in {folder}: name their folder by --recordings DIR or HANDMAP_RECORDINGS"
-        )
+        stop(f"no recordings (*.npz) in {folder}: give --recordings DIR or HANDMAP_RECORDINGS")
     return files
 
 
 def stop(message: str) -> NoReturn:
-    """End the benchmark over a mistake of the user's."""
+    """Print a usage error to stderr and exit with code 2."""
     print(f"{Path(sys.argv[0]).name}: {message}", file=sys.stderr)
     raise SystemExit(2)
 
 
 @contextmanager
 def progress(what: str, total: int | None) -> Iterator[Callable[[], None]]:
-    """A bar on stderr while the block runs.
+    """Show a progress bar on stderr while the block runs.
 
-    Gives the function to call after each of `total` pieces of work.
+    Args:
+        what: Label of the bar.
+        total: Number of work items; None if unknown.
+
+    Yields:
+        The function to call after each item.
     """
     columns = (
         TextColumn("{task.description}"),
@@ -174,14 +175,14 @@ def print_table(
     to_stderr: bool = False,
     caption: str | None = None,
 ) -> None:
-    """Print rows as a table, words flush left and numbers flush right.
+    """Print rows as a table, text flush left and numbers flush right.
 
     Args:
         title: Heading.
-        rows: Values by column, the same columns in each row; words are printed as they are. An
-            empty row is a line.
-        to_stderr: Where stdout carries JSON.
-        caption: What a reader has to know.
+        rows: Values by column, the same columns in each row; text is printed unchanged. An empty
+            row is a separator line.
+        to_stderr: Whether to print to stderr, because stdout carries JSON.
+        caption: Text below the table.
     """
     columns = list(next(row for row in rows if row))
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
@@ -195,20 +196,18 @@ def print_table(
             table.add_row(*(_cell(row[column]) for column in columns))
         else:
             table.add_section()
-    # As wide as it is: a narrow terminal folds the lines, where rich would cut the numbers.
+    # Print at full width: a narrow terminal wraps lines, whereas rich would truncate the numbers.
     natural = Console(width=10_000).measure(table).maximum
     Console(stderr=to_stderr, width=natural).print(table)
 
 
 def write_json(target: str | None, name: str, results: dict[str, Any]) -> None:
-    """Write the results with the facts about the machine, to a file or to stdout (`-`).
-
-    NaN becomes null.
+    """Write results and `facts` as JSON; NaN and infinity become null.
 
     Args:
-        target: The argument `--json`; None writes nothing.
+        target: The argument `--json`: a file, `-` for stdout, or None to write nothing.
         name: Name of the benchmark.
-        results: Numbers, words, lists and dictionaries of them.
+        results: Numbers, texts, and lists and dictionaries of them.
     """
     if target is None:
         return
@@ -222,7 +221,7 @@ def write_json(target: str | None, name: str, results: dict[str, Any]) -> None:
 
 
 def facts() -> dict[str, Any]:
-    """What timings depend on: processor, cores, load, Python and the versions of the packages."""
+    """Return what timings depend on: processor, cores, load, Python and package versions."""
     versions = {}
     for package in PACKAGES:
         try:
@@ -242,15 +241,15 @@ def facts() -> dict[str, Any]:
 
 
 def cpu_times(call: Callable[[int], Any], count: int) -> np.ndarray:
-    """CPU time of every single call in this thread, which other programs on the machine hardly touch.
+    """Measure the CPU time of each call in this thread; other processes hardly affect it.
 
     Args:
-        call: What to measure; it is given the number of the call.
+        call: Function to measure, given the number of the call.
         count: Number of calls.
 
     Returns:
-        Times [s], shape (count,). Reading the clock adds some 0.3 us to each: measure what is
-        quicker by `mean_cpu_time`.
+        Times [s], shape (count,). Reading the clock adds about 0.3 us to each; measure shorter
+        calls with `mean_cpu_time`.
     """
     times = np.empty(count)
     for i in range(count):
@@ -261,7 +260,7 @@ def cpu_times(call: Callable[[int], Any], count: int) -> np.ndarray:
 
 
 def mean_cpu_time(call: Callable[[], Any], count: int) -> float:
-    """Mean CPU time of a call over a batch [s], so that reading the clock does not count."""
+    """Measure the mean CPU time of a call over a batch [s], which hides the cost of the clock."""
     started = time.thread_time_ns()
     for _ in range(count):
         call()
@@ -273,7 +272,7 @@ def save_picture(file: Path | None, draw: Callable[[], Any]) -> None:
 
     Args:
         file: The argument `--picture`; None draws nothing.
-        draw: Makes the `matplotlib.figure.Figure`; called only where matplotlib is installed.
+        draw: Returns the `matplotlib.figure.Figure`; called only if `file` is given.
     """
     if file is None:
         return
@@ -301,7 +300,7 @@ def _cell(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Plain Python values that JSON can hold."""
+    """Convert to plain Python values that JSON can hold."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -1,12 +1,10 @@
-"""A million random steps over every hand of the package, hostile ones included.
-
-Does every limit hold, and every answer make sense?
+"""Stress test: a million random steps over every hand of the package, with hostile inputs.
 
     python benchmarks/exactness.py --steps 1000000 --json exactness.json
 
-What is counted, and what makes the run fail (exit code 1): a position or speed limit passed by more
-than 1e-9, an answer that holds a NaN or an infinity, an exception that is not documented. Memory is
-watched on the way. The tests take a shorter run of the same steps (`hostile.py`).
+The run fails (exit code 1) on a position or speed limit violated by more than 1e-9, on a result
+with a NaN or an infinity, and on an undocumented exception. Memory is measured too. The tests run
+fewer of the same steps (`hostile.py`).
 """
 
 from __future__ import annotations
@@ -29,21 +27,21 @@ _STEPS_PER_RUN = 500
 
 
 def measure(steps: int, seed: int) -> dict[str, Any]:
-    """Drive the hands and watch time and memory.
+    """Run the steps, and measure time and memory.
 
     Args:
-        steps: How many in all.
-        seed: Of the first run; later runs count up.
+        steps: Number of steps.
+        seed: Seed of the first run; it is incremented for each later run.
 
     Returns:
-        The tally, times and memory in plain values.
+        The tally, times [s] and memory [MB] in plain values.
     """
     tally, memory, started = hostile.Tally(), [], time.perf_counter()
     with (
         common.progress("random steps", -(-steps // _STEPS_PER_RUN)) as advance,
         warnings.catch_warnings(),
     ):
-        # An overflow or a division by zero is no answer either.
+        # An overflow or a division by zero counts as an undocumented exception.
         warnings.simplefilter("error")
         for tally in hostile.drive(hostile.hostile_runs(seed), steps, _STEPS_PER_RUN):
             memory.append((tally.steps, resident_memory()))
@@ -66,14 +64,14 @@ def measure(steps: int, seed: int) -> dict[str, Any]:
 
 
 def memory_growth(samples: np.ndarray) -> dict[str, float]:
-    """Resident memory by the steps taken, the first tenth (imports, caches, all hands loaded once) left out of the growth.
+    """Growth of the resident memory, without the first tenth of the steps (imports, caches).
 
     Args:
         samples: Steps and bytes, shape (n, 2).
 
     Returns:
-        Megabytes at the start, after a tenth and at the end, and megabytes a million steps by a
-        straight line.
+        Megabytes at the start, after a tenth and at the end; slope of a straight line fit in
+        megabytes per million steps.
     """
     settled = samples[samples[:, 0] >= 0.1 * samples[-1, 0]]
     slope = (
@@ -88,7 +86,7 @@ def memory_growth(samples: np.ndarray) -> dict[str, float]:
 
 
 def resident_memory() -> float:
-    """What the process holds [bytes]; NaN where the system does not say."""
+    """Resident memory of this process [bytes]; NaN if the system does not tell."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:
@@ -99,20 +97,20 @@ def resident_memory() -> float:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the benchmark; the exit code is 1 where anything was violated."""
+    """Run the benchmark; return 1 if anything was violated, else 0."""
     parser = argparse.ArgumentParser(
         description="A million random steps over every hand: limits, numbers, exceptions, memory."
     )
     parser.add_argument(
-        "--steps", type=int, default=1_000_000, help="how many steps (default: %(default)s)"
+        "--steps", type=int, default=1_000_000, help="number of steps (default: %(default)s)"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the random numbers (default: %(default)s)"
+        "--seed", type=int, default=0, help="seed of the random numbers (default: %(default)s)"
     )
     parser.add_argument(
         "--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -"
     )
-    parser.add_argument("--quick", action="store_true", help="20,000 steps: to see that it works")
+    parser.add_argument("--quick", action="store_true", help="20,000 steps: to test the script")
     parser.set_defaults(picture=None)
     arguments = common.parse_arguments(parser, words)
     if arguments.steps < 1:
@@ -120,7 +118,7 @@ def main(words: Sequence[str] | None = None) -> int:
     results = measure(20_000 if arguments.quick else arguments.steps, arguments.seed)
     is_json = arguments.json == "-"
     worst = {name: results[name] for name in ("worst_position", "worst_speed", "worst_wrist_speed")}
-    caption = "in rad and m; negative where no limit was reached"
+    caption = "in rad and m; negative if no limit was reached"
     common.print_table("Worst violations of limits", [worst], to_stderr=is_json, caption=caption)
     counts = {name: results[name] for name in ("steps", "steps_per_second", "not_finite")}
     common.print_table(

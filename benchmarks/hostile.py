@@ -1,9 +1,8 @@
-"""Random steps that no one would wish on a hand, and a tally of what came of them.
+"""Hostile random steps, and a tally of their results.
 
-`IkRun` drives the inverse kinematics alone, from postures inside, at and outside limits to targets
-near, far and absurd. `MapperRun` drives the whole mapping with samples of a human hand, some of
-which are no samples at all. Both count violated limits, numbers that are none, and exceptions that
-nothing documents.
+`IkRun` runs the inverse kinematics alone, from postures inside, at and outside limits to targets
+near, far and absurd. `MapperRun` runs the whole mapping with samples of a human hand, some of them
+invalid. Both count violated limits, NaN and infinities, and undocumented exceptions.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from handmap_qp import (
     HandmapError,
     HandMapper,
     IkOptions,
+    MappingOptions,
     MapStep,
     MissingExtraError,
     hand_names,
@@ -32,11 +32,11 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.transform import nearest_rotation
 
 TOLERANCE = 1e-9
-"""By how much a limit may be passed [rad, m]."""
+"""Tolerance on limits [rad, m]."""
 MOST_OUTSIDE = 0.5
-"""How far outside its limits a joint may start [rad]."""
+"""Largest distance of a joint from inside its limits at the start [rad]."""
 FARTHEST = 1e9
-"""How far away things may be [m]."""
+"""Largest distance of targets [m]."""
 MAPPINGS: tuple[dict[str, Any], ...] = (
     {},
     {"rigid_from": "wrist"},
@@ -58,19 +58,19 @@ IKS: tuple[IkOptions, ...] = (
 
 @dataclass(slots=True)
 class Tally:
-    """What came of the steps.
+    """Results of the steps.
 
     Attributes:
-        steps: Steps asked for.
-        position: Worst violation of a position limit [rad]; negative where none was even reached.
+        steps: Number of steps.
+        position: Worst violation of a position limit [rad]; negative if none was reached.
         speed: Worst violation of a joint's speed limit, as a displacement [rad].
         wrist_speed: Worst violation of a floating wrist's speed limits, as a displacement [m or
             rad].
-        not_finite: Answers that hold a NaN or an infinity.
-        statuses: Answers by their status.
-        refused: Documented errors by their kind.
-        undocumented: Other exceptions, and refusals that moved the hand, with where they happened:
-            the first few of them.
+        not_finite: Number of results with a NaN or an infinity.
+        statuses: Number of results by status.
+        refused: Number of documented errors by class.
+        undocumented: Other exceptions, and rejections that moved the hand: the first few, with
+            their runs.
     """
 
     steps: int = 0
@@ -84,18 +84,18 @@ class Tally:
 
     @property
     def is_exact(self) -> bool:
-        """Whether every limit held, every answer is made of numbers, and every exception is documented."""
+        """Whether all limits held, all results are finite and all exceptions are documented."""
         worst = max(self.position, self.speed, self.wrist_speed)
         return worst <= TOLERANCE and self.not_finite == 0 and not self.undocumented
 
     def check_finite(self, *arrays: np.ndarray) -> None:
-        """Count an answer whose arrays are not all numbers."""
+        """Count a result whose arrays are not all finite."""
         self.not_finite += not all(np.isfinite(array).all() for array in arrays)
 
     def check_motion(self, hand: Hand, before: np.ndarray, after: np.ndarray, dt: float) -> None:
-        """Hold a motion between two of Pinocchio's configurations against the hand's limits."""
+        """Check the motion between two of Pinocchio's configurations against the hand's limits."""
         start, end, reach = before[hand.q_indices], after[hand.q_indices], hand.velocity_limits * dt
-        # What is outside has to come back as fast as it may.
+        # A joint outside its limits must return at its largest speed.
         above = np.maximum(start - hand.upper_limits - reach, 0.0)
         below = np.maximum(hand.lower_limits - start - reach, 0.0)
         excess = np.maximum(end - hand.upper_limits - above, hand.lower_limits - end - below)
@@ -114,7 +114,7 @@ class Tally:
                 [linear, angular], 3
             )
         else:
-            # Time enough to turn around: of the twist only the length of its path is left to see.
+            # A turn of pi or more is ambiguous, so check the translation alone.
             excess = np.linalg.norm(after[:3] - before[:3]) - np.sqrt(3.0) * linear
         self.wrist_speed = max(self.wrist_speed, float(np.max(excess)))
 
@@ -124,8 +124,8 @@ class IkRun:
 
     Args:
         hand: The hand.
-        options: Of the inverse kinematics.
-        seed: Of the random numbers.
+        options: Options of the inverse kinematics.
+        seed: Seed of the random numbers.
     """
 
     def __init__(self, hand: Hand, options: IkOptions, seed: int) -> None:
@@ -192,7 +192,7 @@ class IkRun:
         if kind == 1:
             return wrist
         if kind == 2:
-            # Half a turn: the logarithm has two answers.
+            # Half a turn: the logarithm has two values.
             return wrist @ np.diag([*rng.permutation([1.0, -1.0, -1.0]), 1.0])
         if kind == 3:
             return _pose(rng, 10.0 ** rng.uniform(0, 6))
@@ -203,16 +203,16 @@ class MapperRun:
     """Steps of the whole mapping.
 
     Args:
-        human: The hand that leads.
-        robot: The hand that follows.
-        mapping: Choices of the mapping.
-        seed: Of the random numbers.
+        human: The human hand.
+        robot: The robot hand.
+        mapping: Options of the mapping that differ from `MappingOptions()`.
+        seed: Seed of the random numbers.
     """
 
     def __init__(self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int) -> None:
         self.name = f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
         self._rng = np.random.default_rng(seed)
-        self._mapper = HandMapper(human, robot, **mapping)
+        self._mapper = HandMapper(human, robot, MappingOptions(**mapping))
         self._q, self._wrist = human.rest.copy(), np.eye(4)
         self._last: np.ndarray | None = None
 
@@ -223,13 +223,13 @@ class MapperRun:
         try:
             if rng.random() < 0.03:
                 self._interrupt()
-            # Every hundredth sample is no sample.
-            step = self._ask_nonsense(dt) if rng.random() < 0.01 else self._ask(dt)
+            # One sample in a hundred is invalid.
+            step = self._map_invalid(dt) if rng.random() < 0.01 else self._map_random(dt)
         except HandmapError as error:
             tally.refused[type(error).__name__] += 1
-            # A refused reference may have placed the hand anew, but nothing else moves it.
+            # Only a rejected reference may have placed the hand.
             if self._last is not None and not np.array_equal(mapper._ik.configuration.q, before):
-                _note(tally, self.name, RuntimeError("moved by a refused sample"))
+                _note(tally, self.name, RuntimeError("moved by a rejected sample"))
             return
         except Exception as error:
             _note(tally, self.name, error)
@@ -268,7 +268,7 @@ class MapperRun:
             self._last = None
             mapper.reset(self._q, self._wrist)
 
-    def _ask(self, dt: float) -> MapStep:
+    def _map_random(self, dt: float) -> MapStep:
         mapper, rng = self._mapper, self._rng
         human = mapper.human
         if rng.random() < 0.1:
@@ -294,14 +294,13 @@ class MapperRun:
             points = points[0] + np.outer(rng.normal(size=len(points)), rng.normal(size=3))
         return mapper.map_points(points, self._wrist, dt=dt)
 
-    def _ask_nonsense(self, dt: float) -> MapStep:
-        mapper, rng = self._mapper, self._rng
-        q, wrist, points = (
-            self._q.copy(),
-            self._wrist.copy(),
-            mapper.human.points(mapper.human.rest),
-        )
-        kind = rng.integers(12)
+    def _map_invalid(self, dt: float) -> MapStep:
+        invalid = (self._map_invalid_joints, self._map_invalid_wrist, self._map_invalid_points)
+        return invalid[self._rng.integers(len(invalid))](dt)
+
+    def _map_invalid_joints(self, dt: float) -> MapStep:
+        rng, q = self._rng, self._q.copy()
+        kind = rng.integers(5)
         if kind == 0:
             q[rng.integers(len(q))] = rng.choice([np.nan, np.inf, -np.inf, 1e300])
         elif kind == 1:
@@ -309,33 +308,37 @@ class MapperRun:
         elif kind == 2:
             q = q + rng.choice([-1.0, 1.0]) * 4.0
         elif kind == 3:
-            wrist[rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, FARTHEST])
-        elif kind == 4:
-            wrist[:3, :3] *= rng.choice([-1.0, 0.0, 1.01])
-        elif kind == 5:
-            return mapper.map_step("hand", wrist, dt=dt)  # type: ignore[arg-type]
-        elif kind == 6:
-            return mapper.map_step(q, wrist[:3], dt=dt)
-        elif kind == 7:
             dt = rng.choice([0.0, -1.0, np.nan, np.inf])
-        elif kind == 8:
-            points[rng.integers(len(points))] = np.nan
-            return mapper.map_points(points, wrist, dt=dt)
-        elif kind == 9:
-            return mapper.map_points(points[:-1], wrist, dt=dt)
-        elif kind == 10:
-            return mapper.map_points(
-                10.0 ** rng.uniform(3, np.log10(FARTHEST)) * points, wrist, dt=dt
-            )
+        return self._mapper.map_step("hand" if kind == 4 else q, self._wrist, dt=dt)
+
+    def _map_invalid_wrist(self, dt: float) -> MapStep:
+        rng, wrist = self._rng, self._wrist.copy()
+        kind = rng.integers(3)
+        if kind == 0:
+            wrist[rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, FARTHEST])
+        elif kind == 1:
+            wrist[:3, :3] *= rng.choice([-1.0, 0.0, 1.01])
         else:
-            return mapper.map_points(points, dt=dt)
-        return mapper.map_step(q, wrist, dt=dt)
+            wrist = wrist[:3]
+        return self._mapper.map_step(self._q, wrist, dt=dt)
+
+    def _map_invalid_points(self, dt: float) -> MapStep:
+        mapper, rng = self._mapper, self._rng
+        points = mapper.human.points(mapper.human.rest)
+        kind = rng.integers(4)
+        if kind == 0:
+            points[rng.integers(len(points))] = np.nan
+        elif kind == 1:
+            points = points[:-1]
+        elif kind == 2:
+            points = 10.0 ** rng.uniform(3, np.log10(FARTHEST)) * points
+        return mapper.map_points(points, None if kind == 3 else self._wrist, dt=dt)
 
 
 def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
-    """Runs over all hands of the package, wrists free and held, forever.
+    """Yield runs over all hands of the package without end, with floating and fixed wrists.
 
-    The inverse kinematics and the mapping in turn.
+    Runs of the inverse kinematics and of the mapping alternate.
     """
     while True:
         for i, (name, mount) in enumerate(_available_hands()):
@@ -352,15 +355,15 @@ def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
 def drive(
     runs: Iterator[IkRun | MapperRun], steps: int, steps_per_run: int = 500
 ) -> Iterator[Tally]:
-    """Take steps from the runs in turn.
+    """Take steps from one run after the other.
 
     Args:
-        runs: Of `hostile_runs`.
-        steps: How many in all.
-        steps_per_run: How many before the next run.
+        runs: Result of `hostile_runs`.
+        steps: Number of steps in total.
+        steps_per_run: Number of steps of each run.
 
     Yields:
-        The tally so far, after every run.
+        The tally so far, after each run.
     """
     tally = Tally()
     while tally.steps < steps:
@@ -379,7 +382,7 @@ def _available_hands() -> tuple[tuple[str, Mount], ...]:
             hand = load_hand(name)
         except MissingExtraError:
             continue
-        # A hand on an arm or on a robot stands on the arm's foot.
+        # A hand on an arm has a fixed base.
         found.extend(
             ((name, "floating"), (name, "fixed")) if hand.is_floating else ((name, "fixed"),)
         )
@@ -393,13 +396,13 @@ def _hand(name: str, mount: Mount, points: str | None) -> Hand:
 
 
 def _note(tally: Tally, name: str, error: Exception) -> None:
-    # A few are enough to go by.
+    # Keep the first few.
     if len(tally.undocumented) < 20:
         tally.undocumented.append(f"{name}: {type(error).__name__}: {error}")
 
 
 def _time(rng: np.random.Generator) -> float:
-    """Time between samples [s]: mostly a millisecond to a tenth, sometimes absurd."""
+    """Random time between samples [s]: mostly 1 to 100 ms, sometimes absurd."""
     return float(10.0 ** (rng.uniform(-9, 2) if rng.random() < 0.05 else rng.uniform(-3, -1)))
 
 

@@ -1,9 +1,9 @@
-"""Where a step spends its time, function by function: cProfile over a mapped recording.
+"""Profile `map_step` over a recording, by function, with cProfile.
 
     python benchmarks/profile_step.py --robot three_finger --sort cumtime --lines 40
 
-Profiling slows small functions most: read off it what is called and how often, and measure by
-`bench_step.py`.
+The profiler slows short functions most. Use the profile for calls and counts, and `bench_step.py`
+for times.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 import common
 import synthetic
 
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import HandMapper, MappingOptions, load_hand
 
 
 def costliest(statistics: pstats.Stats, steps: int, count: int) -> list[dict[str, Any]]:
-    """The functions that take most time of their own, per step."""
+    """Return the functions with the largest own time, per step [us]."""
     rows = [
         {
             "function": f"{name} ({Path(file).name}:{line})" if line else name,
@@ -35,7 +35,7 @@ def costliest(statistics: pstats.Stats, steps: int, count: int) -> list[dict[str
 
 
 def draw(functions: list[dict[str, Any]]) -> Any:
-    """Own time of each function as a bar."""
+    """Draw the own time of each function as a bar."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 0.3 * len(functions) + 1.0), layout="constrained")
@@ -52,7 +52,7 @@ def draw(functions: list[dict[str, Any]]) -> Any:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Profile and print."""
+    """Run the profiler and print its result."""
     parser = common.make_parser("Profile map_step over a recording.")
     parser.add_argument(
         "--robot", default="allegro_right", help="robot hand: a name or the path of a hand.yaml"
@@ -61,7 +61,7 @@ def main(words: Sequence[str] | None = None) -> None:
         "--sort",
         default="tottime",
         choices=("tottime", "cumtime", "ncalls"),
-        help="what to sort by",
+        help="column to sort by",
     )
     parser.add_argument("--lines", type=int, default=25, help="functions to print")
     parser.add_argument(
@@ -71,7 +71,7 @@ def main(words: Sequence[str] | None = None) -> None:
     motion = synthetic.motion_or_synergies(arguments.recordings, "quest3_webxr_right")
     if arguments.quick:
         motion = synthetic.shortened(motion, 60)
-    mapper = HandMapper(motion.human, load_hand(arguments.robot))
+    mapper = HandMapper(motion.human, load_hand(arguments.robot), MappingOptions())
     mapper.map_step(motion.q[0], motion.wrist[0])
     profile = cProfile.Profile()
     profile.enable()

@@ -1,7 +1,4 @@
-"""The motions that benchmarks map.
-
-Recordings of real hands, as joint angles, and the robots that go with them.
-"""
+"""Recordings of human hands, fitted to joint angles, and the robots to map them to."""
 
 from __future__ import annotations
 
@@ -19,16 +16,15 @@ from handmap_qp.trackers.landmarks import fit_recording
 from handmap_qp.trackers.recording import HumanMotion
 
 ROBOTS = ("three_finger", "allegro")
-"""Robots by family; `robot_for` finds the one for a side."""
+"""Robots by family; `robot_for` returns the one for a side."""
 
-# The three-fingered hand is its own mirror image, but for what its second and third finger stand
-# for.
+# The three-fingered hand is symmetric, so a left one differs only in the names of two fingers.
 _SWAPPED = {"index": "middle", "middle": "index"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A recording of a human hand, fitted.
+    """A fitted recording of a human hand.
 
     Attributes:
         name: Name of the recording.
@@ -47,8 +43,8 @@ def load_scene(file: Path, every: int = 1, samples: int | None = None) -> Scene:
 
     Args:
         file: The recording.
-        every: Keep every so-manieth sample, after fitting all.
-        samples: Keep so many samples from the beginning; all if omitted.
+        every: Keep every n-th sample, after fitting all.
+        samples: Number of samples to keep, from the first valid one; all if omitted.
 
     Returns:
         The scene.
@@ -69,7 +65,7 @@ def load_scenes(
     samples: int | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> list[Scene]:
-    """The same for several recordings; `done` is called after each."""
+    """Read and fit several recordings; `done` is called after each."""
     scenes = []
     for file in files:
         scenes.append(load_scene(file, every, samples))
@@ -78,7 +74,7 @@ def load_scenes(
 
 
 def thinned(motion: HumanMotion, every: int) -> HumanMotion:
-    """Every so-manieth sample of a motion; the time from sample to sample grows accordingly."""
+    """Keep every n-th sample of a motion; `dt` grows accordingly."""
     if every == 1:
         return motion
     kept = {
@@ -92,15 +88,15 @@ def thinned(motion: HumanMotion, every: int) -> HumanMotion:
 
 @cache
 def robot_for(family: str, side: Side, points: str | None = None) -> Hand:
-    """The robot of a family for a human hand of a side.
+    """Return the robot of a family for a human hand of a side.
 
     Args:
-        family: One of `ROBOTS`, or any name that `load_hand` knows.
+        family: One of `ROBOTS`, or any name that `load_hand` accepts.
         side: Side of the human hand.
-        points: Set of reference points; the robot's own choice if omitted.
+        points: Set of reference points; the robot's default if omitted.
 
     Returns:
-        The robot. The three-fingered one serves both sides, its fingers named for the side.
+        The robot. The three-fingered hand serves both sides, with its fingers named for the side.
     """
     if family == "allegro":
         return load_hand(f"allegro_{side}", points=points)
@@ -113,7 +109,7 @@ def robot_for(family: str, side: Side, points: str | None = None) -> Hand:
 
 
 def _other_side(spec: HandSpec) -> HandSpec:
-    """The three-fingered hand for the other side: index and middle finger change places."""
+    """Return the three-fingered hand for the other side: swap index and middle finger."""
     points = tuple(
         msgspec.structs.replace(point, finger=_swap(point.finger), partner=_swap(point.partner))
         for point in spec.points
@@ -122,7 +118,7 @@ def _other_side(spec: HandSpec) -> HandSpec:
 
 
 def _swap(name: str | None) -> str | None:
-    """`index_tip` for `middle_tip` and so on."""
+    """Swap the finger in a point's name: `index_tip` becomes `middle_tip`."""
     if name is None:
         return None
     finger, mark, rest = name.partition("_")

@@ -1,7 +1,4 @@
-"""Motions and robots made to measure.
-
-For benchmarks that need no recording, or robots of any size.
-"""
+"""Synthetic motions and robots, for benchmarks without recordings or with robots of any size."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ _RATE = 90.0
 
 
 def synergy_motion(samples: int) -> HumanMotion:
-    """The human hand moving along its first three synergies while its wrist swings."""
+    """Move the human hand along its first three synergies while its wrist swings."""
     human, synergies = load_hand("human"), load_synergies()
     time = np.arange(samples) / _RATE
     z = 0.6 * np.sin(2.0 * np.pi * np.outer(time, (0.5, 0.35, 0.2)))
@@ -35,9 +32,14 @@ def synergy_motion(samples: int) -> HumanMotion:
 
 
 def motion_or_synergies(folder: Path, name: str) -> HumanMotion:
-    """A recording as a motion of the human hand, its samples without a hand left out.
+    """Return the valid samples of a recording, or `synergy_motion` if the file is missing.
 
-    Synergies where it is missing.
+    Args:
+        folder: Folder of recordings.
+        name: Name of the recording, without suffix.
+
+    Returns:
+        The motion; all samples are valid.
     """
     file = folder / f"{name}.npz"
     if not file.is_file():
@@ -48,12 +50,12 @@ def motion_or_synergies(folder: Path, name: str) -> HumanMotion:
 
 
 def shortened(motion: HumanMotion, samples: int) -> HumanMotion:
-    """The first samples of a motion."""
+    """Return the first samples of a motion."""
     return replace(motion, **{key: getattr(motion, key)[:samples] for key in _columns()})
 
 
 def allegro_with_points(count: int) -> Hand:
-    """The Allegro hand with reference points strewn over its links."""
+    """Return the Allegro hand with random reference points on its links."""
     links = [f"link_{i}.0" for i in range(16)]
     rng = np.random.default_rng(count)
     points = [
@@ -64,13 +66,13 @@ def allegro_with_points(count: int) -> Hand:
 
 
 def comb_hand(fingers: int) -> Hand:
-    """A hand whose four-jointed fingers stand side by side like the teeth of a comb.
+    """Return a hand of parallel fingers with four joints each.
 
     Args:
         fingers: Number of fingers.
 
     Returns:
-        A floating hand of `4 * fingers` joints, a reference point at every tip.
+        A floating hand of `4 * fingers` joints with a reference point at each tip.
     """
     parts = ['<robot name="comb"><link name="palm"/>']
     for finger in range(fingers):
@@ -78,8 +80,10 @@ def comb_hand(fingers: int) -> Hand:
         for joint in range(4):
             child = f"f{finger}_{joint}"
             parts.append(
-                f'<link name="{child}"/><joint name="{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-                f'<origin xyz="{origin}"/><axis xyz="{axis}"/><limit lower="-0.5" upper="1.6" velocity="8" effort="1"/></joint>'
+                f'<link name="{child}"/><joint name="{child}" type="revolute">'
+                f'<parent link="{parent}"/><child link="{child}"/>'
+                f'<origin xyz="{origin}"/><axis xyz="{axis}"/>'
+                '<limit lower="-0.5" upper="1.6" velocity="8" effort="1"/></joint>'
             )
             parent, origin, axis = child, "0 0.03 0" if joint else "0 0 0", "-1 0 0"
     joints = tuple(f"f{finger}_{joint}" for finger in range(fingers) for joint in range(4))
@@ -102,5 +106,5 @@ def comb_hand(fingers: int) -> Hand:
 
 
 def _columns() -> tuple[str, ...]:
-    """Fields of a motion that have one entry a sample."""
+    """Fields of a motion with one entry per sample."""
     return tuple(field.name for field in fields(HumanMotion) if field.name != "human")

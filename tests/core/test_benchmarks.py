@@ -55,7 +55,7 @@ def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
     rows = json.loads(done.stdout)["rows"]
     assert {row["robot"] for row in rows} == {"three_finger", "allegro"}
     assert all(-1.0 <= row["correlation"] <= 1.0 and row["jerk_over_human"] > 0.0 for row in rows)
-    assert "What the choices do" in done.stderr
+    assert "Effect of the options" in done.stderr
 
 
 def test_without_recordings_a_benchmark_says_so_in_one_line(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(
             common.make_parser("test"), ["--json", str(tmp_path / "missing" / "out.json")]
         )
     assert stopped.value.code == 2
-    assert "there is no such folder" in capsys.readouterr().err
+    assert "the folder does not exist" in capsys.readouterr().err
 
 
 def test_json_holds_plain_numbers(shared: dict[str, ModuleType], tmp_path: Path) -> None:
