@@ -1,4 +1,5 @@
-# Everything runs inside .venv, which the first target that needs it makes. All it takes is Python 3.11 or later, make and git.
+# Everything runs inside .venv, which the first target that needs it creates. It takes Python 3.11 or
+# later, make and git.
 
 SHELL := /bin/sh
 VENV := .venv
@@ -25,7 +26,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test lint bench peers lock clean
+.PHONY: help demo test fast lint bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -41,6 +42,9 @@ demo: $(INSTALLED) ## See it work: a human hand's motion on a robot hand, with p
 
 test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+
+fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
+	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
 
 lint: $(INSTALLED) ## Check style (ruff), types (pyright) and who imports whom (import-linter)
 	@$(BIN)/ruff check .

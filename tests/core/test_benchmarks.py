@@ -34,6 +34,7 @@ def shared() -> Iterator[dict[str, ModuleType]]:
         sys.path.remove(str(FOLDER))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_every_benchmark_runs_and_writes_its_numbers(
     script: Path, request: pytest.FixtureRequest, tmp_path: Path
@@ -49,6 +50,7 @@ def test_every_benchmark_runs_and_writes_its_numbers(
     assert drawing.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
     done = run(FOLDER / "bench_accuracy.py", "--quick", "--json", "-", "--recordings", recordings)
     assert done.returncode == 0, done.stderr

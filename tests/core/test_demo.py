@@ -66,6 +66,7 @@ def test_too_few_samples_are_refused() -> None:
         arc_motion(2)
 
 
+@pytest.mark.slow
 def test_the_robot_never_leaves_its_limits(result: DemoResult) -> None:
     trajectory = result.trajectory
     assert trajectory.limit_violation == 0.0
@@ -73,6 +74,7 @@ def test_the_robot_never_leaves_its_limits(result: DemoResult) -> None:
     assert (speed <= trajectory.robot.velocity_limits + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_the_robot_follows_and_comes_home(result: DemoResult) -> None:
     trajectory = result.trajectory
     assert trajectory.wrist_error.max() < 3e-3
@@ -85,6 +87,7 @@ def test_the_robot_follows_and_comes_home(result: DemoResult) -> None:
     np.testing.assert_allclose(trajectory.wrist[-1, :3, :3], trajectory.wrist[0, :3, :3], atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_summary_says_what_the_trajectory_holds(result: DemoResult) -> None:
     summary = result.summary()
     assert summary["samples"] == SAMPLES
@@ -99,6 +102,7 @@ def test_the_summary_says_what_the_trajectory_holds(result: DemoResult) -> None:
     assert summary["limit_violation_max"] == 0.0
 
 
+@pytest.mark.slow
 def test_the_trajectory_file_holds_both_hands(result: DemoResult) -> None:
     robot, human = result.trajectory.robot, result.motion.human
     n, m, n_h, m_h = (
@@ -136,6 +140,7 @@ def test_the_trajectory_file_holds_both_hands(result: DemoResult) -> None:
         )
 
 
+@pytest.mark.slow
 def test_the_pictures_show_something(result: DemoResult) -> None:
     from matplotlib.image import imread
 

@@ -68,6 +68,7 @@ def test_style_is_clean(command: tuple[str, ...]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_types_are_clean() -> None:
     done = run(sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "--outputjson")
     assert done.stdout.startswith("{"), done.stdout + done.stderr

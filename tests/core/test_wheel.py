@@ -1,4 +1,4 @@
-"""The wheel: what is in it, and that it works where the checkout is not."""
+"""The content of the wheel, and that it works outside the checkout."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+# The build and the environment take several seconds, so the whole module is slow.
+pytestmark = pytest.mark.slow
 
 
 def run(*command: str | Path, cwd: Path) -> str:
-    """Output of a command that must succeed."""
-    # A PYTHONPATH could lead to the checkout, which is what these tests must do without.
+    """Run a command that must succeed, and return its output."""
+    # A PYTHONPATH could make the checkout importable.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
         [str(word) for word in command],
@@ -33,7 +35,7 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 
 def files_under(folder: Path) -> set[str]:
-    """Files of a folder, as posix paths relative to it, without hidden ones and bytecode."""
+    """Return the files of a folder as relative posix paths, without hidden files and bytecode."""
     relative = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     return {
         path.as_posix()
@@ -45,7 +47,7 @@ def files_under(folder: Path) -> set[str]:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("dist")
-    # No isolation: the build tools of this environment serve, so that nothing is downloaded.
+    # Build with the tools of this environment, so that nothing is downloaded.
     run(
         sys.executable,
         "-m",
@@ -63,7 +65,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An environment that holds the wheel, and sees the third-party packages of this one."""
+    """Create an environment with the wheel and the third-party packages of this environment."""
     folder = tmp_path_factory.mktemp("environment")
     run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
     pip = (
@@ -75,9 +77,9 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder / "bin" / "python",
     )
     run(*pip, "install", "--no-deps", "--no-index", wheel, cwd=folder)
-    # Only now, or pip would find the editable install. A line of a .pth file adds a folder without
-    # reading the .pth files in there, so the editable install stays out, and folders that such
-    # files add (Pinocchio's) have to be named.
+    # Add the packages after the install, or pip would find the editable install. A line of a .pth
+    # file adds a folder without reading the .pth files inside. So the editable install stays out,
+    # and folders that such files add (Pinocchio's) must be listed.
     homes = tuple(site.getsitepackages())
     packages = [entry for entry in sys.path if entry.startswith(homes)]
     (site_packages,) = folder.glob("lib/python*/site-packages")
@@ -87,7 +89,7 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def elsewhere(tmp_path: Path) -> Path:
-    """A folder from which the checkout cannot be imported by accident."""
+    """Create a folder from which the checkout cannot be imported."""
     folder = tmp_path / "elsewhere"
     folder.mkdir()
     return folder

@@ -17,7 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.solvers import DaqpSolver
+from handmap_qp.ik.solvers import DaqpSolver, make_solver
 
 ARM = arm_hand()
 HAND = load_hand("three_finger", mount="floating")
@@ -192,6 +192,24 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
             np.testing.assert_array_equal(result.active, -np.sign(slope) * (np.abs(slope) > 1e-6))
             held += np.count_nonzero(result.active)
     assert held > 100
+
+
+def test_limits_hold_exactly_with_a_solver_that_stops_at_a_tolerance() -> None:
+    # OSQP leaves violations of 1e-3; the displacement is clipped into the box afterwards.
+    hand = load_hand("three_finger")
+    ik = PointIk(hand, IkOptions(solver="osqp", max_iterations=1))
+    violations = []
+    for case in random_cases(hand, 60, seed=14):
+        ik.place(case.q)
+        H, c, lower, upper = ik.problem(case.point_targets, case.wrist_target, case.dt)
+        raw = make_solver("osqp", len(c), 0).solve(H, c, lower, upper, None)
+        assert raw is not None
+        violations.append(max((raw - upper).max(), (lower - raw).max()))
+        displacement = ik.solve(case.point_targets, case.wrist_target, case.dt).displacement
+        assert (lower <= displacement).all()
+        assert (displacement <= upper).all()
+    # Without the clipping this test would fail.
+    assert max(violations) > 1e-9
 
 
 def test_a_hand_comes_back_into_its_limits_and_stays() -> None:

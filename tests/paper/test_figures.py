@@ -70,6 +70,7 @@ def rows_of(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(lines))
 
 
+@pytest.mark.slow
 def test_every_figure_comes_as_png_svg_and_numbers(result: FiguresResult, folder: Path) -> None:
     expected = sorted(
         [*(f"{name}.{kind}" for name in NAMES for kind in ("csv", "png", "svg")), *TABLES]
@@ -79,6 +80,7 @@ def test_every_figure_comes_as_png_svg_and_numbers(result: FiguresResult, folder
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_pictures_show_something(folder: Path, name: str) -> None:
     from matplotlib.image import imread
 
@@ -89,6 +91,7 @@ def test_pictures_show_something(folder: Path, name: str) -> None:
     assert len(rows_of(folder / f"{name}.csv")) >= 4
 
 
+@pytest.mark.slow
 def test_contacts_are_blue_and_red(folder: Path) -> None:
     from matplotlib.image import imread
 
@@ -101,6 +104,7 @@ def test_contacts_are_blue_and_red(folder: Path) -> None:
         assert (cube[..., channel] - cube[..., other] > 0.4).sum() > 300
 
 
+@pytest.mark.slow
 def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
     text = (folder / "report.md").read_text(encoding="utf-8")
     assert re.findall(r"\]\((\w+)\.png\)", text) == list(NAMES)
@@ -110,6 +114,7 @@ def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
     assert text.count("| yes |") + text.count("| no |") + text.count("| assumed |") == 9
 
 
+@pytest.mark.slow
 def test_the_claims_hold(result: FiguresResult) -> None:
     # The planner's claim is about 240 grasps, and here are 12.
     verdicts = [row["holds"] for row in result.claims]
@@ -117,6 +122,7 @@ def test_the_claims_hold(result: FiguresResult) -> None:
     assert verdicts[2:] == ["yes"] * 7
 
 
+@pytest.mark.slow
 def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
     assert len(result.numbers) == 12
     row = next(
@@ -130,6 +136,7 @@ def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
         )
 
 
+@pytest.mark.slow
 def test_progress_goes_to_the_end(result: FiguresResult, said: list[tuple[str, int, int]]) -> None:
     total = 3 + len(NAMES)
     assert [done for _, done, _ in said] == list(range(total + 1))
