@@ -11,6 +11,7 @@ a position limit and others have none: point errors of the former and of the lat
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import common
@@ -158,7 +159,7 @@ def main(words: Sequence[str] | None = None) -> None:
                         scenes.robot_for(family, scene.side),
                         MappingOptions(),
                     )
-                    mapper._ik = make(mapper.robot, IkOptions())
+                    mapper._plan = replace(mapper._plan, ik=make(mapper.robot, IkOptions()))
                     trajectories.append(map_motion(mapper, scene.motion))
                     advance()
                 results[family].append({"way": way, **measure(trajectories)})

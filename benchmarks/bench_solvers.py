@@ -65,7 +65,7 @@ def recorded_problems(motion: HumanMotion) -> list[Problem]:
     """Record the problems of mapping a motion to the Allegro hand, in order."""
     mapper = HandMapper(motion.human, load_hand("allegro_right"), MappingOptions())
     recorder = Recorder(mapper.robot.model.nv)
-    mapper._ik._solver = recorder
+    mapper.point_ik._solver = recorder
     for i in range(len(motion.time)):
         mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
     return recorder.problems

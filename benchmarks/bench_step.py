@@ -103,15 +103,15 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     watches = Stopwatches()
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
-    ik = mapper._ik
-    reference = mapper._reference
+    ik, course = mapper.point_ik, mapper._course
+    reference = course.map.reference if course else None
     wrapped = [
         (handmap_qp.mapping.mapper, "check_pose", "checks"),
         (mapper, "_check_joints", "checks"),
-        (mapper, "_human_points", "human FK"),
+        (mapper, "_human_sample", "human FK"),
         (reference.estimator if reference else None, "estimate", "estimation"),
         (handmap_qp.mapping.transfer, "polar", "decomposition"),
-        (handmap_qp.mapping.mapper, "transfer_motion", "targets"),
+        (handmap_qp.mapping.methods.homogeneous, "transfer_motion", "targets"),
         (ik._limits, "bounds", "limits"),
         (ik.configuration, "stacked_jacobian", "Jacobians"),
         (ik, "_linearise", "assembly"),

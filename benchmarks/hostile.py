@@ -219,7 +219,7 @@ class MapperRun:
     def step(self, tally: Tally) -> None:
         """One step into the tally."""
         mapper, rng = self._mapper, self._rng
-        before, dt = mapper._ik.configuration.q.copy(), _time(rng)
+        before, dt = mapper.point_ik.configuration.q.copy(), _time(rng)
         try:
             if rng.random() < 0.03:
                 self._interrupt()
@@ -228,7 +228,9 @@ class MapperRun:
         except HandmapError as error:
             tally.refused[type(error).__name__] += 1
             # Only a rejected reference may have placed the hand.
-            if self._last is not None and not np.array_equal(mapper._ik.configuration.q, before):
+            if self._last is not None and not np.array_equal(
+                mapper.point_ik.configuration.q, before
+            ):
                 _note(tally, self.name, RuntimeError("moved by a rejected sample"))
             return
         except Exception as error:
@@ -245,7 +247,7 @@ class MapperRun:
             step.targets,
             step.points,
         )
-        tally.check_finite(step.residuals, step.stretches, step.point_error, step.wrist_target)
+        tally.check_finite(step.residual_norms, step.stretches, step.point_error, step.wrist_target)
         robot = mapper.robot
         now = robot.configuration_vector(
             step.command.q, step.command.wrist if robot.is_floating else None

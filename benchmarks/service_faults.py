@@ -272,7 +272,7 @@ _WILD: dict[str, dict[str, tuple[Any, ...]]] = {
         "scale": (0.0, 0.1, 1.0, 30.0, 1e6, 1e18),
         "pivot": ("centroid", "palm", "world"),
         "alignment": ("world", "palm"),
-        "reference": ("initial", "previous"),
+        "reference": ("first", "previous"),
         "rigid_from": ("points", "wrist", "none"),
         "deformation_gain": (0.0, 0.5, 1.0, 10.0),
     },

@@ -60,6 +60,12 @@ class HasHomogeneous(Protocol):
 PoseLike = npt.ArrayLike | HasHomogeneous
 
 
+def frozen(array: np.ndarray) -> np.ndarray:
+    """Write-protect an array in place and return it."""
+    array.setflags(write=False)
+    return array
+
+
 def affine(linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """Compose the motion `x -> linear @ x + translation` (eq. 1).
 

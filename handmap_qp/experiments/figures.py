@@ -228,7 +228,7 @@ def figure_7() -> Artwork:
             _column(rows, "gamma", s, "error_quasi-static_mm")[-1] for s in SYNERGIES
         ],
         "point_rms": [
-            1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="initial")).point_rms
+            1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="first")).point_rms
             for s in SYNERGIES
         ],
     }
@@ -252,7 +252,7 @@ def _misfits() -> list[float]:
     """RMS distance of the human's contacts from where T takes them, over the whole way at gamma = 1, by synergy [mm]."""
     scene = paper_scene("ours")
     ways = [human_motion(scene, Setting(synergy=synergy)).points for synergy in SYNERGIES]
-    return [1e3 * rms(estimate_motion(points[0], points[-1]).misfit) for points in ways]
+    return [1e3 * rms(estimate_motion(points[0], points[-1]).residual_vectors) for points in ways]
 
 
 def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:

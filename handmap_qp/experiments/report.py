@@ -134,7 +134,7 @@ def claim_rows(made: list[Artwork]) -> list[Row]:
         ),
         _claim(
             "the reference points move by a linear transformation (eq. 5)",
-            f"seven contacts miss their T by {listed(facts['figure_5.misfit'])} mm (RMS) over the way, synergies 1 to 3 at "
+            f"seven contacts miss their T by {listed(facts['figure_5.residual_vectors'])} mm (RMS) over the way, synergies 1 to 3 at "
             "gamma = 1",
             None,
         ),

@@ -34,7 +34,7 @@ ARC_HEIGHT = 0.15
 """Height of the wrist's arc along z [m]."""
 
 Pivot = Literal["centroid", "own", "palm", "origin"]
-Start = Literal["previous", "initial"]
+Start = Literal["previous", "first"]
 Geometry = Literal["toolbox", "ours"]
 
 # Azimuth in the palm of the first joint of each finger of the three-fingered hand [rad].

@@ -44,13 +44,15 @@ class CollisionLimit:
         spec = hand.spec.collision
         if spec is None:
             raise InvalidOptionsError(
-                f"{hand.name} names no links to keep apart: add collision.pairs to its hand.yaml"
+                option="avoids_self_collision",
+                problem=f"{hand.name} names no links to keep apart",
+                advice="add collision.pairs to its hand.yaml",
             )
         self.margin = spec.margin if margin is None else margin
         if not 0.0 <= self.margin < np.inf:
-            raise InvalidOptionsError(f"margin: expected a distance >= 0, got {margin}")
+            raise InvalidOptionsError(option="margin", expected="a distance >= 0", value=margin)
         if not 0.0 < gain <= 1.0:
-            raise InvalidOptionsError(f"gain: expected a number in (0, 1], got {gain}")
+            raise InvalidOptionsError(option="gain", expected="a number in (0, 1]", value=gain)
         self._gain = gain
         self._model = hand.model
         self._geometry = read_collision_shapes(hand)
@@ -81,11 +83,14 @@ class CollisionLimit:
         self._measure(configuration)
         return self._distances.copy()
 
-    def rows(self, configuration: Configuration) -> tuple[np.ndarray, np.ndarray]:
+    def rows(
+        self, configuration: Configuration, margins: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Rows `G dq <= h`, one a pair, in an order that never changes.
 
         Args:
             configuration: Of the hand, placed with Jacobians.
+            margins: Distance that each pair keeps [m], shape (k,); `margin` for all if omitted.
 
         Returns:
             G, shape (k, n) over the active coordinates; h [m], shape (k,), negative where a pair is
@@ -95,10 +100,14 @@ class CollisionLimit:
         G = configuration.contracted(
             -(self._wrenches @ configuration.joint_jacobian()) * self._relative_support
         )
-        return G, self._gain * (self._distances - self.margin)
+        return G, self._gain * (self._distances - (self.margin if margins is None else margins))
 
     def feasible_rows(
-        self, configuration: Configuration, lower: np.ndarray, upper: np.ndarray
+        self,
+        configuration: Configuration,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        margins: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """The same rows, loosened where they contradict each other or a box.
 
@@ -111,11 +120,12 @@ class CollisionLimit:
             configuration: Of the hand, placed with Jacobians.
             lower: Lower bound of the displacement, shape (n,).
             upper: Upper bound, shape (n,).
+            margins: Distance that each pair keeps [m], shape (k,); `margin` for all if omitted.
 
         Returns:
             G, shape (k, n), and h, shape (k,).
         """
-        G, h = self.rows(configuration)
+        G, h = self.rows(configuration, margins)
         witness = np.minimum(np.maximum(0.0, lower), upper)
         excess = G @ witness - h
         is_near = excess > 0.0

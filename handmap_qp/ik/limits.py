@@ -21,8 +21,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.transform import as_floats
 
 
 class BoxLimits:
@@ -139,11 +140,16 @@ def _braking_displacement(distance: np.ndarray, change: np.ndarray) -> np.ndarra
 
 
 def _check_acceleration(max_acceleration: npt.ArrayLike, nv: int) -> np.ndarray:
-    limit = np.array(max_acceleration, dtype=float)
+    try:
+        limit = np.array(as_floats(max_acceleration, "max_acceleration"))
+    except InvalidInputError:
+        limit = np.empty(0)
     if limit.ndim == 0:
         limit = np.full(nv, float(limit))
     if limit.shape != (nv,) or not (limit > 0.0).all():
         raise InvalidOptionsError(
-            f"max_acceleration: expected {nv} numbers > 0, or one for all, got {max_acceleration}"
+            option="max_acceleration",
+            expected=f"{nv} numbers > 0, or one for all",
+            value=max_acceleration,
         )
     return limit

@@ -26,6 +26,7 @@ from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.mink_tasks import make_tasks
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import EXACT
+from handmap_qp.ik.tasks import Task
 
 
 class BoxLimit(mink.Limit):
@@ -121,6 +122,8 @@ def build_problem(
     wrist_target: np.ndarray | None,
     dt: float,
     *,
+    rest: np.ndarray | None = None,
+    tasks: Sequence[Task] = (),
     extra_tasks: Sequence[mink.Task] = (),
     limits: Sequence[mink.Limit] | None = None,
 ) -> qpsolvers.Problem:
@@ -133,18 +136,26 @@ def build_problem(
         point_targets: Where the reference points shall be [m], shape (m, 3).
         wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
         dt: Time for the displacement [s].
-        extra_tasks: Further terms of the cost.
+        rest: Joint positions that the rest term pulls to, shape (n,); the hand's if omitted.
+        tasks: Further terms of the cost, as of `PointIk.solve`.
+        extra_tasks: Further terms of the cost as tasks of mink.
         limits: In place of those of `make_limits`.
 
     Returns:
         The problem in dq, shape (nv,).
     """
-    tasks = [*make_tasks(hand, options, point_targets, wrist_target), *extra_tasks]
+    own = make_tasks(hand, options, point_targets, wrist_target, rest=rest, tasks=tasks)
     if limits is None:
         limits = make_limits(hand, options)
     # Our configuration offers what build_ik and our tasks read of mink's own, which is one of
     # MuJoCo.
-    return mink.build_ik(_ActiveConfiguration(configuration), tasks, dt, damping=0.0, limits=limits)  # type: ignore[arg-type]
+    return mink.build_ik(
+        _ActiveConfiguration(configuration),  # type: ignore[arg-type]
+        [*own, *extra_tasks],
+        dt,
+        damping=0.0,
+        limits=limits,
+    )
 
 
 def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:
@@ -161,9 +172,8 @@ def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarra
         InvalidOptionsError: If no such solver is installed.
     """
     if solver not in qpsolvers.available_solvers:
-        raise InvalidOptionsError(
-            f"solver: expected one of {', '.join(qpsolvers.available_solvers)}; got {solver!r}"
-        )
+        known = ", ".join(qpsolvers.available_solvers)
+        raise InvalidOptionsError(option="solver", expected=f"one of {known}", value=solver)
     if solver not in qpsolvers.dense_solvers:
         G = None if problem.G is None else csc_matrix(problem.G)
         problem = qpsolvers.Problem(csc_matrix(problem.P), problem.q, G, problem.h)

@@ -1,9 +1,9 @@
 """The QP's terms as `mink` tasks, over a configuration that Pinocchio backs.
 
-They say the same as `handmap_qp.ik.qp`, one term a class, so that `mink.build_ik` composes them
-with tasks of your own (subclass `mink.Task`). mink's error convention holds: a task asks for `J dq
-= -gain * error`. Its Levenberg-Marquardt term grows with the square of the error; ours, in
-`DampingTask`, with the error (see `IkOptions.error_damping`).
+Each class is one term of `handmap_qp.ik.qp`, so that `mink.build_ik` composes the same QP, together
+with tasks of your own (subclass `mink.Task`). mink's error convention holds: a task asks for
+`J dq = -gain * error`. Its Levenberg-Marquardt term grows with the square of the error. Ours, in
+`DampingTask`, grows with the error (see `IkOptions.error_damping`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.tasks import Task
 
 
 class PointTask(mink.Task):
@@ -65,22 +66,24 @@ class WristTask(mink.Task):
 
 
 class RestTask(mink.Task):
-    """All joints to their rest angles: the null-space term of eq. (8).
+    """All joints to their rest positions: the null-space term of eq. (8).
 
     Args:
         hand: The hand.
         cost: Weight of every joint's error [cost]/[rad].
+        rest: Joint positions to pull to, shape (n,); the hand's rest posture if omitted.
     """
 
-    def __init__(self, hand: Hand, cost: float) -> None:
+    def __init__(self, hand: Hand, cost: float, rest: np.ndarray | None = None) -> None:
         super().__init__(cost=np.full(len(hand.joint_names), cost))
         self._hand = hand
+        self._rest = hand.rest if rest is None else rest
         self._jacobian = np.zeros((len(hand.joint_names), len(hand.active_columns)))
         self._jacobian[np.arange(len(hand.joint_names)), hand.joint_columns] = 1.0
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
         """Joint angle minus rest angle [rad], shape (n,)."""
-        return configuration.q[self._hand.q_indices] - self._hand.rest
+        return configuration.q[self._hand.q_indices] - self._rest
 
     def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
         """Selection of the joints, shape (n, nv)."""
@@ -135,25 +138,66 @@ class DampingTask(mink.Task):
         return self._jacobian
 
 
+class ExtraTask(mink.Task):
+    """A `Task` of ours as one of mink's: its rows, and its damping as further rows without an error.
+
+    Args:
+        task: The task.
+    """
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(cost=np.ones(1))
+        self._task = task
+
+    def compute_qp_residual(  # type: ignore[override]
+        self, configuration: Configuration
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Weighted Jacobian and negative weighted error, rows of damping below."""
+        residual, jacobian, damping = self._task.linearise(configuration)
+        roots = np.sqrt(np.broadcast_to(damping, (configuration.nv,)))
+        return (
+            np.vstack([jacobian, np.diag(roots)]),
+            np.concatenate([-residual, np.zeros(configuration.nv)]),
+            0.0,
+        )
+
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """The task's weighted error, shape (k,)."""
+        return self._task.linearise(configuration).residual
+
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        """Its weighted Jacobian, shape (k, nv)."""
+        return self._task.linearise(configuration).jacobian
+
+
 def make_tasks(
-    hand: Hand, options: IkOptions, point_targets: np.ndarray, wrist_target: np.ndarray | None
+    hand: Hand,
+    options: IkOptions,
+    point_targets: np.ndarray,
+    wrist_target: np.ndarray | None,
+    *,
+    rest: np.ndarray | None = None,
+    tasks: Sequence[Task] = (),
 ) -> list[mink.Task]:
-    """The tasks whose sum is the cost of `handmap_qp.ik.qp.PointIk`.
+    """Return the tasks whose sum is the cost of `handmap_qp.ik.qp.PointIk`.
 
     Args:
         hand: The hand.
         options: The weights.
-        point_targets: Where the reference points shall be [m], shape (m, 3).
-        wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+        point_targets: Targets of the reference points [m], shape (m, 3).
+        wrist_target: Target of the wrist frame, shape (4, 4); None leaves it free.
+        rest: Joint positions that the rest term pulls to, shape (n,).
+        tasks: Further tasks, as of `PointIk.solve`.
 
     Returns:
-        Point, wrist (unless free), rest and damping task.
+        Point, wrist (unless free), rest and damping task, and the further ones.
     """
-    tasks: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options))]
+    followed: list[mink.Task] = [PointTask(point_targets, point_costs(hand, options))]
     if wrist_target is not None:
-        tasks.append(WristTask(wrist_target, *wrist_costs(options)))
+        followed.append(WristTask(wrist_target, *wrist_costs(options)))
     free = 3 if hand.is_floating else 0
     damping = DampingTask(
-        len(hand.active_columns), options.damping, options.error_damping, tasks, free
+        len(hand.active_columns), options.damping, options.error_damping, followed, free
     )
-    return [*tasks, RestTask(hand, options.rest_weight), damping]
+    resting = RestTask(hand, options.rest_weight, rest)
+    return [*followed, resting, damping, *map(ExtraTask, tasks)]

@@ -63,21 +63,30 @@ class IkOptions:
         Raises:
             InvalidOptionsError: With the name and the value at fault.
         """
-        for name in ("damping", "point_tolerance"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidOptionsError(
-                    f"{name}: expected a number > 0, got {getattr(self, name)}"
-                )
         for name in _NUMBERS:
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidOptionsError(f"{name}: expected a finite number >= 0, got {value}")
-        if self.max_iterations < 1:
+            is_number = isinstance(value, int | float) and math.isfinite(value)
+            if not is_number or value < 0.0 or (value == 0.0 and name in _POSITIVE):
+                sign = "> 0" if name in _POSITIVE else ">= 0"
+                raise InvalidOptionsError(
+                    option=name, expected=f"a finite number {sign}", value=value
+                )
+        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
             raise InvalidOptionsError(
-                f"max_iterations: expected at least 1, got {self.max_iterations}"
+                option="max_iterations", expected="an integer >= 1", value=self.max_iterations
+            )
+        limit = self.max_acceleration
+        if limit is not None and not (isinstance(limit, int | float) and limit > 0.0):
+            raise InvalidOptionsError(
+                option="max_acceleration", expected="a number > 0, or None", value=limit
+            )
+        if not isinstance(self.solver, str):
+            raise InvalidOptionsError(
+                option="solver", expected="the name of a solver", value=self.solver
             )
 
 
+_POSITIVE = ("damping", "point_tolerance")
 _NUMBERS = (
     "point_weight",
     "wrist_position_weight",

@@ -16,6 +16,7 @@ direction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -27,6 +28,7 @@ from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import End, IkResult
+from handmap_qp.ik.tasks import Task
 
 LimitHandling = Literal["none", "clip"]
 
@@ -64,13 +66,16 @@ class PseudoinverseIk:
         damping: float = 0.0,
     ) -> None:
         if not 0.0 <= damping < np.inf:
-            raise InvalidOptionsError(f"damping: expected a finite number >= 0, got {damping}")
+            raise InvalidOptionsError(
+                option="damping", expected="a finite number >= 0", value=damping
+            )
         if limits not in ("none", "clip"):
-            raise InvalidOptionsError(f"limits: expected 'none' or 'clip', got {limits!r}")
+            raise InvalidOptionsError(option="limits", expected="'none' or 'clip'", value=limits)
         self.hand = hand
         self.options = options
         self.configuration = hand.configuration()
         self._damping = damping
+        self._rest = hand.rest
         self._box = (
             BoxLimits(hand, has_velocity_limits=options.has_velocity_limits)
             if limits == "clip"
@@ -117,7 +122,7 @@ class PseudoinverseIk:
             inverse = np.divide(1.0, s, out=np.zeros_like(s), where=is_kept)
         homogeneous = np.zeros(A.shape[1])
         homogeneous[self.hand.joint_columns] = self._rest_gain * (
-            self.hand.rest - self.configuration.q[self.hand.q_indices]
+            self._rest - self.configuration.q[self.hand.q_indices]
         )
         # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside
         # their span.
@@ -125,12 +130,25 @@ class PseudoinverseIk:
         return self._scale * (homogeneous + Vt.T @ (inverse * (U.T @ b) - inverse * s * along))
 
     def solve(
-        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+        self,
+        point_targets: np.ndarray,
+        wrist_target: np.ndarray | None,
+        dt: float,
+        *,
+        rest: np.ndarray | None = None,
+        tasks: Sequence[Task] = (),
+        margins: np.ndarray | None = None,
     ) -> IkResult:
         """Move the hand towards its targets for one sample.
 
-        Arguments and result as of `PointIk.solve`.
+        Arguments and result as of `PointIk.solve`. Eq. (8) knows no further tasks and no distances
+        between links: `tasks` and `margins` must be left out.
         """
+        if tasks or margins is not None:
+            raise InvalidOptionsError(
+                option="tasks", problem="eq. (8) has neither further tasks nor margins"
+            )
+        self._rest = self.hand.rest if rest is None else rest
         start, nv = self.configuration.q.copy(), self.configuration.nv
         lower, upper = self._bounds(start, dt)
         total, last_step, iterations = np.zeros(nv), np.inf, 0

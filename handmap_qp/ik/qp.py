@@ -1,46 +1,48 @@
-"""Inverse kinematics as one box-constrained QP per iteration: the product's replacement for eq.
+"""Inverse kinematics as one box-constrained QP per iteration, in place of eq. (8).
 
-(8).
+    min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + |E dq + e|^2
+          + w_q^2 |q + dq - q_rest|^2 + w_d^2 |dq|^2
+    s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
 
-    min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + w_q^2 |q + dq - q_rest|^2 + w_d^2
-    |dq|^2 s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
-
-Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the squared error
-(Levenberg-Marquardt). The box can never contradict itself: where `q` starts outside its limits, the
-joint comes back as fast as its speed limit allows. Lengths are measured in units of 10 mm and
-angles of the wrist in units of 0.1 rad, which keeps the Hessian within a few orders of one, where
-solvers are at their best.
+Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the weighted error
+(Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_qp.ik.tasks`). The box
+never contradicts itself: where `q` starts outside its limits, the joint comes back as fast as its
+speed limit allows. Lengths are in units of 10 mm and angles of the wrist in units of 0.1 rad, which
+keeps the Hessian near one, where solvers work best.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Literal
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits, as_slice
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
+from handmap_qp.ik.tasks import Task
+from handmap_qp.transform import frozen
 
 End = Literal["solved", "failed", "released"]
-# A hand whose last step is shorter than this stands still, for all that its status says [rad or m].
+# A hand whose last step is shorter than this stands still, whatever its status says [rad or m].
 _AT_REST = 1e-3
-# What is so near to a bound is at it, as a share of the room between both bounds, or of 1 rad or m
-# where that is more: iterations add up to a bound but for rounding, and solvers but for their
-# tolerance (clarabel and piqp leave up to 1e-7).
+# A displacement counts as at its bound within this tolerance, relative to min(bound width, 1 rad or
+# 1 m). Iterations add up to a bound up to rounding, and solvers up to their tolerance (clarabel and
+# piqp leave up to 1e-7).
 _AT_BOUND = 1e-7
 
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class IkResult:
+class IkResult(msgspec.Struct, frozen=True, eq=False):
     """Where the iterations of one sample ended.
 
     Attributes:
@@ -95,23 +97,41 @@ class IkResult:
         return "unreachable" if self.last_step <= _AT_REST else "unsettled"
 
 
+class IkState:
+    """Where a hand is and how fast it moves; shared by the `PointIk`s that drive it in turn.
+
+    Attributes:
+        configuration: The present posture.
+        velocity: Displacement of the last sample divided by its time, shape (nv,).
+    """
+
+    __slots__ = ("configuration", "velocity")
+
+    def __init__(self, configuration: Configuration) -> None:
+        self.configuration = configuration
+        self.velocity = np.zeros(configuration.nv)
+
+
 class PointIk:
     """Moves a hand so that its reference points and its wrist come to their targets, within its limits.
 
     Args:
         hand: The hand.
         options: Weights and settings.
+        state: Where the hand is; in its neutral configuration if omitted.
 
     Attributes:
         hand: The hand.
         options: Weights and settings.
+        state: Where the hand is and how fast it moves.
         configuration: The present posture; `place` puts the hand somewhere else.
     """
 
-    def __init__(self, hand: Hand, options: IkOptions) -> None:
+    def __init__(self, hand: Hand, options: IkOptions, state: IkState | None = None) -> None:
         self.hand = hand
         self.options = options
-        self.configuration = hand.configuration()
+        self.state = state or IkState(hand.configuration())
+        self.configuration = self.state.configuration
         nv = self.configuration.nv
         count = len(hand.reference_points)
         self._collisions = CollisionLimit(hand) if options.avoids_self_collision else None
@@ -120,10 +140,9 @@ class PointIk:
         )
         # In the order of the active coordinates, which is the model's and not that of
         # `joint_names`.
-        order = np.argsort(hand.joint_columns)
-        first_joint = nv - len(order)
-        self._joint_angles = as_slice(hand.q_indices[order])
-        self._rest = hand.rest[order]
+        self._order = np.argsort(hand.joint_columns)
+        first_joint = nv - len(self._order)
+        self._joint_angles = as_slice(hand.q_indices[self._order])
         self._limits = BoxLimits(
             hand,
             has_velocity_limits=options.has_velocity_limits,
@@ -146,9 +165,16 @@ class PointIk:
         self._H_diagonal = self._H.reshape(-1)[:: nv + 1]
         self._c = np.empty(nv)
         self._c_joints = self._c[first_joint:]
-        self._velocity = np.zeros(nv)
-        self._zero_step = np.zeros(nv)
-        self._zero_step.setflags(write=False)
+        self._zero_step = frozen(np.zeros(nv))
+
+    def with_options(self, options: IkOptions) -> PointIk:
+        """Return a solver with other options that moves the same hand on from where it is."""
+        return PointIk(self.hand, options, self.state)
+
+    @property
+    def collision_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Links of the collision shapes that are kept apart, a pair each; the order of `margins`."""
+        return () if self._collisions is None else self._collisions.pairs
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration, at rest.
@@ -157,53 +183,57 @@ class PointIk:
             q: Pinocchio configuration, shape (nq,).
         """
         self.configuration.place_with_jacobians(q)
-        self._velocity = self._zero_step
-
-    def take_over(self, before: PointIk) -> None:
-        """Go on where another one of the same hand is, and as fast."""
-        self.configuration.place_with_jacobians(before.configuration.q)
-        self._velocity = before._velocity
+        self.state.velocity = self._zero_step
 
     def solve(
-        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+        self,
+        point_targets: np.ndarray,
+        wrist_target: np.ndarray | None,
+        dt: float,
+        *,
+        rest: np.ndarray | None = None,
+        tasks: Sequence[Task] = (),
+        margins: np.ndarray | None = None,
     ) -> IkResult:
         """Move the hand towards its targets for one sample.
 
         Args:
-            point_targets: Where the reference points shall be, in the world [m], shape (m, 3).
-            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free, as it
-                does on a fixed hand.
+            point_targets: Targets of the reference points in the world [m], shape (m, 3).
+            wrist_target: Target of the wrist frame, shape (4, 4). None leaves it free, as it does on
+                a fixed hand.
             dt: Time since the last sample [s]; bounds the displacement through the speed limits.
+            rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
+                [rad or m], shape (n,); the hand's rest posture if omitted.
+            tasks: Further terms of the cost.
+            margins: Distance that each of `collision_pairs` keeps [m]; the hand's own if omitted.
 
         Returns:
-            Where it got to. On `failed`, the configuration is the one before the call, but for
+            Where it ended. On `failed`, the configuration is the one before the call, except for
             joints outside their limits.
         """
         configuration, options = self.configuration, self.options
         start = configuration.q.copy()
-        lower, upper = self._limits.bounds(start, dt, self._velocity)
+        lower, upper = self._limits.bounds(start, dt, self.state.velocity)
         target = None if wrist_target is None else pin.SE3(wrist_target)
+        resting = (self.hand.rest if rest is None else rest)[self._order]
         total, last_step, iterations, end = self._zero_step, np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
-            self._linearise(point_targets, target)
+            self._linearise(point_targets, target, resting, tasks)
             # Bounds hold for the whole displacement of the sample, so later iterations get what is
             # left of them.
             box = (lower - total, upper - total) if iterations else (lower, upper)
             rows = (
                 None
                 if self._collisions is None
-                else self._collisions.feasible_rows(configuration, *box)
+                else self._collisions.feasible_rows(configuration, *box, margins)
             )
             step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
             if step is None:
-                # Outside its limits a joint comes back all the same: zero is then no displacement
-                # that the box allows.
-                total, last_step, end = (
-                    np.minimum(np.maximum(self._zero_step, lower), upper),
-                    0.0,
-                    "failed",
-                )
+                # A joint outside its limits still comes back: zero is then no displacement that the
+                # box allows.
+                total = np.minimum(np.maximum(self._zero_step, lower), upper)
+                last_step, end = 0.0, "failed"
             else:
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
@@ -211,7 +241,7 @@ class PointIk:
             # One displacement from the start, not a chain of steps: a floating wrist's twist then
             # keeps its limits exactly.
             configuration.displace(start, total)
-        self._velocity = total / dt
+        self.state.velocity = total / dt
         points = configuration.points.copy()
         columns, tolerance = self.hand.joint_columns, options.point_tolerance
         return IkResult(
@@ -229,7 +259,7 @@ class PointIk:
 
     def hold(self) -> IkResult:
         """Stay where the hand is, as if it were released from its targets."""
-        self._velocity, configuration = self._zero_step, self.configuration
+        self.state.velocity, configuration = self._zero_step, self.configuration
         points, free = configuration.points.copy(), np.full(configuration.nv, np.inf)
         columns, tolerance = self.hand.joint_columns, self.options.point_tolerance
         return IkResult(
@@ -246,18 +276,33 @@ class PointIk:
         )
 
     def problem(
-        self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
+        self,
+        point_targets: np.ndarray,
+        wrist_target: np.ndarray | None,
+        dt: float,
+        *,
+        rest: np.ndarray | None = None,
+        tasks: Sequence[Task] = (),
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The QP of the first iteration, for a look at it; arguments as of `solve`.
+        """Return the QP of the first iteration; arguments as of `solve`.
 
         Returns:
             H, shape (k, k); c, lower and upper bound, shape (k,) each.
         """
-        self._linearise(point_targets, None if wrist_target is None else pin.SE3(wrist_target))
-        lower, upper = self._limits.bounds(self.configuration.q, dt, self._velocity)
+        resting = (self.hand.rest if rest is None else rest)[self._order]
+        self._linearise(
+            point_targets, None if wrist_target is None else pin.SE3(wrist_target), resting, tasks
+        )
+        lower, upper = self._limits.bounds(self.configuration.q, dt, self.state.velocity)
         return self._H.copy(), self._c.copy(), lower, upper
 
-    def _linearise(self, point_targets: np.ndarray, wrist_target: pin.SE3 | None) -> None:
+    def _linearise(
+        self,
+        point_targets: np.ndarray,
+        wrist_target: pin.SE3 | None,
+        rest: np.ndarray,
+        tasks: Sequence[Task],
+    ) -> None:
         """Write H and c of the QP at the present configuration."""
         configuration, error, weighted_error = self.configuration, self._error, self._weighted_error
         np.subtract(configuration.points, point_targets, out=self._point_error)
@@ -272,13 +317,18 @@ class PointIk:
         weighted = configuration.contracted(self._weighted_all)
         np.multiply(error, self._row_weights, out=weighted_error)
         np.dot(weighted.T, weighted, out=self._H)
-        # The linearisation leaves out a curvature of the error times the lever; the lever is what
-        # the diagonal's root tells.
+        # The linearisation neglects a curvature of the error times the lever; the root of the
+        # diagonal is the lever.
         self._H_diagonal += self._diagonal + self._turning * (
             np.sqrt(self._H_diagonal) * math.sqrt(weighted_error.dot(weighted_error))
         )
         np.dot(weighted_error, weighted, out=self._c)
-        self._c_joints += self._rest_weight * (configuration.q[self._joint_angles] - self._rest)
+        self._c_joints += self._rest_weight * (configuration.q[self._joint_angles] - rest)
+        for task in tasks:
+            residual, rows, damping = task.linearise(configuration)
+            self._H += rows.T.dot(rows)
+            self._H_diagonal += damping
+            self._c += residual.dot(rows)
 
 
-_NO_WRIST = np.zeros((6, 6))
+_NO_WRIST = frozen(np.zeros((6, 6)))

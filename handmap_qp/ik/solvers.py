@@ -225,5 +225,5 @@ def make_solver(name: str, size: int, row_count: int = 0) -> QpSolver:
 
     if name not in qpsolvers.available_solvers:
         known = ", ".join(sorted({"daqp", "proxqp", *qpsolvers.available_solvers}))
-        raise InvalidOptionsError(f"solver: expected one of {known}; got {name!r}")
+        raise InvalidOptionsError(option="solver", expected=f"one of {known}", value=name)
     return QpsolversSolver(name, **{**EXACT, **_EXACT_ENOUGH}.get(name, {}))

@@ -8,13 +8,19 @@ products. With `ridge = 0` the solution is exactly the paper's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
-from handmap_qp.transform import affine, as_floats, determinant, nearest_rotation, svd3
+from handmap_qp.transform import (
+    affine,
+    as_floats,
+    determinant,
+    frozen,
+    nearest_rotation,
+    svd3,
+)
 
 # Below this ratio of smallest to largest singular value the points are a plane (or a line) for all
 # that doubles can tell.
@@ -24,25 +30,47 @@ _RANK_TOLERANCE = 1e-9
 _SPREAD_TOLERANCE = 1e-14
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionEstimate:
-    """A motion fitted to point pairs, and how well it fits.
+class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
+    """A motion fitted to point pairs. T and its residuals are computed when asked for.
 
     Attributes:
-        motion: The homogeneous transformation T, active, shape (4, 4).
+        linear: Linear part A of T, shape (3, 3).
+        centroid_before: Weighted centroid of the points before the motion [m], shape (3,).
+        centroid_after: The same after it [m], shape (3,).
+        centred_before: Points before the motion relative to their centroid [m], shape (n, 3).
+        centred_after: The same after it [m], shape (n, 3).
         singular_values: Of the weighted, centred points before the motion, largest first [m], shape
             (3,). The smallest tells how well the points determine T: a plane has zero.
-        misfit: `y_k - T x_k` for every point [m], shape (n, 3).
     """
 
-    motion: np.ndarray
+    linear: np.ndarray
+    centroid_before: np.ndarray
+    centroid_after: np.ndarray
+    centred_before: np.ndarray
+    centred_after: np.ndarray
     singular_values: np.ndarray
-    misfit: np.ndarray
 
     @property
-    def residuals(self) -> np.ndarray:
+    def motion(self) -> np.ndarray:
+        """The homogeneous transformation T, active, shape (4, 4)."""
+        return affine(self.linear, self.image(_ORIGIN))
+
+    @property
+    def residual_vectors(self) -> np.ndarray:
+        """`y_k - T x_k` for every point [m], shape (n, 3)."""
+        return self.centred_after - self.centred_before.dot(self.linear.T)
+
+    @property
+    def residual_norms(self) -> np.ndarray:
         """Distance of every point from where T takes it [m], shape (n,)."""
-        return np.linalg.norm(self.misfit, axis=1)
+        return np.linalg.norm(self.residual_vectors, axis=1)
+
+    def image(self, point: np.ndarray) -> np.ndarray:
+        """Return where T takes a point [m], shape (3,)."""
+        return self.linear.dot(point - self.centroid_before) + self.centroid_after
+
+
+_ORIGIN = np.zeros(3)
 
 
 class MotionEstimator:
@@ -77,8 +105,9 @@ class MotionEstimator:
         points = _check_points(points_before, "points_before")
         self.weights = _check_weights(weights, len(points))
         self.ridge = _check_ridge(ridge)
-        self.centroid = self.weights @ points
-        self._centred = points - self.centroid
+        # Estimates hand both out, so they are write-protected.
+        self.centroid = frozen(self.weights @ points)
+        self._centred = frozen(points - self.centroid)
         self._weighted = self._centred * self.weights[:, None]
         roots = np.sqrt(self.weights * len(points))
         # The SVD of the points, not of their normal matrix, which would square the condition of
@@ -86,7 +115,7 @@ class MotionEstimator:
         left, values, right = svd3(self._centred * roots[:, None])
         self.singular_values = np.zeros(3)
         self.singular_values[: len(values)] = values
-        self.singular_values.setflags(write=False)
+        frozen(self.singular_values)
         floor = max(_RANK_TOLERANCE * values[0], _SPREAD_TOLERANCE * np.abs(points).max())
         self._check_rank(floor, has_prior)
         # A direction in which the points do not spread has no gain: there A is the prior, however
@@ -133,8 +162,9 @@ class MotionEstimator:
         if self.ridge != 0.0:
             rotation = nearest_rotation(moments[:, 3:]) if prior is None else prior
             linear = linear + rotation.dot(self._prior_gain)
-        motion = affine(linear, centroid_after - linear.dot(self.centroid))
-        return MotionEstimate(motion, self.singular_values, after - self._centred.dot(linear.T))
+        return MotionEstimate(
+            linear, self.centroid, centroid_after, self._centred, after, self.singular_values
+        )
 
 
 def estimate_motion(
@@ -145,9 +175,9 @@ def estimate_motion(
     ridge: float = 0.0,
     prior: npt.ArrayLike | None = None,
 ) -> MotionEstimate:
-    """Estimate the linear motion T with `points_after = T points_before` (eqs.
+    """Estimate the linear motion T with `points_after = T points_before`.
 
-    5-6, weighted, with an optional ridge).
+    Eqs. (5)-(6), weighted, with an optional ridge.
 
     Args:
         points_before: Reference points before the motion [m], shape (n, 3).

@@ -1,49 +1,44 @@
-"""Both hands at the instant from which the motion counts: what eqs.
-
-(5)-(7) call the initial configuration.
-"""
+"""Both hands at the instant from which the motion counts: the initial configuration of eqs. (5)-(7)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.estimation import MotionEstimator
+from handmap_qp.mapping.method import HumanSample, RobotPosture
 from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.transform import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class Reference(NamedTuple):
     """Both hands at the instant from which the motion counts.
 
     Attributes:
         estimator: The human reference points there, factored for eq. (6).
-        human_points: The same points in W [m], shape (n_h, 3).
+        human_offsets: Human reference points relative to the pivot, `p_i - c_h` [m], shape (n_h, 3).
         human_wrist: Human wrist pose in W, shape (4, 4); None where it was not measured.
         human_pivot: c_h [m], shape (3,).
-        robot_q: The robot's Pinocchio configuration, shape (nq,).
-        robot_arms: Robot reference points relative to the pivot, `s_i - c_r` [m], shape (n_r, 3).
+        robot_offsets: Robot reference points relative to the pivot, `s_i - c_r` [m], shape (n_r, 3).
         robot_wrist: Robot wrist pose in V, shape (4, 4).
         robot_pivot: c_r [m], shape (3,).
         alignment: Q, from W axes to V axes, shape (3, 3); None where they agree.
-        misfit_share: What each robot point takes over of each human point's misfit to T, shape
+        residual_share: Part of each human point's residual that each robot point takes over, shape
             (n_r, n_h); None for nothing.
     """
 
     estimator: MotionEstimator
-    human_points: np.ndarray
+    human_offsets: np.ndarray
     human_wrist: np.ndarray | None
     human_pivot: np.ndarray
-    robot_q: np.ndarray
-    robot_arms: np.ndarray
+    robot_offsets: np.ndarray
     robot_wrist: np.ndarray
     robot_pivot: np.ndarray
     alignment: np.ndarray | None
-    misfit_share: np.ndarray | None
+    residual_share: np.ndarray | None
 
 
 def make_reference(
@@ -51,74 +46,83 @@ def make_reference(
     robot: Hand,
     options: MappingOptions,
     estimator: MotionEstimator,
-    human_points: np.ndarray,
-    human_wrist: np.ndarray | None,
-    robot_now: Configuration,
+    sample: HumanSample,
+    posture: RobotPosture,
     partners: list[tuple[int, int]],
 ) -> Reference:
-    """Take both hands as they are now for the reference.
+    """Take both hands as they are for the reference.
 
     Args:
         human: The hand that leads.
         robot: The hand that follows.
         options: The mapping's choices.
-        estimator: Made of the human's points now.
-        human_points: The points themselves [m], shape (n_h, 3).
-        human_wrist: The human's wrist pose now, shape (4, 4), or None where nothing needs it.
-        robot_now: The robot's present configuration.
-        partners: What `partner_pairs` found.
+        estimator: Made of the sample's points.
+        sample: The human hand.
+        posture: The robot hand.
+        partners: The pairs of `partner_pairs`; empty to pass no residual on.
 
     Returns:
-        The reference.
+        The reference. Its arrays are copies, write-protected where results hand them out.
     """
-    robot_points, robot_wrist = robot_now.points.copy(), robot_now.wrist.homogeneous
-    robot_palm = robot_wrist @ robot.wrist_to_palm
-    human_palm = None if human_wrist is None else human_wrist @ human.wrist_to_palm
+    robot_palm = posture.wrist @ robot.wrist_to_palm
+    human_palm = None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
     if options.pivot == "centroid":
         human_pivot = estimator.centroid
-        robot_pivot = robot.point_weights @ robot_points / robot.point_weights.sum()
+        robot_pivot = robot.point_weights @ posture.points / robot.point_weights.sum()
     elif options.pivot == "palm" and human_palm is not None:
-        human_pivot, robot_pivot = human_palm[:3, 3], robot_palm[:3, 3]
+        human_pivot, robot_pivot = human_palm[:3, 3].copy(), robot_palm[:3, 3]
     else:
         human_pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
     return Reference(
         estimator=estimator,
-        human_points=human_points,
-        # Copied: the caller may write its next sample into the same array.
-        human_wrist=None if human_wrist is None else human_wrist.copy(),
-        human_pivot=human_pivot,
-        robot_q=robot_now.q.copy(),
-        robot_arms=robot_points - robot_pivot,
-        robot_wrist=robot_wrist,
+        human_offsets=sample.points - human_pivot,
+        human_wrist=None if sample.wrist is None else sample.wrist.copy(),
+        human_pivot=frozen(human_pivot),
+        robot_offsets=posture.points - robot_pivot,
+        robot_wrist=posture.wrist.copy(),
         robot_pivot=robot_pivot,
         alignment=_alignment(options, human_palm, robot_palm),
-        misfit_share=_misfit_share(options, human_points, robot_points, partners),
+        residual_share=_residual_share(options, sample.points, posture.points, partners),
     )
 
 
-def partner_pairs(human: Hand, robot: Hand, options: MappingOptions) -> list[tuple[int, int]]:
-    """Which robot point takes over which human point's misfit.
+def partner_pairs(human: Hand, robot: Hand) -> list[tuple[int, int]]:
+    """Return the pairs of reference points that correspond on the two hands.
+
+    A robot point corresponds to the human point that it names as its `partner`, else to the one of
+    its own name.
+
+    Returns:
+        Pairs of indices (robot point, human point), in the order of the robot's points.
+    """
+    names = {point.name: k for k, point in enumerate(human.reference_points)}
+    wanted = [(j, point.partner or point.name) for j, point in enumerate(robot.reference_points)]
+    return [(j, names[partner]) for j, partner in wanted if partner in names]
+
+
+def require_partners(
+    human: Hand, robot: Hand, *, option: str, value: object = None, advice: str = ""
+) -> list[tuple[int, int]]:
+    """Return the pairs of `partner_pairs`, of which there must be one.
 
     Args:
         human: The hand that leads.
-        robot: The hand that follows; its points name their partners.
-        options: The mapping's choices.
-
-    Returns:
-        Pairs of indices (robot point, human point); empty with `residual_gain = 0`.
+        robot: The hand that follows.
+        option: The option that needs them.
+        value: Its value.
+        advice: What else to do than to name partners.
 
     Raises:
-        InvalidOptionsError: If misfits are to be passed on and there is no pair.
+        InvalidOptionsError: If no robot point has a partner.
     """
-    if options.residual_gain == 0.0:
-        return []
-    names = [point.name for point in human.reference_points]
-    wanted = [(j, point.partner or point.name) for j, point in enumerate(robot.reference_points)]
-    pairs = [(j, names.index(partner)) for j, partner in wanted if partner in names]
+    pairs = partner_pairs(human, robot)
     if not pairs:
+        names = ", ".join(point.name for point in human.reference_points)
         raise InvalidOptionsError(
-            f"residual_gain={options.residual_gain:g} needs partner points, and no point of {robot.name} names one among "
-            f"{', '.join(names)}: add `partner` to its points, or give residual_gain=0"
+            option=option,
+            problem=f"needs partner points, and no point of {robot.name} names one among {names}",
+            value=value,
+            advice=f"add `partner` to its points{advice}",
         )
     return pairs
 
@@ -126,7 +130,7 @@ def partner_pairs(human: Hand, robot: Hand, options: MappingOptions) -> list[tup
 def _alignment(
     options: MappingOptions, human_palm: np.ndarray | None, robot_palm: np.ndarray
 ) -> np.ndarray | None:
-    """Q, or None where both worlds' axes agree."""
+    """Return Q, or None where the axes of both worlds agree."""
     if not isinstance(options.alignment, str):
         return np.array(options.alignment)
     if options.alignment == "world" or human_palm is None:
@@ -134,13 +138,13 @@ def _alignment(
     return robot_palm[:3, :3] @ human_palm[:3, :3].T
 
 
-def _misfit_share(
+def _residual_share(
     options: MappingOptions,
     human_points: np.ndarray,
     robot_points: np.ndarray,
     partners: list[tuple[int, int]],
 ) -> np.ndarray | None:
-    """The residual gain for every pair, scaled by the ratio of the hands' sizes."""
+    """Return the residual gain of every pair, scaled by the ratio of the sizes of the hands."""
     if not partners:
         return None
     robot_indices, human_indices = np.array(partners).T

@@ -1,21 +1,21 @@
-"""What goes in and what comes out, as values.
-
-One human sample, one robot command, one step of the mapping with all its stages.
-"""
+"""What comes out of a mapper: one robot command, and one step with all its stages."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.mapping.estimation import MotionEstimate
+from handmap_qp.mapping.method import Targets
+from handmap_qp.mapping.methods.homogeneous import HomogeneousDiagnostics
 from handmap_qp.mapping.transfer import Transfer
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotCommand:
+class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     """What a robot driver takes.
 
     Attributes:
@@ -29,17 +29,16 @@ class RobotCommand:
     wrist: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MapStep:
+class MapStep(msgspec.Struct, frozen=True, eq=False):
     """One step of the mapping, stage by stage.
 
-    What each stage gave is kept whole, and what people ask for most can be read off directly.
+    Derived values are computed when asked for. Those of T exist for the paper's method alone; the
+    diagnostics of other methods are in `diagnostics`.
 
     Attributes:
         command: The robot's next joint angles and wrist pose.
         human_points: Human reference points in the human's world (eq. 4) [m], shape (n_h, 3).
-        estimate: T and how it fits (eqs. 5-6).
-        transfer: T_rb, T_def and the robot's targets (eqs. 2-3, 7).
+        asked: The method's targets and diagnostics.
         ik: Where the inverse kinematics ended (in place of eq. 8).
         out_of_range: Names of human joints that were outside their limits, within the tolerance,
             and used all the same.
@@ -48,11 +47,25 @@ class MapStep:
 
     command: RobotCommand
     human_points: np.ndarray
-    estimate: MotionEstimate
-    transfer: Transfer
+    asked: Targets
     ik: IkResult
     out_of_range: tuple[str, ...]
     duration: float
+
+    @property
+    def diagnostics(self) -> Any:
+        """How the method came to its targets."""
+        return self.asked.diagnostics
+
+    @property
+    def estimate(self) -> MotionEstimate:
+        """T and how it fits (eqs. 5-6)."""
+        return self._homogeneous.estimate
+
+    @property
+    def transfer(self) -> Transfer:
+        """T_rb, T_def and the robot's targets (eqs. 2-3, 7)."""
+        return self._homogeneous.transfer
 
     @property
     def motion(self) -> np.ndarray:
@@ -73,9 +86,9 @@ class MapStep:
         return self.transfer.motion_deformation
 
     @property
-    def residuals(self) -> np.ndarray:
+    def residual_norms(self) -> np.ndarray:
         """Distance of each human point from where T takes it [m], shape (n_h,)."""
-        return self.estimate.residuals
+        return self.estimate.residual_norms
 
     @property
     def stretches(self) -> np.ndarray:
@@ -84,18 +97,19 @@ class MapStep:
 
     @property
     def is_clamped(self) -> bool:
-        """Whether a stretch was outside its allowed range."""
-        return self.transfer.is_clamped
+        """Whether a stretch was outside its allowed range; False for methods without T."""
+        diagnostics = self.asked.diagnostics
+        return isinstance(diagnostics, HomogeneousDiagnostics) and diagnostics.transfer.is_clamped
 
     @property
     def targets(self) -> np.ndarray:
         """Where the robot's reference points should be (eq. 7) [m], shape (n_r, 3)."""
-        return self.transfer.targets
+        return self.asked.points
 
     @property
-    def wrist_target(self) -> np.ndarray:
-        """Where the robot's wrist should be, shape (4, 4)."""
-        return self.transfer.wrist_target
+    def wrist_target(self) -> np.ndarray | None:
+        """Where the robot's wrist should be, shape (4, 4); None if the method leaves it free."""
+        return self.asked.wrist
 
     @property
     def points(self) -> np.ndarray:
@@ -105,11 +119,11 @@ class MapStep:
     @property
     def point_error(self) -> np.ndarray:
         """Distance between targets and points [m], shape (n_r,)."""
-        return np.linalg.norm(self.transfer.targets - self.ik.points, axis=1)
+        return np.linalg.norm(self.asked.points - self.ik.points, axis=1)
 
     @property
-    def at_limit(self) -> np.ndarray:
-        """Joints that a position or speed limit holds in this step, in the order of `command.q`, shape (n,)."""
+    def at_bound(self) -> np.ndarray:
+        """Whether a position or speed limit holds each joint, in the order of `command.q`; (n,)."""
         return self.ik.active[self.ik.joint_columns] != 0
 
     @property
@@ -121,3 +135,14 @@ class MapStep:
     def iterations(self) -> int:
         """QPs solved."""
         return self.ik.iterations
+
+    @property
+    def _homogeneous(self) -> HomogeneousDiagnostics:
+        diagnostics = self.asked.diagnostics
+        if not isinstance(diagnostics, HomogeneousDiagnostics):
+            raise InvalidOptionsError(
+                option="method",
+                problem=f"T is of the method Homogeneous, and this step has {type(diagnostics).__name__}",
+                advice="read step.diagnostics",
+            )
+        return diagnostics

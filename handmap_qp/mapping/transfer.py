@@ -1,45 +1,39 @@
-"""Carry a motion from the human's hand to the robot's (eq. 7).
-
-From T to point targets and a wrist target.
+"""Carry a motion from the human's hand to the robot's (eq. 7): from T to point and wrist targets.
 
     T_rb^r(s)  = Q R Q^T (s - c_r) + c_r + scale Q (T_rb(c_h) - c_h)
     T_def^r(s) = Q U Q^T (s - c_r') + c_r' + scale Q (T(c_h) - T_rb(c_h)),     c_r' = T_rb^r(c_r)
 
-The points are to reach `T_def^r T_rb^r s`, the wrist `T_rb^r X`. What the two products have in
-common is computed once.
+The targets of the points are `T_def^r T_rb^r s`, that of the wrist is `T_rb^r X`. Terms that both
+products share are computed once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate
+from handmap_qp.mapping.method import HumanSample
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.reference import Reference
+from handmap_qp.mapping.rigid import RIGID_PARTS, Displacement
 from handmap_qp.transform import affine
 
-_IDENTITY = np.eye(3)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Transfer:
+class Transfer(msgspec.Struct, frozen=True, eq=False):
     """A motion split about its pivot, and what it asks of the robot.
 
     Attributes:
-        linear: Linear part of the motion that is passed on, `U R` after clamping and gain, shape
-            (3, 3).
+        linear: Linear part of the imposed motion, `U R` after clamping and gain, shape (3, 3).
         rotation: Rotation of T_rb, shape (3, 3).
         pivot: c_h [m], shape (3,).
         rigid_image: Where T_rb takes the pivot [m], shape (3,).
         image: Where T takes the pivot [m], shape (3,).
         stretches: Eigenvalues of the stretch U before clamping, shape (3,).
         is_clamped: Whether a stretch was outside its allowed range.
-        targets: Where the robot's reference points should be (eq. 7) [m], shape (n_r, 3).
-        wrist_target: Where its wrist should be, shape (4, 4).
+        targets: Targets of the robot's reference points (eq. 7) [m], shape (n_r, 3).
+        wrist_target: Target of its wrist, shape (4, 4).
     """
 
     linear: np.ndarray
@@ -64,24 +58,24 @@ class Transfer:
 
 
 def transfer_motion(
-    estimate: MotionEstimate,
-    reference: Reference,
-    human_wrist: np.ndarray | None,
-    options: MappingOptions,
+    estimate: MotionEstimate, reference: Reference, sample: HumanSample, options: MappingOptions
 ) -> Transfer:
     """Split T about the pivot and impose both parts on the robot.
 
     Args:
         estimate: The human's motion T since the reference.
         reference: Both hands at the reference.
-        human_wrist: The human's wrist pose now, shape (4, 4); needed with `rigid_from="wrist"`.
+        sample: The human hand now.
         options: The mapping's choices.
 
     Returns:
         The parts and the robot's targets.
+
+    Raises:
+        InvalidInputError: If `rigid_from` needs a wrist pose that was not measured.
     """
-    linear, pivot = estimate.motion[:3, :3], reference.human_pivot
-    image = linear.dot(pivot) + estimate.motion[:3, 3]
+    pivot = reference.human_pivot
+    linear, image = estimate.linear, estimate.image(pivot)
     factors = polar(linear)
     largest, middle, smallest = factors.stretches.tolist()
     low, high, gain = options.stretch_min, options.stretch_max, options.deformation_gain
@@ -91,58 +85,31 @@ def transfer_motion(
             min(max(stretch, low), high) ** gain for stretch in (largest, middle, smallest)
         ]
         linear = factors.stretch(np.array(stretches)).dot(factors.rotation)
-    if options.rigid_from == "points":
-        rotation, rigid_image = factors.rotation, image
-    elif options.rigid_from == "wrist":
-        rotation, rigid_image = wrist_displacement(reference, human_wrist)
-    else:
-        rotation, rigid_image = _IDENTITY, pivot
-    targets = _points_after(reference, linear, options.scale * (image - pivot))
-    if reference.misfit_share is not None:
-        share = reference.misfit_share.dot(estimate.misfit)
-        targets += share if reference.alignment is None else share @ reference.alignment.T
-    wrist_target = _wrist_after(reference, rotation, options.scale * (rigid_image - pivot))
+    rotation, rigid_image = RIGID_PARTS[options.rigid_from].part(
+        Displacement(factors.rotation, image), pivot, reference.human_wrist, sample.wrist
+    )
+    points = _points_after(reference, linear, options.scale * (image - pivot))
+    if reference.residual_share is not None:
+        # The residual to the motion that is imposed: what clamping and gain take away comes back.
+        residual = sample.points - (reference.human_offsets.dot(linear.T) + image)
+        share = reference.residual_share.dot(residual)
+        points += share if reference.alignment is None else share @ reference.alignment.T
+    wrist = _wrist_after(reference, rotation, options.scale * (rigid_image - pivot))
     return Transfer(
-        linear,
-        rotation,
-        pivot,
-        rigid_image,
-        image,
-        factors.stretches,
-        is_clamped,
-        targets,
-        wrist_target,
+        linear, rotation, pivot, rigid_image, image, factors.stretches, is_clamped, points, wrist
     )
 
 
-def wrist_displacement(
-    reference: Reference, human_wrist: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation of the measured wrist since the reference, and where its rigid motion takes the pivot; (3, 3) and (3,)."""
-    if reference.human_wrist is None or human_wrist is None:
-        raise InvalidInputError("wrist_pose: needed for rigid_from='wrist'")
-    rotation = human_wrist[:3, :3] @ reference.human_wrist[:3, :3].T
-    return rotation, rotation @ (
-        reference.human_pivot - reference.human_wrist[:3, 3]
-    ) + human_wrist[:3, 3]
-
-
 def _points_after(reference: Reference, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Robot points moved by a linear map about the pivot and a shift, both given in W axes.
-
-    Shape (n_r, 3).
-    """
+    """Move the robot's points by a linear map about the pivot and a shift in W axes; (n_r, 3)."""
     Q = reference.alignment
     if Q is not None:
         linear, shift = Q @ linear @ Q.T, Q @ shift
-    return reference.robot_arms.dot(linear.T) + (reference.robot_pivot + shift)
+    return reference.robot_offsets.dot(linear.T) + (reference.robot_pivot + shift)
 
 
 def _wrist_after(reference: Reference, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Robot wrist moved by a rotation about the pivot and a shift, both given in W axes.
-
-    Shape (4, 4).
-    """
+    """Move the robot's wrist by a rotation about the pivot and a shift in W axes; (4, 4)."""
     Q, wrist, pivot = reference.alignment, reference.robot_wrist, reference.robot_pivot
     if Q is not None:
         rotation, shift = Q @ rotation @ Q.T, Q @ shift

@@ -366,11 +366,11 @@ class Session:
 
     def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
-        step, residuals = mapped.step, mapped.step.residuals
+        step, residuals = mapped.step, mapped.step.residual_norms
         return {
             "point_error": to_row(step.point_error),
             "residual": float(np.sqrt(residuals.dot(residuals) / len(residuals))),
-            "at_limit": joints_where(self.robot, step.at_limit),
+            "at_limit": joints_where(self.robot, step.at_bound),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": to_detail(*mapped) if self._has_detail else None,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.options import Alignment, MappingOptions, Pivot, Reference, RigidFrom
+from handmap_qp.mapping.options import Alignment, MappingOptions, Pivot, ReferenceAt, RigidFrom
 
 if TYPE_CHECKING:
     import viser
@@ -126,7 +126,7 @@ _CHOICES = {
     "rigid_from": (get_args(RigidFrom), "Source of the rigid part T_rb"),
     "pivot": (get_args(Pivot), "Point about which rotation and deformation act"),
     "alignment": (get_args(Alignment), "Rotation from the human's world axes to the robot's"),
-    "reference": (get_args(Reference), "Configuration that T starts from"),
+    "reference": (get_args(ReferenceAt), "Configuration that T starts from"),
 }
 _GIVEN = "as given"
 

@@ -171,7 +171,7 @@ def view_sample(
         targets=None if step.status == "released" else step.targets,
         deformation=step.motion_deformation[:3, :3],
         pivot=step.transfer.image,
-        is_limited=step.at_limit,
+        is_limited=step.at_bound,
         status=step.status,
         duration=step.duration,
         is_seen=is_seen,

@@ -51,7 +51,7 @@ def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, A
 @pytest.mark.parametrize(
     "ik", [IkOptions(), IkOptions(max_acceleration=30.0)], ids=["plain", "acceleration"]
 )
-@pytest.mark.parametrize("reference", ["initial", "previous"])
+@pytest.mark.parametrize("reference", ["first", "previous"])
 def test_configuring_what_is_there_changes_nothing(ik: IkOptions, reference: Any) -> None:
     touched, untouched = (HandMapper(HUMAN, ALLEGRO, ik=ik, reference=reference) for _ in range(2))
     for i in range(12):

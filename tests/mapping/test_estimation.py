@@ -79,7 +79,7 @@ def test_an_affine_motion_is_recovered_exactly_from_points_off_a_plane(
 ) -> None:
     estimate = estimate_motion(points, transform_points(motion, points))
     assert_same_motion(estimate.motion, motion, points)
-    np.testing.assert_allclose(estimate.residuals, 0.0, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(estimate.residual_norms, 0.0, rtol=0.0, atol=1e-13)
 
 
 @given(near_coplanar_point_sets, affine_motions())
@@ -156,7 +156,9 @@ def test_a_point_of_weight_zero_is_as_good_as_absent(
     with_it = estimate_motion(points, after, weights=weights, ridge=ridge)
     without_it = estimate_motion(points[:-1], after[:-1], ridge=ridge)
     assert_same_motion(with_it.motion, without_it.motion, points)
-    np.testing.assert_allclose(with_it.residuals[:-1], without_it.residuals, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        with_it.residual_norms[:-1], without_it.residual_norms, rtol=0.0, atol=1e-13
+    )
 
 
 @given(point_sets(), st.data(), st.sampled_from([1e-300, 1e-3, 1e3, 1e308 / 10.0]))
@@ -190,7 +192,7 @@ def test_in_another_world_frame_the_motion_is_conjugated(
     moved_before = transform_points(world, before)
     moved = estimate_motion(moved_before, transform_points(world, after), ridge=ridge)
     assert_same_motion(moved.motion, world @ plain.motion @ np.linalg.inv(world), moved_before)
-    np.testing.assert_allclose(moved.residuals, plain.residuals, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(moved.residual_norms, plain.residual_norms, rtol=0.0, atol=1e-12)
 
 
 @given(st.data(), poses, st.sampled_from([0.0, 0.1]))
@@ -215,7 +217,7 @@ def test_other_units_scale_the_translation_and_nothing_else(
         motion_of(scaled.motion[:3, :3], scaled.motion[:3, 3] / unit), plain.motion, before
     )
     np.testing.assert_allclose(
-        scaled.residuals, unit * plain.residuals, rtol=0.0, atol=1e-12 * unit
+        scaled.residual_norms, unit * plain.residual_norms, rtol=0.0, atol=1e-12 * unit
     )
 
 
@@ -237,9 +239,9 @@ def test_residuals_are_the_distances_to_where_the_motion_takes_the_points(
     before, after = noisy_pair(data)
     estimate = estimate_motion(before, after, ridge=ridge)
     misfit = after - transform_points(estimate.motion, before)
-    np.testing.assert_allclose(estimate.misfit, misfit, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(estimate.residual_vectors, misfit, rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(
-        estimate.residuals, np.linalg.norm(misfit, axis=1), rtol=0.0, atol=1e-13
+        estimate.residual_norms, np.linalg.norm(misfit, axis=1), rtol=0.0, atol=1e-13
     )
 
 
@@ -248,7 +250,7 @@ def test_the_weighted_misfit_has_no_mean(data: st.DataObject, ridge: float) -> N
     before, after = noisy_pair(data)
     weights = data.draw(weights_for(before))
     estimate = estimate_motion(before, after, weights=weights, ridge=ridge)
-    np.testing.assert_allclose(weights @ estimate.misfit, 0.0, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(weights @ estimate.residual_vectors, 0.0, rtol=0.0, atol=1e-12)
 
 
 @given(point_sets())
@@ -345,7 +347,7 @@ def test_a_reused_estimator_gives_what_estimate_motion_gives(
         reused = estimator.estimate(after, prior)
         fresh = estimate_motion(points, after, weights=weights, ridge=ridge, prior=prior)
         np.testing.assert_array_equal(reused.motion, fresh.motion)
-        np.testing.assert_array_equal(reused.residuals, fresh.residuals)
+        np.testing.assert_array_equal(reused.residual_norms, fresh.residual_norms)
 
 
 @given(point_sets(), ridges, rotations, st.data())
@@ -380,7 +382,7 @@ def test_no_result_shares_memory_with_the_next() -> None:
     points = 0.05 * np.random.default_rng(5).normal(size=(6, 3))
     estimator = MotionEstimator(points)
     first = estimator.estimate(points)
-    first.motion[:], first.residuals[:], first.misfit[:] = np.nan, np.nan, np.nan
+    first.motion[:], first.residual_norms[:], first.residual_vectors[:] = np.nan, np.nan, np.nan
     second: MotionEstimate = estimator.estimate(points)
     np.testing.assert_allclose(second.motion, np.eye(4), rtol=0.0, atol=1e-13)
     with pytest.raises(ValueError, match="read-only"):

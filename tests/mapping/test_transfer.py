@@ -5,7 +5,6 @@ What its parts do to pivots and points, clamping, gain, mirrored motions and uni
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,9 @@ from strategies import affine_motions, generators, motion_of, poses
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
+from handmap_qp.mapping.method import HumanSample, RobotPosture
 from handmap_qp.mapping.reference import Reference, make_reference, partner_pairs
-from handmap_qp.mapping.transfer import transfer_motion
+from handmap_qp.mapping.transfer import Transfer, transfer_motion
 from handmap_qp.transform import transform_points
 
 HUMAN = load_hand("human", points="fingertips_middle")
@@ -44,23 +44,28 @@ def reference_of(
     estimator = MotionEstimator(
         points, ridge=options.ridge, has_prior=options.rigid_from == "wrist"
     )
-    return make_reference(
-        HUMAN,
-        ROBOT,
-        options,
-        estimator,
-        points,
-        human_wrist,
-        robot,
-        partner_pairs(HUMAN, ROBOT, options),
-    )
+    posture = RobotPosture(ROBOT.rest, robot.points.copy(), robot_wrist)
+    partners = partner_pairs(HUMAN, ROBOT) if options.residual_gain > 0.0 else []
+    sample = HumanSample(points, human_wrist)
+    return make_reference(HUMAN, ROBOT, options, estimator, sample, posture, partners)
 
 
 def exact(motion: np.ndarray) -> MotionEstimate:
     """The estimate of points that a motion moves exactly."""
-    return MotionEstimate(
-        motion=motion, singular_values=np.ones(3), misfit=np.zeros((len(HUMAN.reference_points), 3))
-    )
+    none = np.zeros((len(HUMAN.reference_points), 3))
+    return MotionEstimate(motion[:3, :3], np.zeros(3), motion[:3, 3], none, none, np.ones(3))
+
+
+def transfer_of(
+    estimate: MotionEstimate,
+    reference: Reference,
+    wrist: np.ndarray | None,
+    options: MappingOptions,
+    points: np.ndarray | None = None,
+) -> Transfer:
+    """Carry a motion over; the points now matter to the residual alone."""
+    now = np.zeros((len(HUMAN.reference_points), 3)) if points is None else points
+    return transfer_motion(estimate, reference, HumanSample(now, wrist), options)
 
 
 def image(motion: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -74,9 +79,7 @@ def test_the_parts_multiply_to_the_motion(
     rigid_from: Any, pivot: Any, motion: np.ndarray, wrist: np.ndarray, start: np.ndarray
 ) -> None:
     options = options_of(rigid_from=rigid_from, pivot=pivot, **OPEN)
-    transfer = transfer_motion(
-        exact(motion), reference_of(options, start, np.eye(4)), wrist, options
-    )
+    transfer = transfer_of(exact(motion), reference_of(options, start, np.eye(4)), wrist, options)
     np.testing.assert_allclose(
         transfer.motion_deformation @ transfer.motion_rigid, motion, atol=1e-12
     )
@@ -89,7 +92,7 @@ def test_the_rigid_part_carries_the_pivot_and_the_deformation_leaves_it(
 ) -> None:
     options = options_of(pivot=pivot, **OPEN)
     reference = reference_of(options, start, np.eye(4))
-    transfer = transfer_motion(exact(motion), reference, None, options)
+    transfer = transfer_of(exact(motion), reference, None, options)
     moved = image(motion, reference.human_pivot)
     np.testing.assert_allclose(
         image(transfer.motion_rigid, reference.human_pivot), moved, atol=1e-12
@@ -105,12 +108,12 @@ def test_a_rigid_motion_deforms_nothing(
 ) -> None:
     options = options_of(pivot=pivot, alignment=alignment)
     reference = reference_of(options, start, robot_wrist)
-    transfer = transfer_motion(exact(pose), reference, None, options)
+    transfer = transfer_of(exact(pose), reference, None, options)
     np.testing.assert_allclose(transfer.motion_deformation, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(transfer.stretches, 1.0, atol=1e-12)
     # The robot's points and wrist move as one body.
     body = transfer.wrist_target @ np.linalg.inv(robot_wrist)
-    start_points = reference.robot_arms + reference.robot_pivot
+    start_points = reference.robot_offsets + reference.robot_pivot
     np.testing.assert_allclose(transfer.targets, transform_points(body, start_points), atol=1e-12)
 
 
@@ -120,7 +123,7 @@ def test_a_rigid_motion_of_points_and_wrist_is_all_rigid_unless_the_wrist_is_to_
     rigid_from: Any, pose: np.ndarray, start: np.ndarray
 ) -> None:
     options = options_of(rigid_from=rigid_from)
-    transfer = transfer_motion(
+    transfer = transfer_of(
         exact(pose), reference_of(options, start, np.eye(4)), pose @ start, options
     )
     rigid, rest = (np.eye(4), pose) if rigid_from == "none" else (pose, np.eye(4))
@@ -134,9 +137,7 @@ def test_a_mirrored_motion_never_yields_a_reflection(
     rigid_from: Any, motion: np.ndarray, wrist: np.ndarray, start: np.ndarray
 ) -> None:
     options = options_of(rigid_from=rigid_from)
-    transfer = transfer_motion(
-        exact(motion), reference_of(options, start, np.eye(4)), wrist, options
-    )
+    transfer = transfer_of(exact(motion), reference_of(options, start, np.eye(4)), wrist, options)
     assert transfer.is_clamped
     assert transfer.stretches[2] < 0.0
     for proper in (transfer.motion_rigid, transfer.wrist_target):
@@ -155,7 +156,7 @@ def test_mirrored_points_never_turn_the_robots_wrist_inside_out(
     options = options_of()
     estimator = MotionEstimator(points, ridge=options.ridge)
     estimate = estimator.estimate(points * (-1.0, 1.0, 1.0))
-    transfer = transfer_motion(estimate, reference_of(options, wrist, wrist), None, options)
+    transfer = transfer_of(estimate, reference_of(options, wrist, wrist), None, options)
     assert np.linalg.det(transfer.wrist_target[:3, :3]) == pytest.approx(1.0, abs=1e-12)
     assert np.linalg.det(transfer.motion_deformation[:3, :3]) > 0.0
 
@@ -165,7 +166,7 @@ def test_no_stretch_outside_its_range_is_passed_on(
     motion: np.ndarray, low: float, high: float
 ) -> None:
     options = options_of(stretch_min=low, stretch_max=high)
-    transfer = transfer_motion(
+    transfer = transfer_of(
         exact(motion), reference_of(options, np.eye(4), np.eye(4)), None, options
     )
     passed = np.linalg.svd(transfer.motion_deformation[:3, :3], compute_uv=False)
@@ -182,7 +183,7 @@ def test_no_stretch_outside_its_range_is_passed_on(
 def test_half_the_deformation_gain_is_the_root_of_the_stretch(motion: np.ndarray) -> None:
     def deformation(gain: float) -> np.ndarray:
         options = options_of(deformation_gain=gain, stretch_min=0.01, stretch_max=np.inf)
-        return transfer_motion(
+        return transfer_of(
             exact(motion), reference_of(options, np.eye(4), np.eye(4)), None, options
         ).motion_deformation
 
@@ -199,10 +200,10 @@ def test_the_robots_points_see_the_motion_in_their_own_axes(
     # as the human's would be.
     options = options_of(alignment=alignment, **OPEN)
     reference = reference_of(options, start, robot_wrist)
-    transfer = transfer_motion(exact(motion), reference, None, options)
+    transfer = transfer_of(exact(motion), reference, None, options)
     arms = transfer.targets - transfer.targets.mean(axis=0)
     linear = np.linalg.lstsq(
-        reference.robot_arms - reference.robot_arms.mean(axis=0), arms, rcond=None
+        reference.robot_offsets - reference.robot_offsets.mean(axis=0), arms, rcond=None
     )[0].T
     np.testing.assert_allclose(np.linalg.svd(linear)[1], np.abs(transfer.stretches), atol=1e-8)
 
@@ -226,9 +227,13 @@ def test_other_units_of_length_scale_what_has_a_length_and_nothing_else(
     now = HUMAN.points(HUMAN.rest, start) + generator.normal(scale=0.02, size=(10, 3))
     prior = np.eye(3) if rigid_from == "wrist" else None
     scaled = _in_unit(reference, options, unit)
-    here = transfer_motion(reference.estimator.estimate(now, prior), reference, wrist, options)
-    there = transfer_motion(
-        scaled.estimator.estimate(unit * now, prior), scaled, _pose_in_unit(wrist, unit), options
+    here = transfer_of(reference.estimator.estimate(now, prior), reference, wrist, options, now)
+    there = transfer_of(
+        scaled.estimator.estimate(unit * now, prior),
+        scaled,
+        _pose_in_unit(wrist, unit),
+        options,
+        unit * now,
     )
     np.testing.assert_allclose(there.targets, unit * here.targets, rtol=1e-9, atol=1e-9 * unit)
     np.testing.assert_allclose(
@@ -245,14 +250,14 @@ def _in_unit(reference: Reference, options: MappingOptions, unit: float) -> Refe
     """The same reference measured in another unit of length."""
     human_wrist = np.eye(4) if reference.human_wrist is None else reference.human_wrist
     points = unit * HUMAN.points(HUMAN.rest, human_wrist)
-    return replace(
-        reference,
+    return reference._replace(
         estimator=MotionEstimator(
             points, ridge=options.ridge, has_prior=options.rigid_from == "wrist"
         ),
         human_wrist=_pose_in_unit(human_wrist, unit),
+        human_offsets=unit * reference.human_offsets,
         human_pivot=unit * reference.human_pivot,
-        robot_arms=unit * reference.robot_arms,
+        robot_offsets=unit * reference.robot_offsets,
         robot_wrist=_pose_in_unit(reference.robot_wrist, unit),
         robot_pivot=unit * reference.robot_pivot,
     )
@@ -261,6 +266,4 @@ def _in_unit(reference: Reference, options: MappingOptions, unit: float) -> Refe
 def test_a_wrist_is_needed_where_it_gives_the_rigid_part() -> None:
     options = options_of(rigid_from="wrist")
     with pytest.raises(InvalidInputError, match="wrist_pose"):
-        transfer_motion(
-            exact(np.eye(4)), reference_of(options, np.eye(4), np.eye(4)), None, options
-        )
+        transfer_of(exact(np.eye(4)), reference_of(options, np.eye(4), np.eye(4)), None, options)

@@ -110,7 +110,7 @@ def test_distance_of_the_points_from_what_T_wants(
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
 def test_T_from_the_first_configuration(scene: Scene, table: dict[str, Any], synergy: int) -> None:
-    found = object_error(run(scene, synergy, start="initial"))
+    found = object_error(run(scene, synergy, start="first"))
     assert agrees(found, table["at_50_steps"]["closed_loop"][synergy - 1])
 
 

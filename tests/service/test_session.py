@@ -64,7 +64,7 @@ def test_joints_keep_their_speed_limits_whatever_comes(
                 change(
                     mapping={
                         "scale": abs(phase),
-                        "reference": "previous" if phase < 0.0 else "initial",
+                        "reference": "previous" if phase < 0.0 else "first",
                     }
                 )
             )

@@ -1,0 +1,120 @@
+"""The seam between a mapper and its mapping method.
+
+A method says how a human sample becomes targets of the robot. It goes through three stages:
+
+    Method                      the choices, independent of any hand
+      .bind(human, robot)    -> BoundMethod: checked against two hands
+      .start(sample, posture) -> TargetMap: counted from one reference
+      .targets(sample)       -> Targets: of one sample, for the QP
+
+`handmap_qp.mapping.methods` has the methods that come with the package; `Homogeneous` is the paper's.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import msgspec
+import numpy as np
+
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.tasks import Task
+
+
+class HumanSample(NamedTuple):
+    """A human hand at one instant, in the human's world W.
+
+    Attributes:
+        points: Its reference points [m], shape (n_h, 3).
+        wrist: Pose of its wrist, shape (4, 4); None where it was not measured.
+    """
+
+    points: np.ndarray
+    wrist: np.ndarray | None
+
+
+class RobotPosture(NamedTuple):
+    """A robot hand at one instant, in the robot's world V.
+
+    Attributes:
+        q: Joint positions in the order of `Hand.joint_names` [rad or m], shape (n,).
+        points: Its reference points [m], shape (n_r, 3).
+        wrist: Pose of its wrist, shape (4, 4).
+    """
+
+    q: np.ndarray
+    points: np.ndarray
+    wrist: np.ndarray
+
+
+class Targets(msgspec.Struct, frozen=True, eq=False):
+    """What a method asks of the robot for one sample.
+
+    Attributes:
+        points: Where the robot's reference points should be [m], shape (n_r, 3).
+        wrist: Where its wrist should be, shape (4, 4); None leaves it free.
+        diagnostics: How the method came to it; `MapStep.diagnostics` carries it.
+        tasks: Further terms of the QP's cost, for this sample.
+        margins: Distance that each pair of collision shapes keeps in this sample [m], shape (k,);
+            the hand's own margin if omitted.
+    """
+
+    points: np.ndarray
+    wrist: np.ndarray | None
+    diagnostics: Any = None
+    tasks: tuple[Task, ...] = ()
+    margins: np.ndarray | None = None
+
+
+class TargetMap(Protocol):
+    """Turns samples into targets, counted from one reference of both hands.
+
+    Attributes:
+        rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,).
+    """
+
+    rest: np.ndarray
+
+    def targets(self, sample: HumanSample) -> Targets:
+        """Return the targets of one sample; a failure changes nothing."""
+        ...
+
+
+class BoundMethod(Protocol):
+    """A method for two given hands.
+
+    Attributes:
+        needs_wrist: What every sample's wrist pose is needed for; empty if for nothing.
+        reference_needs_wrist: What the wrist pose of a reference sample is needed for; empty if for
+            nothing.
+        renews_reference: Whether every sample becomes the reference of the next one (Fig. 3).
+    """
+
+    needs_wrist: str
+    reference_needs_wrist: str
+    renews_reference: bool
+
+    def start_palm(self, sample: HumanSample) -> np.ndarray:
+        """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""
+        ...
+
+    def start(self, sample: HumanSample, robot: RobotPosture) -> TargetMap:
+        """Take both hands as they are for the reference.
+
+        Raises:
+            DegeneratePointsError: If the sample's points do not determine a motion.
+        """
+        ...
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A mapping method: its choices, independent of any hand."""
+
+    def bind(self, human: Hand, robot: Hand) -> BoundMethod:
+        """Check the method against two hands, and prepare what depends on them alone.
+
+        Raises:
+            InvalidOptionsError: If the choices contradict the hands.
+        """
+        ...

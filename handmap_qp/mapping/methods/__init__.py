@@ -1,0 +1,1 @@
+"""The mapping methods that come with the package, a file each."""

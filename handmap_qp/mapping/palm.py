@@ -1,0 +1,64 @@
+"""The robot's palm follows the human's: the wrist target of methods that work in palm axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.method import HumanSample, RobotPosture
+from handmap_qp.transform import affine, inverse_pose
+
+
+class PalmFollower:
+    """Moves the robot's palm as the human's palm moves from a reference on.
+
+    Rotations and translations are the same in the axes of both worlds. Where the robot's palm lies
+    on the human's at the reference, it stays there. A robot whose wrist cannot move keeps its palm.
+
+    Args:
+        human: The hand that leads.
+        robot: The hand that follows.
+        sample: The human hand at the reference.
+        posture: The robot hand at the reference.
+    """
+
+    def __init__(
+        self, human: Hand, robot: Hand, sample: HumanSample, posture: RobotPosture
+    ) -> None:
+        self._human_wrist_to_palm = human.wrist_to_palm
+        self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
+        self._is_still = not robot.has_moving_wrist
+        before, self._start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
+        self._rotation = before[:3, :3].T @ self._start[:3, :3]
+        self._offset = self._start[:3, 3] - before[:3, 3]
+
+    def palms(self, sample: HumanSample) -> tuple[np.ndarray, np.ndarray]:
+        """Return the human's palm and the target of the robot's palm, shape (4, 4) each."""
+        wrist = sample.wrist
+        if wrist is None:
+            raise _missing_wrist()
+        human_palm = wrist.dot(self._human_wrist_to_palm)
+        if self._is_still:
+            return human_palm, self._start
+        rotation = human_palm[:3, :3].dot(self._rotation)
+        return human_palm, affine(rotation, human_palm[:3, 3] + self._offset)
+
+    def wrist(self, palm: np.ndarray) -> np.ndarray:
+        """Return the robot's wrist pose for a pose of its palm, shape (4, 4)."""
+        return palm.dot(self._robot_palm_to_wrist)
+
+
+def palm_of(sample: HumanSample, human: Hand) -> np.ndarray:
+    """Return the palm pose of a sample, shape (4, 4).
+
+    Raises:
+        InvalidInputError: If its wrist was not measured.
+    """
+    if sample.wrist is None:
+        raise _missing_wrist()
+    return sample.wrist @ human.wrist_to_palm
+
+
+def _missing_wrist() -> InvalidInputError:
+    return InvalidInputError(argument="wrist_pose", problem="needed for the pose of the palm")
