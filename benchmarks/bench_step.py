@@ -29,6 +29,8 @@ import handmap_qp.mapping.mapper
 import handmap_qp.mapping.transfer
 from handmap_qp import HandMapper, MappingOptions, MissingExtraError, load_hand
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.methods import homogeneous
+from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
 from handmap_qp.trackers.recording import HumanMotion
 
 RECORDING = "quest3_webxr_right"
@@ -104,14 +106,15 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
     ik, course = mapper.point_ik, mapper._course
-    reference = course.map.reference if course else None
+    counted = course.map if course else None
+    reference = counted.reference if isinstance(counted, HomogeneousMap) else None
     wrapped = [
         (handmap_qp.mapping.mapper, "check_pose", "checks"),
         (mapper, "_check_joints", "checks"),
         (mapper, "_human_sample", "human FK"),
         (reference.estimator if reference else None, "estimate", "estimation"),
         (handmap_qp.mapping.transfer, "polar", "decomposition"),
-        (handmap_qp.mapping.methods.homogeneous, "transfer_motion", "targets"),
+        (homogeneous, "transfer_motion", "targets"),
         (ik._limits, "bounds", "limits"),
         (ik.configuration, "stacked_jacobian", "Jacobians"),
         (ik, "_linearise", "assembly"),

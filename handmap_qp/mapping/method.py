@@ -52,7 +52,7 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         points: Where the robot's reference points should be [m], shape (n_r, 3).
-        wrist: Where its wrist should be, shape (4, 4); None leaves it free.
+        wrist: Where its wrist should be, shape (4, 4); a fixed wrist stays where it is.
         diagnostics: How the method came to it; `MapStep.diagnostics` carries it.
         tasks: Further terms of the QP's cost, for this sample.
         margins: Distance that each pair of collision shapes keeps in this sample [m], shape (k,);
@@ -60,7 +60,7 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
     """
 
     points: np.ndarray
-    wrist: np.ndarray | None
+    wrist: np.ndarray
     diagnostics: Any = None
     tasks: tuple[Task, ...] = ()
     margins: np.ndarray | None = None

@@ -107,8 +107,8 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return self.asked.points
 
     @property
-    def wrist_target(self) -> np.ndarray | None:
-        """Where the robot's wrist should be, shape (4, 4); None if the method leaves it free."""
+    def wrist_target(self) -> np.ndarray:
+        """Where the robot's wrist should be, shape (4, 4)."""
         return self.asked.wrist
 
     @property

@@ -16,7 +16,7 @@ from handmap_qp.mapping.options import Alignment, MappingOptions, Pivot, Referen
 if TYPE_CHECKING:
     import viser
 
-LEFT_OUT = ("solver", "joint_tolerance", "step_tolerance", "point_tolerance")
+LEFT_OUT = ("solver", "step_tolerance", "point_tolerance")
 """Options without a control: they have no visible effect."""
 
 

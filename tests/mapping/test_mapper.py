@@ -9,6 +9,7 @@ from strategies import poses, rotations
 
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.options import Pivot
 from handmap_qp.transform import affine, transform_points
 
 HUMAN = load_hand("human")
@@ -82,7 +83,7 @@ def test_moving_the_humans_world_carries_the_wrist_and_leaves_the_joints(
 @pytest.mark.parametrize("pivot", ["centroid", "palm"])
 @given(rotation=rotations, q=small_postures())
 def test_palm_alignment_makes_the_joints_independent_of_where_the_robot_stands(
-    pivot: str, rotation: np.ndarray, q: np.ndarray
+    pivot: Pivot, rotation: np.ndarray, q: np.ndarray
 ) -> None:
     commands = []
     for wrist in (np.eye(4), affine(rotation, np.array([0.3, -1.0, 0.5]))):

@@ -133,7 +133,7 @@ def test_turning_the_robots_world_and_the_alignment_turns_the_robot(
     generator: np.random.Generator,
 ) -> None:
     choices = {"rigid_from": rigid_from, "pivot": pivot, "reference": reference}
-    rows = tuple(tuple(row) for row in rotation.tolist())
+    rows: Any = tuple(tuple(row) for row in rotation.tolist())
     world, start = motion_of(rotation, translation), little_pose(generator)
     here, there = (
         HandMapper(HUMAN, THREE, **choices),

@@ -92,10 +92,14 @@ FIXED = {"mount": "fixed", "mapping": {"rigid_from": "none"}}
 @pytest.mark.parametrize(
     ("choices", "changes", "field"),
     [
-        ({"robot": "panda_gripper"}, {"ik": {"avoids_self_collision": True}}, "ik"),
+        (
+            {"robot": "panda_gripper"},
+            {"ik": {"avoids_self_collision": True}},
+            "ik.avoids_self_collision",
+        ),
         ({}, {"ik": {"rest_weight": 1e300}}, "ik"),
         ({}, {"ik": {"max_acceleration": 0.0}, "mapping": {"ridge": 0.2}}, "ik.max_acceleration"),
-        (FIXED, {"mapping": {"rigid_from": "points"}}, "mapping"),
+        (FIXED, {"mapping": {"rigid_from": "points"}}, "mapping.rigid_from"),
     ],
     ids=str,
 )

@@ -239,7 +239,7 @@ OPENINGS = {
     "unknown option": ({"mapping": {"ridg": 1.0}}, "mapping.ridg"),
     "option of another type": ({"mapping": {"ridge": "much"}}, "mapping.ridge"),
     "option out of range": ({"mapping": {"ridge": -1.0}}, "mapping.ridge"),
-    "options that contradict": ({"mapping": {"pivot": "point"}}, "mapping"),
+    "options that contradict": ({"mapping": {"pivot": "point"}}, "mapping.pivot_point"),
     "endless iterations": ({"ik": {"max_iterations": 10**9}}, "ik.max_iterations"),
     "a solver of choice": ({"ik": {"solver": "os"}}, "ik.solver"),
     "too few angles": ({"robot_q": (0.0,)}, "robot_q"),

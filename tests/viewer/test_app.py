@@ -352,7 +352,7 @@ def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -
     viewer.tick(0.0)
     assert replay.samples is samples
     assert viewer.steering.message.visible
-    assert "ridge=0 needs 4" in viewer.steering.message.content
+    assert "ridge: 0 needs 4" in viewer.steering.message.content
     viewer.steering.options.handles["ridge"].value = 0.2
     viewer.tick(0.0)
     assert replay.mapping == MappingOptions(ridge=0.2)

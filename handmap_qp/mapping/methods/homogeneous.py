@@ -6,7 +6,6 @@ T by least squares (eqs. 5-6), `T = T_def T_rb` (eqs. 2-3), imposed on the robot
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -56,6 +55,9 @@ class BoundHomogeneous:
         self.rigid = RIGID_PARTS[options.rigid_from]
         self.renews_reference = options.reference == "previous"
         self.needs_wrist = f"rigid_from={options.rigid_from!r}" if self.rigid.needs_wrist else ""
+        self.reference_needs_wrist = " and ".join(
+            f"{name}='palm'" for name in ("pivot", "alignment") if getattr(options, name) == "palm"
+        )
         self._check_hands()
         self._partners = (
             require_partners(
@@ -68,12 +70,6 @@ class BoundHomogeneous:
             if options.residual_gain > 0.0
             else []
         )
-
-    @cached_property
-    def reference_needs_wrist(self) -> str:
-        """Name the options that need the palm at the reference."""
-        needs = [name for name in ("pivot", "alignment") if getattr(self.options, name) == "palm"]
-        return " and ".join(f"{name}='palm'" for name in needs)
 
     def start_palm(self, sample: HumanSample) -> np.ndarray:
         """Return the human's palm in the robot's world; its origin with `alignment="palm"`."""
