@@ -1,11 +1,11 @@
-"""The collision shapes of a hand's URDF, as Pinocchio and coal measure distances between them."""
+"""The collision shapes of a hand's URDF, between which Pinocchio and coal measure distances."""
 
 from __future__ import annotations
 
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf.files import package_share
+from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
 
 
 def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
@@ -15,28 +15,23 @@ def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
         hand: The hand.
 
     Returns:
-        Shapes on the joints of `hand.model`, with no pairs yet; the caller's own, to add to.
+        Shapes on the joints of `hand.model`, without collision pairs; a new model, which the caller
+        may change.
 
     Raises:
         HandError: If a shape cannot be read.
-        MissingExtraError: If meshes live in a package that is not installed.
+        MissingExtraError: If meshes lie in a package that is not installed.
     """
-    spec = hand.spec
-    folders = [str(spec.directory or ".")]
-    if spec.urdf.startswith("package://"):
-        folders.append(str(package_share(spec.urdf.removeprefix("package://").partition("/")[0])))
+    text = urdf_with_mesh_paths(hand.spec, hand.urdf_text)
     try:
-        geometry = pin.buildGeomFromUrdfString(
-            hand.model, hand.urdf_text, pin.GeometryType.COLLISION, package_dirs=folders
-        )
+        geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
     except (RuntimeError, ValueError) as error:
-        raise spec.error(
-            f"the collision shapes cannot be read: {' '.join(str(error).split())}", key="urdf"
-        ) from error
+        message = f"the collision shapes cannot be read: {' '.join(str(error).split())}"
+        raise hand.spec.error(message, key="urdf") from error
     for part in geometry.geometryObjects:
         if hasattr(part.geometry, "buildConvexRepresentation"):
-            # A bare mesh is a surface without an inside: what lies within it would go unnoticed,
-            # and an overlap has no depth.
+            # A mesh is a surface without an inside: an object within it would not be noticed, and
+            # an overlap would have no depth.
             part.geometry.buildConvexRepresentation(False)
             part.geometry = part.geometry.convex
     return geometry

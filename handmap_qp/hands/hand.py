@@ -2,7 +2,7 @@
 
 The model holds the wrist too: a floating hand hangs from a free-flyer, a fixed one from the world.
 Reference points are frames of the model, so one Pinocchio call places them all. `joint_names` owns
-the order of every `q` that crosses the API; Pinocchio sorts sibling joints by name, and only this
+the order of every `q` that crosses the API. Pinocchio sorts sibling joints by name, and only this
 file knows both orders.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,34 +18,37 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.mimic import (
-    Expansion,
-    MimicRule,
-    expansion_matrix,
-    read_mimic_rules,
-    tighten_model,
+from handmap_qp.hands.mimic import Expansion, expansion_matrix, tighten_model
+from handmap_qp.hands.model import (
+    add_frame,
+    build_model,
+    check_limits,
+    check_wrist,
+    choose_mount,
+    mimic_rules,
+    palm_in_link,
+    tangent_expansion,
 )
-from handmap_qp.hands.spec import HandSpec, Mount, PointSpec
+from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point
 from handmap_qp.hands.urdf.compose import compose_urdf
-from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.hands.urdf.files import read_urdf as read_urdf
 from handmap_qp.hands.urdf.files import urdf_path as urdf_path
-from handmap_qp.transform import affine
+from handmap_qp.transform import PoseLike, affine, as_floats, check_pose
 
-_ROOT = "wrist_mount"
+Points = str | Sequence[str | PointSpec]
+"""A choice of reference points: the name of a set, or names and points."""
 
 
 class Hand:
-    """A hand.
+    """A hand: a URDF in Pinocchio, the order of its joints, its frames and reference points.
 
-    A URDF in Pinocchio, the order of its joints, its palm and wrist frames and its reference
-    points. Sessions may share it: its arrays are read-only, and its methods return new ones.
+    Sessions may share a hand: its arrays are read-only, and its methods return new ones.
 
     Args:
-        spec: What the hand is.
+        spec: The description.
         points: Reference points to use: the name of one of the spec's sets, names of its points, or
             points of your own (link and offset). The spec's own choice if omitted.
-        mount: `floating` or `fixed`, overriding the spec's.
+        mount: `floating` or `fixed`, in place of the spec's.
         urdf_text: URDF to use in place of the spec's file (a scaled one, say).
 
     Attributes:
@@ -54,54 +58,60 @@ class Hand:
         mount: `floating` or `fixed`.
         urdf_text: The URDF as it was built, after scaling and mirroring.
         model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints
-            in Pinocchio's order, and the reference points as its last frames.
+            in Pinocchio's order, and the reference points as its last frames. Do not change it.
         joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
-            them. Followers of other joints (mimic) are none of them.
-        q_indices: Where they are in a configuration, shape (n,).
-        v_indices: Where they are in the model's tangent space, shape (n,).
-        lower_limits: Lower position limits, those of the joints' followers considered [rad, or m of
-            a prismatic joint], shape (n,).
+            them. Joints that follow others (mimic) are not among them.
+        q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
+        v_indices: Indices of the joints in the model's tangent space, shape (n,).
+        lower_limits: Lower position limits [rad, or m of a prismatic joint], tightened so that
+            followers keep theirs, shape (n,).
         upper_limits: Upper position limits [rad or m], shape (n,).
         velocity_limits: Speed limits [rad/s or m/s], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
         expansion: From the active tangent coordinates (wrist and `joint_names`, in the model's
             order; k of them) to all of the model's: S, shape (nv, k), and the followers' offsets,
-            shape (nv,). None without followers: all are active.
-        active_columns: Where the active coordinates are in the model's tangent space, shape (k,).
-        joint_columns: Where the joints are in the active coordinates, in the order of
+            shape (nv,). None without followers: all coordinates are active.
+        active_columns: Indices of the active coordinates in the model's tangent space, shape (k,).
+        joint_columns: Indices of the joints in the active coordinates, in the order of
             `joint_names`, shape (n,).
         all_joint_names: Every movable joint of the URDF: `joint_names`, then followers, then locked
             joints.
         all_joint_roles: What each is: `active`, `follower` or `locked`.
-        notes: What was found odd while building the hand, a sentence each.
+        notes: Oddities found while building the hand, a sentence each.
         reference_points: The points in use; m of them.
         point_weights: Their weights, shape (m,).
+        palm_frame_id: Index of the palm frame in the model.
+        wrist_frame_id: Index of the wrist frame in the model.
+        first_point_frame: Index of the first reference point's frame in the model.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
 
     Raises:
         HandError: If spec and URDF do not fit together, naming file, key and value.
-        MissingExtraError: If the URDF lives in a package that is not installed.
+        InvalidInputError: If an argument is of another type than expected.
+        MissingExtraError: If the URDF lies in a package that is not installed.
     """
 
     def __init__(
         self,
         spec: HandSpec,
         *,
-        points: str | tuple[str | PointSpec, ...] | None = None,
+        points: Points | None = None,
         mount: Mount | None = None,
         urdf_text: str | None = None,
     ) -> None:
+        _check_type("spec", spec, HandSpec, "a HandSpec")
+        _check_type("urdf_text", urdf_text, str | None, "the text of a URDF")
         self.spec = spec
         self.name = spec.name
         self.side = spec.side
-        self.mount: Mount = _mount(spec, mount)
+        self.mount: Mount = choose_mount(spec, mount)
+        self.reference_points = _choose_points(spec, points)
         self._file_text = read_urdf(spec) if urdf_text is None else urdf_text
-        self.urdf_text, locked = compose_urdf(
-            spec, self._file_text, None if spec.arm is None else read_urdf(spec.arm)
-        )
-        rules = self._mimic_rules()
+        arm_text = None if spec.arm is None else read_urdf(spec.arm)
+        self.urdf_text, locked = compose_urdf(spec, self._file_text, arm_text)
+        rules = mimic_rules(spec, self.urdf_text)
         followers = tuple(rule.follower for rule in rules)
-        self.model = _build_model(spec, self.urdf_text, self.mount, followers)
+        self.model = build_model(spec, self.urdf_text, self.mount, followers)
         self.joint_names = spec.all_joints
         self.all_joint_names = (*self.joint_names, *followers, *locked)
         self.all_joint_roles = (
@@ -109,46 +119,20 @@ class Hand:
             + ("follower",) * len(followers)
             + ("locked",) * len(locked)
         )
-        joint_ids = [self._joint_id(name) for name in self.joint_names]
-        follower_ids = [self._joint_id(name) for name in followers]
-        self.q_indices = _frozen([self.model.joints[i].idx_q for i in joint_ids], int)
-        self.v_indices = _frozen([self.model.joints[i].idx_v for i in joint_ids], int)
-        self._follower_q = np.array([self.model.joints[i].idx_q for i in follower_ids], dtype=int)
-        follower_v = [self.model.joints[i].idx_v for i in follower_ids]
-        self.active_columns = _frozen(np.setdiff1d(np.arange(self.model.nv), follower_v), int)
-        self.joint_columns = _frozen(np.searchsorted(self.active_columns, self.v_indices), int)
-        self._expansion = expansion_matrix((*self.joint_names, *followers), self.joint_names, rules)
-        self.expansion = (
-            _tangent_expansion(self._expansion, self.active_columns, self.joint_columns, follower_v)
-            if rules
-            else None
-        )
+        self._locked = np.array(list(locked.values()))
+        self._index_joints(followers)
+        joints = expansion_matrix((*self.joint_names, *followers), self.joint_names, rules)
+        self._expansion = Expansion(_frozen(joints.matrix), _frozen(joints.offset))
+        self.expansion = self._tangent_expansion() if rules else None
         self.notes = tighten_model(self.model, rules)
         for note in self.notes:
             warnings.warn(f"{self.name}: {note}", stacklevel=2)
-        self._locked = np.array(list(locked.values()))
         self.lower_limits = _frozen(self.model.lowerPositionLimit[self.q_indices])
         self.upper_limits = _frozen(self.model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(self.model.velocityLimit[self.v_indices])
         self.rest = _frozen([spec.all_rest[name] for name in self.joint_names])
-        self._check_limits()
-        self.palm_frame_id = self._add_frame(
-            "palm", spec.palm.link, _palm_in_link(spec), "palm.link"
-        )
-        self.wrist_frame_id = self._add_frame("wrist", spec.wrist.link, np.eye(4), "wrist.link")
-        self.reference_points = self._choose_points(points)
-        self.point_weights = _frozen([point.weight for point in self.reference_points])
-        for i, point in enumerate(self.reference_points):
-            self._add_frame(
-                point.name, point.link, affine(np.eye(3), np.array(point.xyz)), f"points[{i}].link"
-            )
-        self.first_point_frame = len(self.model.frames) - len(self.reference_points)
-        wrist, palm = (
-            self.model.frames[frame] for frame in (self.wrist_frame_id, self.palm_frame_id)
-        )
-        self._check_wrist(wrist, palm)
-        self._wrist_to_root = wrist.placement.inverse()
-        self.wrist_to_palm = _frozen((self._wrist_to_root * palm.placement).homogeneous)
+        check_limits(spec, self.lower_limits, self.upper_limits, self.velocity_limits, self.rest)
+        self._add_frames()
         self._scratch = self.configuration()
 
     @property
@@ -158,10 +142,7 @@ class Hand:
 
     @property
     def has_moving_wrist(self) -> bool:
-        """Whether anything moves the wrist.
-
-        Six free coordinates, or the joints of an arm that the hand is mounted on.
-        """
+        """Whether six free coordinates or the joints of an arm move the wrist."""
         return self.model.frames[self.wrist_frame_id].parentJoint > 0
 
     def at_position_limit(self, q: np.ndarray) -> np.ndarray:
@@ -169,73 +150,93 @@ class Hand:
         return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
 
     def __repr__(self) -> str:
-        """Name, side, joints and points in one line."""
-        return (
-            f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, joints={len(self.joint_names)}, "
-            f"points={len(self.reference_points)})"
-        )
+        """Name, side, mount, joints and points in one line."""
+        counts = f"joints={len(self.joint_names)}, points={len(self.reference_points)}"
+        return f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, {counts})"
 
-    def with_points(self, points: str | tuple[str | PointSpec, ...] | None) -> Hand:
-        """The same hand, scaled as it is, with other reference points; arguments as of `Hand`."""
+    def with_points(self, points: Points | None) -> Hand:
+        """Return the same hand, scaled as it is, with other reference points.
+
+        Args:
+            points: As of `Hand`.
+
+        Raises:
+            HandError: If there is no such set or point.
+            InvalidInputError: If it is something else than names and points.
+        """
         return Hand(self.spec, points=points, mount=self.mount, urdf_text=self._file_text)
 
     def configuration(self) -> Configuration:
-        """A new workspace for this hand, for one user at a time."""
-        expansion = None if self.expansion is None else self.expansion.matrix
+        """Return a new workspace for this hand, for one user at a time."""
         return Configuration(
             self.model,
             wrist_frame=self.wrist_frame_id,
             first_point=self.first_point_frame,
-            expansion=expansion,
+            expansion=None if self.expansion is None else self.expansion.matrix,
         )
 
     def configuration_vector(
-        self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
+        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
     ) -> np.ndarray:
-        """Pinocchio's configuration vector for joint angles and a wrist pose.
+        """Compose Pinocchio's configuration vector from joint angles and a wrist pose.
 
         Args:
-            q: Joint angles in the order of `joint_names` [rad], shape (n,).
-            wrist_pose: Pose of the wrist frame in the world, shape (4, 4); the identity if omitted.
-                Refused by a fixed hand.
+            q: Joint angles in the order of `joint_names` [rad or m], shape (n,); limits are not
+                checked.
+            wrist_pose: Pose of the wrist frame in the world, shape (4, 4) or a `pinocchio.SE3`; the
+                identity if omitted. A fixed hand rejects it.
 
         Returns:
             Configuration, shape (model.nq,).
 
         Raises:
-            InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
+            InvalidInputError: On a wrong shape, anything but finite numbers, something else than a
+                pose, or a wrist pose for a fixed hand.
         """
-        angles = np.asarray(q, dtype=float)
-        if angles.shape != (len(self.joint_names),):
-            raise InvalidInputError(
-                f"q: expected shape ({len(self.joint_names)},) for {self.name}, got {angles.shape}"
-            )
-        if wrist_pose is not None and not self.is_floating:
-            raise InvalidInputError(
-                f"{self.name} has a fixed wrist: its pose cannot be given (mount='floating' frees it)"
-            )
+        angles = as_floats(q, "q", shape=(len(self.joint_names),), is_finite=True)
+        pose = np.eye(4)
+        if wrist_pose is not None:
+            pose = check_pose(wrist_pose, "wrist_pose")
+            if not self.is_floating:
+                raise InvalidInputError(
+                    argument="wrist_pose",
+                    problem=f"{self.name} has a fixed wrist, whose pose cannot be given",
+                    value=wrist_pose,
+                    advice="mount='floating' frees it",
+                )
         vector = np.zeros(self.model.nq)
-        self.write_configuration(vector, angles, np.eye(4) if wrist_pose is None else wrist_pose)
+        self.write_configuration(vector, angles, pose)
         return vector
 
     def write_configuration(
         self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray
     ) -> None:
-        """The same into an array of the caller's, unchecked, for use sample by sample.
+        """Write a configuration into an array of the caller's, for use sample by sample.
 
-        A fixed hand ignores the wrist pose.
+        Args:
+            vector: Where to write, shape (model.nq,).
+            q: Joint angles [rad or m], shape (n,); values are not checked.
+            wrist_pose: Wrist in the world, shape (4, 4), not checked; ignored by a fixed hand.
+
+        Raises:
+            InvalidInputError: On a wrong shape or type; the array may be written in part.
         """
-        vector[self.q_indices] = q
-        if self.expansion is not None:
-            matrix, offset = self._expansion
-            vector[self._follower_q] = matrix[len(q) :] @ q + offset[len(q) :]
-        if self.is_floating:
-            vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
+        try:
+            vector[self.q_indices] = q
+            if self.expansion is not None:
+                matrix, offset = self._expansion
+                vector[self._follower_q] = matrix[len(q) :] @ q + offset[len(q) :]
+            if self.is_floating:
+                vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
+        except (TypeError, ValueError, IndexError) as error:
+            raise InvalidInputError(
+                argument="vector, q and wrist_pose",
+                expected=f"shapes ({self.model.nq},), ({len(self.joint_names)},) and (4, 4)",
+                got=str(error),
+            ) from error
 
     def all_joints(self, q: npt.ArrayLike) -> np.ndarray:
-        """Positions of every movable joint of the URDF, followers and locked ones among them.
-
-        For a driver that wants them all.
+        """Compute the positions of every movable joint of the URDF, for a driver that needs them.
 
         Args:
             q: Joint angles in the order of `joint_names` [rad or m], shape (n,), or one row a
@@ -243,260 +244,197 @@ class Hand:
 
         Returns:
             Positions in the order of `all_joint_names` [rad or m], shape (n_all,) or (T, n_all).
-        """
-        angles = np.asarray(q, dtype=float)
-        moving = angles @ self._expansion.matrix.T + self._expansion.offset
-        return np.concatenate(
-            [moving, np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))],
-            axis=-1,
-        )
 
-    def points(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
-        """Positions of the reference points (eq. 4).
+        Raises:
+            InvalidInputError: On a wrong shape, or anything but finite numbers.
+        """
+        count = len(self.joint_names)
+        angles = as_floats(q, "q", is_finite=True)
+        if angles.ndim not in (1, 2) or angles.shape[-1] != count:
+            expected, got = f"shape ({count},) or (T, {count})", f"shape {angles.shape}"
+            raise InvalidInputError(argument="q", expected=expected, value=q, got=got)
+        moving = angles @ self._expansion.matrix.T + self._expansion.offset
+        locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
+        return np.concatenate([moving, locked], axis=-1)
+
+    def points(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> np.ndarray:
+        """Compute the positions of the reference points (eq. 4).
 
         Args:
-            q: Joint angles [rad], shape (n,).
+            q: Joint angles [rad or m], shape (n,).
             wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
 
         Returns:
             Points in the world [m], shape (m, 3).
+
+        Raises:
+            InvalidInputError: As `configuration_vector`.
         """
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         return self._scratch.points.copy()
 
-    def point_jacobian(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
-        """Derivative of the reference points with respect to the joint angles.
+    def point_jacobian(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> np.ndarray:
+        """Compute the derivative of the reference points with respect to the joint angles.
 
         Args:
-            q: Joint angles [rad], shape (n,).
+            q: Joint angles [rad or m], shape (n,).
             wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
 
         Returns:
-            Jacobian [m/rad], rows x, y, z of each point in turn, columns in the order of
-            `joint_names`, shape (3 m, n).
+            Jacobian [m/rad, or without unit], rows x, y, z of each point in turn, columns in the
+            order of `joint_names`, shape (3 m, n).
+
+        Raises:
+            InvalidInputError: As `configuration_vector`.
         """
         self._scratch.place_with_jacobians(self.configuration_vector(q, wrist_pose))
         return self._scratch.point_jacobian()[:, self.joint_columns]
 
     def frame_pose(
-        self, frame: str, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
+        self, frame: str, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
     ) -> np.ndarray:
-        """Pose of a link or joint, of `"palm"` or of `"wrist"` in the world.
+        """Compute the pose of a frame in the world.
 
         Args:
             frame: `"palm"`, `"wrist"`, the name of a reference point, of a link, or of a joint
-                (whose frame is its child link's).
-            q: Joint angles [rad], shape (n,).
+                (whose frame is its child link's), searched in this order.
+            q: Joint angles [rad or m], shape (n,).
             wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
 
         Returns:
             Pose, shape (4, 4).
 
         Raises:
-            InvalidInputError: If there is no such frame.
+            InvalidInputError: If there is no such frame, or as `configuration_vector`.
         """
-        own = f"{_ROOT}/{frame}"
-        if not self.model.existFrame(own):
-            if self.model.existFrame(frame, pin.FrameType.BODY) or not self.model.existFrame(
-                frame, pin.FrameType.JOINT
-            ):
-                return self.link_poses([frame], q, wrist_pose)[0]
-            own = frame
+        frame_id = self._find_frame(frame)
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        return self._scratch.data.oMf[self.model.getFrameId(own)].homogeneous
+        return self._scratch.data.oMf[frame_id].homogeneous
 
     def link_poses(
-        self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
+        self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
     ) -> np.ndarray:
-        """Poses of links in the world, where `frame_pose` would find a palm, wrist or reference point of the same name first.
+        """Compute the poses of links in the world.
+
+        Only links are searched, where `frame_pose` finds a palm, wrist or reference point of the
+        same name first.
 
         Args:
             links: Names of links of the URDF, k of them.
-            q: Joint angles [rad], shape (n,).
+            q: Joint angles [rad or m], shape (n,).
             wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
 
         Returns:
             Poses, shape (k, 4, 4).
 
         Raises:
-            InvalidInputError: If there is no such link.
+            InvalidInputError: If there is no such link, or as `configuration_vector`.
         """
-        for link in links:
-            if not self.model.existFrame(link, pin.FrameType.BODY):
-                raise InvalidInputError(f"{self.name} has no link {link!r}", value=link)
+        if isinstance(links, str) or not isinstance(links, Sequence):
+            raise InvalidInputError(argument="links", expected="names of links", value=links)
+        frames = [self._find_link(link, f"links[{i}]") for i, link in enumerate(links)]
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        frames = [self.model.getFrameId(link, pin.FrameType.BODY) for link in links]
-        return np.array([self._scratch.data.oMf[frame].homogeneous for frame in frames]).reshape(
-            -1, 4, 4
+        poses = [self._scratch.data.oMf[frame].homogeneous for frame in frames]
+        return np.array(poses).reshape(-1, 4, 4)
+
+    def _index_joints(self, followers: Sequence[str]) -> None:
+        """Find where the joints are in Pinocchio's vectors."""
+        model = self.model
+        joints = [model.joints[model.getJointId(name)] for name in self.joint_names]
+        following = [model.joints[model.getJointId(name)] for name in followers]
+        self.q_indices = _frozen([joint.idx_q for joint in joints], int)
+        self.v_indices = _frozen([joint.idx_v for joint in joints], int)
+        self._follower_q = np.array([joint.idx_q for joint in following], dtype=int)
+        self._follower_v = [joint.idx_v for joint in following]
+        self.active_columns = _frozen(np.setdiff1d(np.arange(model.nv), self._follower_v), int)
+        self.joint_columns = _frozen(np.searchsorted(self.active_columns, self.v_indices), int)
+
+    def _tangent_expansion(self) -> Expansion:
+        matrix, offset = tangent_expansion(
+            self._expansion, self.active_columns, self.joint_columns, self._follower_v
         )
+        return Expansion(_frozen(matrix), _frozen(offset))
 
-    def _mimic_rules(self) -> tuple[MimicRule, ...]:
-        try:
-            rules = read_mimic_rules(parse_urdf(self.urdf_text))
-        except HandError as error:
-            raise self.spec.error(
-                str(error).removeprefix(f"{error.key}: "),
-                key=error.key or "urdf",
-                value=error.value,
-            ) from error
-        for rule in rules:
-            if rule.follower in self.spec.all_joints:
-                message = f"{rule.follower!r} mimics {rule.leader!r} and cannot be set: leave it out, or give mimic.{rule.follower}: null"
-                raise self.spec.error(message, key="joints", value=rule.follower)
-        return rules
-
-    def _joint_id(self, name: str) -> int:
-        if not self.model.existJointName(name):
-            raise self.spec.error(
-                f"the URDF has no movable joint {name!r}", key="joints", value=name
+    def _add_frames(self) -> None:
+        """Add palm, wrist and reference points to the model, the points as its last frames."""
+        model, spec = self.model, self.spec
+        # A slash before the name keeps them apart from links; Pinocchio does not add a frame whose
+        # name and kind exist already, so points carry their number too.
+        self.palm_frame_id = add_frame(
+            model, spec, "/palm", spec.palm.link, palm_in_link(spec), "palm.link"
+        )
+        self.wrist_frame_id = add_frame(
+            model, spec, "/wrist", spec.wrist.link, np.eye(4), "wrist.link"
+        )
+        self._frame_ids = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
+        self.first_point_frame = len(model.frames)
+        for i, point in enumerate(self.reference_points):
+            placement = affine(np.eye(3), np.array(point.xyz))
+            frame = add_frame(
+                model, spec, f"/{i}/{point.name}", point.link, placement, f"points[{i}].link"
             )
-        return self.model.getJointId(name)
+            self._frame_ids.setdefault(point.name, frame)
+        self.point_weights = _frozen([point.weight for point in self.reference_points])
+        check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
+        self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
+        palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
+        self.wrist_to_palm = _frozen(palm.homogeneous)
 
-    def _check_limits(self) -> None:
-        columns = zip(
-            self.joint_names,
-            self.lower_limits,
-            self.upper_limits,
-            self.velocity_limits,
-            self.rest,
-            strict=True,
-        )
-        for name, lower, upper, speed, rest in columns:
-            if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
-                message = f"{name!r} needs limits with lower < upper, got [{lower:.6g}, {upper:.6g}]: give them in `limits`"
-                raise self.spec.error(message, key="urdf")
-            if not (np.isfinite(speed) and speed > 0.0):
-                message = (
-                    f"{name!r} needs a velocity limit > 0, got {speed:.6g}: give it in `limits`"
-                )
-                raise self.spec.error(message, key="urdf")
-            if not lower <= rest <= upper:
-                message = f"{rest:.6g} rad is outside the joint's limits [{lower:.6g}, {upper:.6g}]"
-                raise self.spec.error(message, key=f"rest.{name}", value=rest)
+    def _find_frame(self, name: str) -> int:
+        _check_type("frame", name, str, "the name of a frame")
+        if name in self._frame_ids:
+            return self._frame_ids[name]
+        is_link = self.model.existFrame(name, pin.FrameType.BODY)
+        if not is_link and self.model.existFrame(name, pin.FrameType.JOINT):
+            return self.model.getFrameId(name, pin.FrameType.JOINT)
+        return self._find_link(name, "frame")
 
-    def _choose_points(
-        self, points: str | tuple[str | PointSpec, ...] | None
-    ) -> tuple[PointSpec, ...]:
-        named = {point.name: point for point in self.spec.points}
-        if points is None or isinstance(points, str):
-            set_name = points or self.spec.reference
-            if set_name not in self.spec.sets:
-                known = ", ".join(self.spec.sets)
-                raise self.spec.error(
-                    f"no set {set_name!r}; there are {known}", key="sets", value=set_name
-                )
-            points = self.spec.sets[set_name]
-        for point in points:
-            if isinstance(point, str) and point not in named:
-                raise self.spec.error(
-                    f"no point {point!r}; there are {', '.join(named)}", key="points", value=point
-                )
-        chosen = tuple(named[point] if isinstance(point, str) else point for point in points)
-        if not chosen:
-            raise self.spec.error("expected at least one reference point", key="points")
-        return chosen
-
-    def _add_frame(self, name: str, link: str, placement: np.ndarray, key: str) -> int:
-        # By kind as well as by name: many URDFs have a joint of the same name as its link.
-        if not self.model.existFrame(link, pin.FrameType.BODY):
-            raise self.spec.error(f"the URDF has no link {link!r}", key=key, value=link)
-        parent_id = self.model.getFrameId(link, pin.FrameType.BODY)
-        parent = self.model.frames[parent_id]
-        frame = pin.Frame(
-            f"{_ROOT}/{name}",
-            parent.parentJoint,
-            parent_id,
-            parent.placement * pin.SE3(placement),
-            pin.FrameType.OP_FRAME,
-        )
-        return self.model.addFrame(frame)
-
-    def _check_wrist(self, wrist: pin.Frame, palm: pin.Frame) -> None:
-        """Refuse a wrist or palm among the fingers.
-
-        Only the free-flyer or the joints of an arm may move them, both as one.
-        """
-        for key, link, frame in (
-            ("wrist.link", self.spec.wrist.link, wrist),
-            ("palm.link", self.spec.palm.link, palm),
-        ):
-            if self.is_floating and frame.parentJoint != 1:
-                message = f"{link!r} moves with joints; on a floating hand it must be fixed to the root link"
-                raise self.spec.error(message, key=key, value=link)
-            if not self._moves_all_fingers(frame.parentJoint):
-                message = f"{link!r} moves with the fingers; it must be fixed to the root link or to the end of an arm"
-                raise self.spec.error(message, key=key, value=link)
-        if wrist.parentJoint != palm.parentJoint:
-            message = (
-                f"{self.spec.palm.link!r} moves against the wrist's link {self.spec.wrist.link!r}"
-            )
-            raise self.spec.error(message, key="palm.link", value=self.spec.palm.link)
-
-    def _moves_all_fingers(self, joint: int) -> bool:
-        """Whether every joint is above this one or below it."""
-        above = set(self.model.supports[joint])
-        return all(
-            other in above or joint in self.model.supports[other]
-            for other in range(1, self.model.njoints)
-        )
+    def _find_link(self, name: str, argument: str) -> int:
+        _check_type(argument, name, str, "the name of a link")
+        if not self.model.existFrame(name, pin.FrameType.BODY):
+            problem = f"{self.name} has no link {name!r}"
+            raise InvalidInputError(problem, argument=argument, value=name)
+        return self.model.getFrameId(name, pin.FrameType.BODY)
 
 
-def _tangent_expansion(
-    joints: Expansion, active: np.ndarray, columns: np.ndarray, follower_v: list[int]
-) -> Expansion:
-    """S and offset over the model's tangent space, where the wrist's coordinates stand for themselves."""
-    nv, count = len(active) + len(follower_v), len(columns)
-    matrix, offset = np.eye(nv)[:, active], np.zeros(nv)
-    matrix[np.ix_(follower_v, columns.tolist())] = joints.matrix[count:]
-    offset[follower_v] = joints.offset[count:]
-    return Expansion(_frozen(matrix), _frozen(offset))
+def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ...]:
+    """Resolve a choice of reference points."""
+    if points is None or isinstance(points, str):
+        set_name = points or spec.reference
+        if set_name not in spec.sets:
+            message = f"no set {set_name!r}; there are {', '.join(spec.sets)}"
+            raise spec.error(message, key="sets", value=set_name)
+        points = spec.sets[set_name]
+    _check_type("points", points, tuple | list, "the name of a set, or names and points")
+    named = {point.name: point for point in spec.points}
+    chosen: list[PointSpec] = []
+    for i, point in enumerate(points):
+        _check_type(f"points[{i}]", point, str | PointSpec, "a name or a PointSpec")
+        if isinstance(point, str) and point not in named:
+            message = f"no point {point!r}; there are {', '.join(named)}"
+            raise spec.error(message, key="points", value=point)
+        chosen.append(named[point] if isinstance(point, str) else _own_point(point, i))
+    if not chosen:
+        raise spec.error("expected at least one reference point", key="points")
+    names = [point.name for point in chosen]
+    for name in names:
+        if names.count(name) > 1:
+            raise spec.error(f"{name!r} is given twice", key="points", value=name)
+    return tuple(chosen)
 
 
-def _mount(spec: HandSpec, mount: Mount | None) -> Mount:
-    """How the root of the model is held: a hand on an arm stands on the arm's foot."""
-    if spec.arm is None:
-        return mount or spec.wrist.mount
-    if mount == "floating":
-        raise spec.error(
-            f"{spec.name} is mounted on {spec.arm.name}, and cannot float", key="arm", value=mount
-        )
-    return "fixed"
-
-
-def _build_model(
-    spec: HandSpec, urdf_text: str, mount: Mount, followers: tuple[str, ...]
-) -> pin.Model:
+def _own_point(point: PointSpec, index: int) -> PointSpec:
+    """Check a point that the caller built."""
     try:
-        if mount == "floating":
-            model = pin.buildModelFromXML(urdf_text, pin.JointModelFreeFlyer(), _ROOT)
-        else:
-            model = pin.buildModelFromXML(urdf_text)
-    except (RuntimeError, ValueError) as error:
-        raise spec.error(
-            f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", key="urdf"
-        ) from error
-    for name, joint in zip(model.names, model.joints, strict=True):
-        if name in ("universe", _ROOT):
-            continue
-        if name not in spec.all_joints and name not in followers:
-            raise spec.error(
-                f"the URDF's joint {name!r} is missing: name it here or in `locked`",
-                key="joints",
-                value=name,
-            )
-        if joint.nq != 1:
-            raise spec.error(
-                f"{name!r} is a {joint.shortname()}; only joints with one coordinate can be used",
-                key="joints",
-            )
-    return model
+        return check_point(point)
+    except HandError as error:
+        argument = f"points[{index}].{error.key}" if error.key else f"points[{index}]"
+        raise InvalidInputError(error.problem, argument=argument, value=error.value) from error
 
 
-def _palm_in_link(spec: HandSpec) -> np.ndarray:
-    distal, dorsal = np.array(spec.palm.distal), np.array(spec.palm.dorsal)
-    return affine(
-        np.column_stack([np.cross(distal, dorsal), distal, dorsal]), np.array(spec.palm.xyz)
-    )
+def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:
+    if not isinstance(value, kind):
+        raise InvalidInputError(argument=argument, expected=expected, value=value)
 
 
 def _frozen(values: npt.ArrayLike, dtype: type = float) -> np.ndarray:

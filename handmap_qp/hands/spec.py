@@ -1,18 +1,21 @@
 """The description of a hand as a typed value: `HandSpec`, and the `hand.yaml` it is read from.
 
-A spec says what the URDF cannot: which joints in which order, where palm and wrist are, which
-points matter, what rest is. It can be read from a file (`read_hand_spec`) or built in code; whether
-it fits its URDF is checked when a `Hand` is made.
+A spec says what the URDF does not: which joints in which order, where palm and wrist are, the
+reference points, the rest posture. It can be read from a file (`read_hand_spec`) or built in code.
+Making a `Hand` checks it against its URDF.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import msgspec
+import numpy as np
 import yaml
 
 from handmap_qp.errors import HandError
@@ -31,8 +34,9 @@ class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         link: URDF link that carries the point.
         xyz: Offset in link coordinates [m].
         finger: Anatomical name of the finger it belongs to; None for points of the palm.
-        weight: Weight in the estimation of T (on the human) and in the point task (on the robot).
-        partner: On a robot, the human point whose misfit it takes over in part (see
+        weight: Weight in the estimation of T (on the human) and in the point task (on the robot),
+            greater than 0.
+        partner: On a robot, the human point whose residual it follows in part (see
             `residual_gain`); the point of the same name if omitted.
     """
 
@@ -49,8 +53,9 @@ class PalmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         link: URDF link that the frame is fixed to.
-        distal: Direction of the stretched fingers, in link coordinates.
-        dorsal: Direction out of the back of the hand, in link coordinates.
+        distal: Direction of the stretched fingers, in link coordinates; a unit vector.
+        dorsal: Direction out of the back of the hand, in link coordinates; a unit vector at right
+            angles to `distal`.
         xyz: Origin in link coordinates [m].
     """
 
@@ -77,11 +82,11 @@ class WristSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which links of the hand are kept apart from each other, where self-collision avoidance is asked for.
+    """Links of the hand that self-collision avoidance keeps apart, where it is asked for.
 
     Attributes:
         pairs: Pairs of URDF links that have collision shapes.
-        margin: Distance that their shapes keep [m].
+        margin: Least distance between their shapes [m].
     """
 
     pairs: tuple[tuple[str, str], ...]
@@ -89,9 +94,7 @@ class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LimitSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of a joint that its URDF lacks, or has otherwise.
-
-    What is left out stays as in the URDF.
+    """Limits of a joint, in place of the URDF's; None keeps the URDF's.
 
     Attributes:
         lower: Lower position limit [rad or m].
@@ -105,10 +108,10 @@ class LimitSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MimicSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A joint that copies another one: `q = multiplier * q[joint] + offset`.
+    """A joint that mimics another one: `q = multiplier * q[joint] + offset`.
 
     Attributes:
-        joint: The leader's name; it may itself be a follower.
+        joint: The leader's name; it may mimic another joint itself.
         multiplier: The follower's motion per motion of the leader.
         offset: Its position where the leader's is zero [rad or m].
     """
@@ -119,7 +122,7 @@ class MimicSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An arm that carries the hand: its joints then move the wrist, within their own limits.
+    """An arm that carries the hand: its joints move the wrist within their own limits.
 
     Attributes:
         name: Short name of the arm.
@@ -128,12 +131,12 @@ class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         joints: Names of its movable joints; they come first in every `q`.
         rest: Rest position of every joint [rad or m].
         xyz: Origin of the hand's root link in the tip's frame [m].
-        rpy: Its roll, pitch and yaw there, as in a URDF [rad].
+        rpy: Roll, pitch and yaw of the hand's root link there, as in a URDF [rad].
         root: Link that stands still; the URDF's own root if omitted.
-        without: Links that are taken off, with all that hangs from them: a gripper, say.
-        locked: Joints that hold still, and where [rad or m].
-        limits: Limits by joint that replace the URDF's.
-        directory: Where relative paths start; the folder of `arm.yaml` when it was read from one.
+        without: Links to remove with all their descendants, such as a gripper.
+        locked: Positions of movable joints to hold still [rad or m].
+        limits: Limits by joint, in place of the URDF's.
+        directory: Folder at which relative paths start; that of `arm.yaml` if it was read from one.
     """
 
     name: str
@@ -151,7 +154,7 @@ class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A hand: its URDF and what the URDF cannot say.
+    """A hand: its URDF and what the URDF does not say.
 
     Attributes:
         name: Short name of the hand.
@@ -162,21 +165,22 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         wrist: The wrist frame and its mount.
         joints: Names of the movable joints; their order is the order of every `q` that crosses the
             API.
-        rest: Rest angle of every joint [rad], inside its limits.
+        rest: Rest position of every joint [rad or m], inside its limits.
         points: All named reference points.
         sets: Named lists of points.
         reference: The set used unless the caller names another.
-        mirror: Reflect the URDF in its root link's x = 0 plane; all coordinates here are those of
-            the reflected hand.
-        collision: Links to keep apart; None where there is nothing to say.
-        root: Where the hand begins in the URDF of a whole robot: this link and what hangs from it
-            are the hand. The URDF's own root if omitted.
-        locked: Movable joints that hold still, and where [rad or m].
-        limits: Limits by joint that replace the URDF's.
-        mimic: Rules by follower that replace the URDF's; None makes a joint of its own out of one
-            that mimics in the URDF.
+        mirror: Whether to mirror the URDF in its root link's plane x = 0; all coordinates here are
+            those of the mirrored hand.
+        collision: Links to keep apart; None where there are none.
+        root: In the URDF of a whole robot, the link at which the hand begins: it and its
+            descendants are the hand. The URDF's own root if omitted.
+        locked: Positions of movable joints to hold still [rad or m].
+        limits: Limits by joint, in place of the URDF's.
+        mimic: Rules by follower, in place of the URDF's; None makes a joint independent that mimics
+            another in the URDF.
         arm: The arm that the hand is mounted on; None without one.
-        directory: Where relative paths start; the folder of `hand.yaml` when it was read from one.
+        directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
+            one.
     """
 
     name: str
@@ -214,47 +218,59 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return None if self.directory is None else self.directory / "hand.yaml"
 
     def __post_init__(self) -> None:
-        """Check everything that can be told without the URDF.
+        """Check everything that does not need the URDF, and copy what the caller may change.
 
         Raises:
             HandError: With the key and the value at fault.
         """
-        _check_finite(self)
-        if not self.joints:
-            raise self.error("expected at least one joint", key="joints", value=self.joints)
-        _check_unique(self, self.all_joints, "joints")
-        _check_unique(self, tuple(point.name for point in self.points), "points")
-        for prefix, part in (("", self), ("arm.", self.arm)):
-            if part is None:
-                continue
-            for joint in sorted(set(part.joints) ^ set(part.rest)):
-                what = "is no joint of `joints`" if joint in part.rest else "has no rest angle"
-                raise self.error(f"{joint!r} {what}", key=f"{prefix}rest", value=joint)
-            for joint in sorted(set(part.joints) & set(part.locked)):
-                raise self.error(
-                    f"{joint!r} is one of `joints`, and cannot be locked",
-                    key=f"{prefix}locked",
-                    value=joint,
-                )
-        names = {point.name for point in self.points}
-        for set_name, members in self.sets.items():
-            for member in members:
-                if member not in names:
-                    raise self.error(
-                        f"{member!r} is no point of `points`", key=f"sets.{set_name}", value=member
-                    )
-            _check_unique(self, members, f"sets.{set_name}")
-        if self.reference not in self.sets:
-            expected = ", ".join(self.sets) or "(none)"
-            raise self.error(
-                f"expected one of the sets {expected}, got {self.reference!r}", key="reference"
-            )
+        _set_typed_fields(self)
+        _check_numbers(self)
+        _check_joints(self)
+        _check_sets(self)
         _check_axes(self)
         _check_collision(self)
 
     def error(self, message: str, *, key: str, value: Any = None) -> HandError:
-        """An error about one key of this spec, carrying its file."""
+        """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
+
+    def located(self, error: HandError, key: str = "urdf") -> HandError:
+        """Return an error about this hand's URDF with the file of this spec.
+
+        Args:
+            error: An error that may name a key.
+            key: The key that it gets if it names none.
+        """
+        return self.error(error.problem, key=error.key or key, value=error.value)
+
+
+def mounted(
+    hand: HandSpec,
+    arm: ArmSpec,
+    *,
+    xyz: Vector | None = None,
+    rpy: Vector | None = None,
+    name: str = "",
+) -> HandSpec:
+    """Describe a hand on an arm.
+
+    Args:
+        hand: The hand.
+        arm: The arm.
+        xyz: Origin of the hand's root link in the frame of the arm's tip [m]; the arm's own if
+            omitted.
+        rpy: Roll, pitch and yaw of the hand's root link there [rad]; the arm's own if omitted.
+        name: Name of the two; `ARM_HAND` if omitted.
+
+    Returns:
+        The description; the arm's joints come first in every `q`.
+
+    Raises:
+        HandError: If the two do not fit together.
+    """
+    pose = {"xyz": arm.xyz if xyz is None else xyz, "rpy": arm.rpy if rpy is None else rpy}
+    placed = msgspec.structs.replace(arm, **pose)
+    return msgspec.structs.replace(hand, name=name or f"{arm.name}_{hand.name}", arm=placed)
 
 
 def read_hand_spec(path: Path) -> HandSpec:
@@ -267,43 +283,125 @@ def read_hand_spec(path: Path) -> HandSpec:
         The spec, its `directory` set to the file's.
 
     Raises:
-        HandError: If the file cannot be read, is no YAML, or has an unknown, missing or mistyped
+        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
             key.
     """
-    return _converted(_read_document(path), HandSpec, path)
+    return _read_spec(path, HandSpec)
 
 
 def read_arm_spec(path: Path) -> ArmSpec:
-    """Read an `arm.yaml`, as `read_hand_spec` does a `hand.yaml`.
+    """Read an `arm.yaml`.
 
-    Whether it fits is checked when a hand is mounted on it.
+    Mounting a hand on the arm checks whether it fits.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The spec, its `directory` set to the file's.
+
+    Raises:
+        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
+            key.
     """
-    return _converted(_read_document(path), ArmSpec, path)
+    return _read_spec(path, ArmSpec)
 
 
-def _converted(document: dict[str, Any], kind: type[_Spec], path: Path) -> _Spec:
-    """A document as a typed value, with errors that name file, key and value."""
+def check_point(point: PointSpec) -> PointSpec:
+    """Check a point that is not part of a spec.
+
+    Args:
+        point: The point.
+
+    Returns:
+        The point, its numbers as floats.
+
+    Raises:
+        HandError: With the key and the value at fault.
+    """
+    checked = _typed(point, PointSpec, _fail_without_file)
+    for key, value, is_valid, expected in _point_numbers(checked):
+        if not is_valid:
+            raise HandError(f"expected {expected}, got {value}", key=key, value=value)
+    return checked
+
+
+def _read_spec(path: Path, kind: type[_Spec]) -> _Spec:
+    file = Path(path)
+    document = _read_document(file)
+
+    def fail(problem: str, key: str | None, value: Any) -> HandError:
+        return HandError(problem, file=file, key=key, value=value)
+
+    return _convert(document, kind, fail)
+
+
+_Fail = Callable[[str, str | None, Any], HandError]
+
+
+def _convert(document: Any, kind: type[_Spec], fail: _Fail) -> _Spec:
+    """Convert plain values to a type, with errors that carry key and value."""
     try:
         return msgspec.convert(document, kind, dec_hook=lambda wanted, value: wanted(value))
     except msgspec.ValidationError as error:
         if isinstance(cause := error.__cause__, HandError):
-            text = str(cause).removeprefix(f"{cause.file}: ").removeprefix(f"{cause.key}: ")
-            raise HandError(text, file=path, key=cause.key, value=cause.value) from error
+            raise fail(cause.problem, cause.key, cause.value) from error
+        # msgspec names the place in its message only.
         message, _, place = str(error).partition(" - at `$")
         key = place.rstrip("`").lstrip(".") or None
         value = _value_at(document, key)
         got = "" if value is None else f" (value {value!r})"
-        raise HandError(f"{message}{got}", file=path, key=key, value=value) from error
+        raise fail(f"{message}{got}", key, value) from error
+
+
+def _typed(value: Any, kind: type[_Spec], fail: _Fail) -> _Spec:
+    """Copy a value that was built in code, with the types of its fields checked throughout."""
+    try:
+        document = msgspec.to_builtins(value, enc_hook=_plain)
+    except (TypeError, ValueError, NotImplementedError, RecursionError) as error:
+        raise fail(f"holds a value that a description cannot have: {error}", None, None) from error
+    return _convert(document, kind, fail)
+
+
+def _plain(value: Any) -> Any:
+    """Return numpy's values and paths as plain ones."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise NotImplementedError(f"{type(value).__name__} {value!r:.60}")
+
+
+def _fail_without_file(problem: str, key: str | None, value: Any) -> HandError:
+    return HandError(problem, key=key, value=value)
+
+
+@cache
+def _fields_of_a_hand() -> type[msgspec.Struct]:
+    """Return a type with the fields of `HandSpec` and without its checks."""
+    fields = [(field.name, field.type) for field in msgspec.structs.fields(HandSpec)]
+    return msgspec.defstruct("HandFields", fields, frozen=True)
+
+
+def _set_typed_fields(spec: HandSpec) -> None:
+    """Replace all fields by copies of the declared types."""
+    values = {name: getattr(spec, name) for name in spec.__struct_fields__}
+    typed = _typed(values, _fields_of_a_hand(), _fail_without_file)
+    for name in spec.__struct_fields__:
+        msgspec.structs.force_setattr(spec, name, getattr(typed, name))
 
 
 def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """A file's keys, with those of the file that it extends, and its folder."""
+    """Read a file's keys, with those of the file that it extends, and its folder."""
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
         raise HandError(f"cannot be read: {error}", file=path) from error
-    except yaml.YAMLError as error:
-        raise HandError(f"is no YAML: {' '.join(str(error).split())}", file=path) from error
+    try:
+        document = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: an impossible date
+        message = f"is not valid YAML: {' '.join(str(error).split())}"
+        raise HandError(message, file=path) from error
     if not isinstance(document, dict):
         raise HandError(f"expected a mapping of keys, got {type(document).__name__}", file=path)
     if "directory" in document:
@@ -311,23 +409,23 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
     if isinstance(document.get("arm"), str):
         document["arm"] = {"extends": document["arm"]}
     if isinstance(document.get("arm"), dict):
-        document["arm"] = {
-            "directory": str(path.parent),
-            **_extended(document["arm"], path, extending),
-        }
+        arm = _extended(document["arm"], path, extending)
+        document["arm"] = {"directory": str(path.parent), **arm}
     return {**_extended(document, path, extending), "directory": str(path.parent)}
 
 
 def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...]) -> dict[str, Any]:
-    """A mapping's keys over those of the file that its key `extends` names, whose relative paths stay what they were there."""
+    """Add the keys of the file that the key `extends` names, where a mapping lacks them.
+
+    Its relative paths keep their meaning.
+    """
     own = dict(document)
     if "extends" not in own:
         return own
     other = (path.parent / str(own.pop("extends"))).resolve()
     if other in extending:
-        raise HandError(
-            "files extend each other in a circle", file=path, key="extends", value=str(other)
-        )
+        message = "files extend each other in a circle"
+        raise HandError(message, file=path, key="extends", value=str(other))
     base = _read_document(other, (*extending, path.resolve(), other))
     if "urdf" not in own and not str(base.get("urdf")).startswith("package://"):
         own["urdf"] = str(other.parent / str(base.get("urdf")))
@@ -335,7 +433,7 @@ def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...])
 
 
 def _value_at(document: Any, key: str | None) -> Any:
-    """The value at a path such as `points[2].weight`; None where there is none."""
+    """Return the value at a path such as `points[2].weight`; None where there is none."""
     for part in re.findall(r"[^.\[\]]+", key or ""):
         try:
             document = document[int(part) if isinstance(document, list) else part]
@@ -350,41 +448,91 @@ def _check_unique(spec: HandSpec, names: tuple[str, ...], key: str) -> None:
             raise spec.error(f"{name!r} is given twice", key=key, value=name)
 
 
-def _check_finite(spec: HandSpec) -> None:
-    numbers: dict[str, tuple[float, ...]] = {
+def _check_joints(spec: HandSpec) -> None:
+    """Check names of joints: unique, each with a rest position, none of them locked."""
+    if not spec.joints:
+        raise spec.error("expected at least one joint", key="joints", value=spec.joints)
+    _check_unique(spec, spec.all_joints, "joints")
+    for prefix, part in (("", spec), ("arm.", spec.arm)):
+        if part is None:
+            continue
+        for joint in sorted(set(part.joints) ^ set(part.rest)):
+            what = "is not one of `joints`" if joint in part.rest else "has no rest position"
+            raise spec.error(f"{joint!r} {what}", key=f"{prefix}rest", value=joint)
+        for joint in sorted(set(part.joints) & set(part.locked)):
+            message = f"{joint!r} is one of `joints`, and cannot be locked"
+            raise spec.error(message, key=f"{prefix}locked", value=joint)
+
+
+def _check_sets(spec: HandSpec) -> None:
+    """Check that points have unique names and sets name points."""
+    names = tuple(point.name for point in spec.points)
+    _check_unique(spec, names, "points")
+    for set_name, members in spec.sets.items():
+        for member in members:
+            if member not in names:
+                message = f"{member!r} is not one of `points`"
+                raise spec.error(message, key=f"sets.{set_name}", value=member)
+        _check_unique(spec, members, f"sets.{set_name}")
+    if spec.reference not in spec.sets:
+        expected = ", ".join(spec.sets) or "(none)"
+        message = f"expected one of the sets {expected}, got {spec.reference!r}"
+        raise spec.error(message, key="reference", value=spec.reference)
+
+
+def _check_numbers(spec: HandSpec) -> None:
+    """Check that numbers are finite, and speeds and weights greater than 0."""
+    finite: dict[str, tuple[float, ...]] = {
         "palm.xyz": spec.palm.xyz,
-        "rest": tuple(spec.all_rest.values()),
+        "rest": tuple(spec.rest.values()),
         "locked": tuple(spec.locked.values()),
-        **{
-            f"mimic.{name}": (rule.multiplier, rule.offset)
-            for name, rule in spec.mimic.items()
-            if rule is not None
-        },
+        **_mimic_numbers(spec.mimic),
         **_limit_numbers(spec.limits, "limits"),
-        **{f"points[{i}].xyz": point.xyz for i, point in enumerate(spec.points)},
     }
     if spec.arm is not None:
-        numbers |= {
+        finite |= {
             "arm.xyz": spec.arm.xyz,
             "arm.rpy": spec.arm.rpy,
+            "arm.rest": tuple(spec.arm.rest.values()),
             "arm.locked": tuple(spec.arm.locked.values()),
+            **_limit_numbers(spec.arm.limits, "arm.limits"),
         }
-        numbers |= _limit_numbers(spec.arm.limits, "arm.limits")
-    for key, values in numbers.items():
+    for key, values in finite.items():
         if not all(map(math.isfinite, values)):
             raise spec.error(f"expected finite numbers, got {values}", key=key, value=values)
-    positive = {
-        "wrist.max_linear_speed": spec.wrist.max_linear_speed,
-        "wrist.max_angular_speed": spec.wrist.max_angular_speed,
-        **{f"points[{i}].weight": point.weight for i, point in enumerate(spec.points)},
+    for i, point in enumerate(spec.points):
+        for key, value, is_valid, expected in _point_numbers(point):
+            if not is_valid:
+                message = f"expected {expected}, got {value}"
+                raise spec.error(message, key=f"points[{i}].{key}", value=value)
+    for key in ("max_linear_speed", "max_angular_speed"):
+        speed = getattr(spec.wrist, key)
+        if not (math.isfinite(speed) and speed > 0.0):
+            message = f"expected a number > 0, got {speed}"
+            raise spec.error(message, key=f"wrist.{key}", value=speed)
+
+
+def _point_numbers(point: PointSpec) -> tuple[tuple[str, Any, bool, str], ...]:
+    """Return key, value, whether it is valid and what is expected, for each number of a point."""
+    is_place = all(map(math.isfinite, point.xyz))
+    is_weight = math.isfinite(point.weight) and point.weight > 0.0
+    return (
+        ("xyz", point.xyz, is_place, "finite numbers"),
+        ("weight", point.weight, is_weight, "a number > 0"),
+    )
+
+
+def _mimic_numbers(rules: dict[str, MimicSpec | None]) -> dict[str, tuple[float, ...]]:
+    """Return the numbers of mimic rules by key."""
+    return {
+        f"mimic.{name}": (rule.multiplier, rule.offset)
+        for name, rule in rules.items()
+        if rule is not None
     }
-    for key, value in positive.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise spec.error(f"expected a number > 0, got {value}", key=key, value=value)
 
 
 def _limit_numbers(limits: dict[str, LimitSpec], key: str) -> dict[str, tuple[float, ...]]:
-    """The numbers that limits give, by key."""
+    """Return the numbers of limits by key."""
     return {
         f"{key}.{name}": tuple(
             value for value in (limit.lower, limit.upper, limit.velocity) if value is not None
@@ -394,34 +542,33 @@ def _limit_numbers(limits: dict[str, LimitSpec], key: str) -> dict[str, tuple[fl
 
 
 def _check_axes(spec: HandSpec) -> None:
+    """Check that the palm's axes are orthonormal."""
     distal, dorsal = spec.palm.distal, spec.palm.dorsal
     for key, axis in (("palm.distal", distal), ("palm.dorsal", dorsal)):
+        # `not ... < tolerance` also rejects NaN, here and below.
         if not abs(math.hypot(*axis) - 1.0) < 1e-6:
             raise spec.error(f"expected a unit vector, got {axis}", key=key, value=axis)
     cosine = sum(a * b for a, b in zip(distal, dorsal, strict=True))
     if not abs(cosine) < 1e-6:
-        raise spec.error(
-            f"expected a direction at right angles to distal, got {dorsal}",
-            key="palm.dorsal",
-            value=dorsal,
-        )
+        message = f"expected a direction at right angles to distal, got {dorsal}"
+        raise spec.error(message, key="palm.dorsal", value=dorsal)
 
 
 def _check_collision(spec: HandSpec) -> None:
+    """Check the pairs of links to keep apart, and their margin."""
     if spec.collision is None:
         return
-    margin, seen = spec.collision.margin, set()
-    if not spec.collision.pairs:
-        raise spec.error(
-            "expected at least one pair of links", key="collision.pairs", value=spec.collision.pairs
-        )
+    pairs, margin, seen = spec.collision.pairs, spec.collision.margin, set()
+    if not pairs:
+        message = "expected at least one pair of links"
+        raise spec.error(message, key="collision.pairs", value=pairs)
     if not (math.isfinite(margin) and margin >= 0.0):
-        raise spec.error(
-            f"expected a distance >= 0, got {margin}", key="collision.margin", value=margin
-        )
-    for i, pair in enumerate(spec.collision.pairs):
+        message = f"expected a distance >= 0, got {margin}"
+        raise spec.error(message, key="collision.margin", value=margin)
+    for i, pair in enumerate(pairs):
         links = frozenset(pair)
         if len(links) < 2 or links in seen:
             what = "is given twice" if links in seen else "is one link; expected two"
-            raise spec.error(f"{list(pair)} {what}", key=f"collision.pairs[{i}]", value=pair)
+            message = f"{list(pair)} {what}"
+            raise spec.error(message, key=f"collision.pairs[{i}]", value=pair)
         seen.add(links)

@@ -5,7 +5,6 @@ How its fingers reach, its size beside a person's, self-collisions, a standard m
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +13,7 @@ import pinocchio as pin
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.urdf.elements import parse_urdf
-from handmap_qp.hands.urdf.files import find_mesh, urdf_path
+from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
 from handmap_qp.mapping.mapper import HandMapper
 
 HUMAN_LENGTH = 0.19
@@ -160,13 +158,9 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     Raises:
         HandmapError: If the shapes cannot be read.
     """
-    robot, folder = parse_urdf(hand.urdf_text), urdf_path(hand.spec).parent
-    for mesh in robot.iter("mesh"):
-        mesh.set("filename", str(find_mesh(mesh.get("filename", ""), folder).resolve()))
+    text = urdf_with_mesh_paths(hand.spec, hand.urdf_text)
     try:
-        geometry = pin.buildGeomFromUrdfString(
-            hand.model, ET.tostring(robot, encoding="unicode"), pin.GeometryType.COLLISION
-        )
+        geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
     except (RuntimeError, ValueError) as error:
         raise HandmapError(" ".join(str(error).split())) from error
     model, shapes = hand.model, geometry.geometryObjects

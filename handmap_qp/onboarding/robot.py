@@ -23,10 +23,11 @@ import pinocchio as pin
 from handmap_qp.errors import HandError
 from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_model
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
-from handmap_qp.hands.urdf.check import MOVABLE, check_tree, edges, link_names, root_links
-from handmap_qp.hands.urdf.compose import cut_subtree, prepare_urdf
+from handmap_qp.hands.urdf.check import check_tree
+from handmap_qp.hands.urdf.compose import prepare_urdf
 from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf
 from handmap_qp.hands.urdf.files import find_mesh
+from handmap_qp.hands.urdf.tree import MOVABLE, cut_subtree, edges, link_names, root_links
 from handmap_qp.transform import transform_points
 
 # What joints are taken to reach and to do where a URDF does not say.

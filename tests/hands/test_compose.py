@@ -17,10 +17,11 @@ from hypothesis import strategies as st
 from strategies import generators, rotations
 
 from handmap_qp import Hand, HandError, HandSpec, InvalidInputError, load_hand
-from handmap_qp.hands.spec import ArmSpec, LimitSpec, read_arm_spec, read_hand_spec
-from handmap_qp.hands.urdf.compose import cut_subtree, lock_joints, mounted
+from handmap_qp.hands.spec import ArmSpec, LimitSpec, mounted, read_arm_spec, read_hand_spec
 from handmap_qp.hands.urdf.files import read_urdf
+from handmap_qp.hands.urdf.joints import lock_joints
 from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.urdf.tree import cut_subtree
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.transform import rotation_from_rpy, rpy_from_rotation, transform_points
@@ -186,7 +187,7 @@ def test_what_cannot_be_mounted() -> None:
             {"joints": ur5.joints[:-1], "rest": {name: ur5.rest[name] for name in ur5.joints[:-1]}},
             "'wrist_3_joint' is missing",
         ),
-        ({"rest": {}}, "has no rest angle"),
+        ({"rest": {}}, "has no rest position"),
         ({"xyz": (float("nan"), 0.0, 0.0)}, "finite"),
     ):
         with pytest.raises(HandError, match=message):

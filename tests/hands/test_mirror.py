@@ -124,8 +124,8 @@ def test_output_has_no_minus_zero() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no XML"),
-        ("<robot>", "no XML"),
+        ("", "not valid XML"),
+        ("<robot>", "not valid XML"),
         ("<mujoco/>", "root <robot>"),
         (
             '<robot><link name="a"><visual><geometry><mesh filename="a.stl"/></geometry></visual></link></robot>',

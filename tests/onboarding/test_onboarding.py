@@ -211,9 +211,9 @@ def test_a_rest_posture_is_inside_the_limits_and_closes_the_hand(
 
 @pytest.mark.parametrize(("name", "message"), [
     ("no_joints", "no joint that moves"),
-    ("loop", "'coupler' hangs from two joints, 'c' and 'd'"),
+    ("loop", "'coupler' is the child of two joints, 'c' and 'd'"),
     ("two_roots", "2 roots, expected one: palm, loose"),
-    ("malformed", "no XML"),
+    ("malformed", "not valid XML"),
     ("nan_limits", "'j1' has <limit lower='nan'>"),
 ])  # fmt: skip
 def test_a_urdf_that_cannot_be_used_gets_one_clear_line(name: str, message: str) -> None:

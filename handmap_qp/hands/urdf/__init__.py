@@ -1,1 +1,1 @@
-"""What is done to URDF text: reading, checking, composing, mirroring."""
+"""Changes to URDF text before a model is built: read, check, cut, edit, mount, mirror."""

@@ -1,164 +1,151 @@
-"""What a URDF must be for a hand to be built from it, each fault told in one line.
+"""Checks of a URDF before a hand is built from it: `check_tree`, `check_limits`.
 
-`check_tree`, `check_limits`.
-
-URDF readers print faults piecemeal to stderr and return a general one; the checks here come before
-them.
+URDF readers print faults to stderr and raise a general error. The checks here come first and name
+each fault in one line.
 """
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.urdf.elements import get_numbers
+from handmap_qp.hands.urdf.tree import JOINT_TYPES, MOVABLE, edges, link_names
 
-MOVABLE = ("revolute", "continuous", "prismatic")
-"""Kinds of joints with one coordinate."""
-KINDS = (*MOVABLE, "fixed", "planar", "floating")
-"""All kinds that URDF knows."""
-
-
-def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
-    """Every joint of a URDF with the names of its parent link and its child link.
-
-    Raises:
-        HandError: If a joint lacks one of them.
-    """
-    for joint in robot.iterfind("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is None or child is None:
-            raise HandError(
-                f"the joint {joint.get('name')!r} needs a parent and a child link",
-                value=joint.get("name"),
-            )
-        yield joint, parent.get("link", ""), child.get("link", "")
-
-
-def link_names(robot: ET.Element) -> list[str]:
-    """Names of all links, in the order of the file."""
-    return [link.get("name", "") for link in robot.iterfind("link")]
-
-
-def root_links(robot: ET.Element) -> list[str]:
-    """Links that are no joint's child."""
-    children = {child for _, _, child in edges(robot)}
-    return [name for name in link_names(robot) if name not in children]
+_VECTORS = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
+_LIMITS = ("lower", "upper", "velocity")
 
 
 def check_tree(robot: ET.Element) -> None:
-    """Refuse a URDF whose links and joints are no tree, or that has no joint that moves.
+    """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
 
     Args:
         robot: The `<robot>` element.
 
     Raises:
-        HandError: In one line: names given twice, links that are not there, loops, several roots,
-            numbers that are none, no joint.
+        HandError: On duplicate names, missing links, loops, several roots, attributes that are not
+            numbers, unknown joint types, or a URDF without a movable joint.
     """
     links = link_names(robot)
-    joints = [joint.get("name", "") for joint in robot.iterfind("joint")]
-    for kind, names in (("links", links), ("joints", joints)):
-        seen = set()
-        for name in names:
-            if name in seen:
-                raise HandError(f"the URDF has two {kind} {name!r}", value=name)
-            seen.add(name)
-    hangs_from: dict[str, tuple[str, str]] = {}
-    for joint, parent, child in edges(robot):
-        name = joint.get("name", "")
-        for link in (parent, child):
-            if link not in links:
-                raise HandError(
-                    f"the joint {name!r} names the link {link!r}, which the URDF does not have",
-                    value=link,
-                )
-        if child in hangs_from:
-            both = f"{hangs_from[child][0]!r} and {name!r}"
-            raise HandError(
-                f"the URDF is no tree: the link {child!r} hangs from two joints, {both}",
-                value=child,
-            )
-        hangs_from[child] = (name, parent)
+    joints = list(robot.iterfind("joint"))
+    _check_unique("links", links)
+    _check_unique("joints", [joint.get("name", "") for joint in joints])
+    parents = _parents(robot, links)
+    for joint in joints:
         _check_joint(joint)
-    roots = [link for link in links if link not in hangs_from]
-    if len(roots) > 1:
-        raise HandError(
-            f"the URDF has {len(roots)} roots, expected one: {', '.join(roots[:6])}", value=roots
-        )
-    if not roots:
-        what = "its links hang from each other in a circle" if links else "it has no link"
-        raise HandError(f"the URDF is no tree: {what}")
-    _check_circles(links, hangs_from)
-    if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
+    _check_root(links, parents)
+    for link in links:
+        _check_loop(link, parents)
+    if not any(joint.get("type") in MOVABLE for joint in joints):
         raise HandError("the URDF has no joint that moves")
 
 
 def check_limits(robot: ET.Element) -> None:
-    """Refuse joints without position limits; followers of other joints need none.
+    """Reject joints without position limits; joints that mimic others need none.
 
     Args:
         robot: The `<robot>` element.
 
     Raises:
-        HandError: With the joint as the key.
+        HandError: With the key in `limits` that gives them.
     """
     for joint in robot.iterfind("joint"):
-        name, kind = joint.get("name", ""), joint.get("type", "")
-        if kind not in MOVABLE or joint.find("mimic") is not None:
+        name, joint_type = joint.get("name", ""), joint.get("type", "")
+        if joint_type not in MOVABLE or joint.find("mimic") is not None:
             continue
         limit = joint.find("limit")
-        if (
-            kind == "continuous"
-            or limit is None
-            or ("lower" not in limit.attrib and "upper" not in limit.attrib)
-        ):
-            what = "turns without end" if kind == "continuous" else "has no limits in the URDF"
-            raise HandError(
-                f"{name!r} {what}: give lower, upper and velocity", key=f"limits.{name}", value=name
+        has_limits = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
+        if joint_type == "continuous" or not has_limits:
+            what = "is continuous" if joint_type == "continuous" else "has no limits in the URDF"
+            message = f"{name!r} {what}: give lower, upper and velocity"
+            raise HandError(message, key=f"limits.{name}", value=name)
+
+
+def _check_unique(what: str, names: list[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise HandError(f"the URDF has two {what} {name!r}", value=name)
+        seen.add(name)
+
+
+def _parents(robot: ET.Element, links: list[str]) -> dict[str, str]:
+    """Return the parent link of every link that has one.
+
+    Raises:
+        HandError: If a joint names a link that does not exist, or a link has two parents.
+    """
+    parents: dict[str, str] = {}
+    joint_above: dict[str, str] = {}
+    for joint, parent, child in edges(robot):
+        name = joint.get("name", "")
+        for link in (parent, child):
+            if link not in links:
+                message = (
+                    f"the joint {name!r} names the link {link!r}, which the URDF does not have"
+                )
+                raise HandError(message, value=link)
+        if child in parents:
+            both = f"{joint_above[child]!r} and {name!r}"
+            message = (
+                f"the URDF is not a tree: the link {child!r} is the child of two joints, {both}"
             )
+            raise HandError(message, value=child)
+        parents[child], joint_above[child] = parent, name
+    return parents
 
 
 def _check_joint(joint: ET.Element) -> None:
-    """Refuse an unknown kind of joint, and numbers that are none."""
-    name, kind = joint.get("name", ""), joint.get("type", "")
-    if kind not in KINDS:
-        raise HandError(
-            f"the joint {name!r} is of the kind {kind!r}; expected one of {', '.join(KINDS)}",
-            value=kind,
-        )
-    vectors = [
-        (joint.find(tag), key, 3)
-        for tag, key in (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
-    ]
-    numbers = [(joint.find("limit"), key, 1) for key in ("lower", "upper", "velocity")]
-    for element, key, count in (*vectors, *numbers):
-        if element is None or key not in element.attrib:
-            continue
-        try:
-            values = get_numbers(element, key, count)
-        except HandError as error:
-            raise HandError(f"the joint {name!r}: {error}", value=error.value) from error
-        # A limit at infinity means none; a joint somewhere at infinity means nothing.
-        if any(math.isnan(value) or (count == 3 and math.isinf(value)) for value in values):
+    """Reject an unknown joint type, and attributes that are not numbers."""
+    name, joint_type = joint.get("name", ""), joint.get("type", "")
+    if joint_type not in JOINT_TYPES:
+        expected = ", ".join(JOINT_TYPES)
+        message = f"the joint {name!r} is of type {joint_type!r}; expected one of {expected}"
+        raise HandError(message, value=joint_type)
+    for tag, key in _VECTORS:
+        # An infinite limit means none; an infinite origin or axis means nothing.
+        _check_numbers(joint, tag, key, 3, math.isfinite)
+    for key in _LIMITS:
+        _check_numbers(joint, "limit", key, 1, lambda value: not math.isnan(value))
+
+
+def _check_numbers(
+    joint: ET.Element, tag: str, key: str, count: int, is_valid: Callable[[float], bool]
+) -> None:
+    """Reject an attribute of a joint that does not hold valid numbers; it may be missing."""
+    name, element = joint.get("name", ""), joint.find(tag)
+    if element is None or key not in element.attrib:
+        return
+    try:
+        values = get_numbers(element, key, count)
+    except HandError as error:
+        raise HandError(f"the joint {name!r}: {error}", value=error.value) from error
+    if not all(map(is_valid, values)):
+        text = element.get(key)
+        message = f"the joint {name!r} has <{tag} {key}={text!r}>, which is not a finite number"
+        raise HandError(message, value=text)
+
+
+def _check_root(links: list[str], parents: dict[str, str]) -> None:
+    """Reject a URDF without exactly one root link."""
+    roots = [link for link in links if link not in parents]
+    if len(roots) > 1:
+        message = f"the URDF has {len(roots)} roots, expected one: {', '.join(roots[:6])}"
+        raise HandError(message, value=roots)
+    if not roots:
+        what = "its links form a loop" if links else "it has no link"
+        raise HandError(f"the URDF is not a tree: {what}")
+
+
+def _check_loop(link: str, parents: dict[str, str]) -> None:
+    """Reject a link among its own ancestors."""
+    passed = {link}
+    while link in parents:
+        link = parents[link]
+        if link in passed:
             raise HandError(
-                f"the joint {name!r} has <{element.tag} {key}={element.get(key)!r}>, which is no number",
-                value=name,
+                f"the URDF is not a tree: a loop contains the link {link!r}", value=link
             )
-
-
-def _check_circles(links: list[str], hangs_from: dict[str, tuple[str, str]]) -> None:
-    """Refuse links that hang from each other, beside a tree with a root."""
-    for link in links:
-        passed = {link}
-        at = link
-        while at in hangs_from:
-            at = hangs_from[at][1]
-            if at in passed:
-                raise HandError(
-                    f"the URDF is no tree: the link {at!r} hangs from itself through others",
-                    value=at,
-                )
-            passed.add(at)
+        passed.add(link)

@@ -1,28 +1,30 @@
-"""Where URDFs and their meshes lie.
-
-Beside a `hand.yaml`, or in an installed package of robot descriptions.
-"""
+"""Where URDFs and their meshes lie: in the folder of a description, or in an installed package."""
 
 from __future__ import annotations
 
 import importlib.metadata
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from handmap_qp.errors import HandError, MissingExtraError
 from handmap_qp.hands.spec import ArmSpec, HandSpec
+from handmap_qp.hands.urdf.elements import parse_urdf
 
 
 def read_urdf(spec: HandSpec | ArmSpec) -> str:
-    """The text of the URDF of a hand or an arm.
+    """Read the URDF of a hand or an arm.
+
+    Returns:
+        The text of the file.
 
     Raises:
-        HandError: If there is no such file.
-        MissingExtraError: If it lives in a package that is not installed.
+        HandError: If the file cannot be read.
+        MissingExtraError: If it lies in a package that is not installed.
     """
     path = urdf_path(spec)
     try:
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
         message = f"the URDF cannot be read: {error}"
         if isinstance(spec, ArmSpec):
             raise HandError(message, key="arm.urdf", value=spec.urdf) from error
@@ -30,10 +32,10 @@ def read_urdf(spec: HandSpec | ArmSpec) -> str:
 
 
 def urdf_path(spec: HandSpec | ArmSpec) -> Path:
-    """Where the URDF of a hand or an arm lies.
+    """Return the path of the URDF of a hand or an arm, which need not exist.
 
     Raises:
-        MissingExtraError: If it lives in a package that is not installed.
+        MissingExtraError: If it lies in a package that is not installed.
     """
     if spec.urdf.startswith("package://"):
         package, _, inside = spec.urdf.removeprefix("package://").partition("/")
@@ -42,24 +44,24 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
 
 
 def package_share(package: str) -> Path:
-    """The `share` folder of an installed package of robot descriptions (a cmeel wheel).
+    """Return the `share` folder of an installed package of robot descriptions (a cmeel wheel).
 
     Raises:
         MissingExtraError: If the package is not installed.
     """
     try:
         distribution = importlib.metadata.distribution(package)
-    except importlib.metadata.PackageNotFoundError as error:
+    except (importlib.metadata.PackageNotFoundError, ValueError) as error:  # ValueError: no name
         raise MissingExtraError(package, "robots") from error
     return Path(str(distribution.locate_file("cmeel.prefix/share")))
 
 
 def find_mesh(name: str, folder: Path) -> Path:
-    """Where a mesh that a URDF names lies.
+    """Find a mesh that a URDF names.
 
-    `package://PACKAGE/...` is looked for in installed packages of robot descriptions, and else in
-    the folders above the URDF, where a ROS package is a folder of its own name or one that holds a
-    `package.xml`.
+    A relative name starts at the URDF's folder. `package://PACKAGE/...` is searched in installed
+    packages of robot descriptions first. After that, it is searched in the folders above the URDF:
+    a ROS package is a folder of the package's name, or one that holds a `package.xml`.
 
     Args:
         name: The file name in the URDF.
@@ -71,17 +73,41 @@ def find_mesh(name: str, folder: Path) -> Path:
     if not name.startswith(("package://", "model://")):
         return folder / name.removeprefix("file://")
     package, _, inside = name.partition("://")[2].partition("/")
+    candidates = []
     try:
-        installed = package_share(package) / package / inside
+        candidates.append(package_share(package) / package / inside)
     except MissingExtraError:
-        installed = folder / inside
-    if installed.exists():
-        return installed
+        candidates.append(folder / inside)
     for above in (folder.resolve(), *folder.resolve().parents):
-        for candidate in (
-            above / package / inside,
-            *([above / inside] if (above / "package.xml").exists() else []),
-        ):
-            if candidate.exists():
-                return candidate
-    return installed
+        candidates.append(above / package / inside)
+        if (above / "package.xml").exists():
+            candidates.append(above / inside)
+    return next((path for path in candidates if path.exists()), candidates[0])
+
+
+def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
+    """Replace the file names of all meshes by absolute paths, as `find_mesh` finds them.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        folder: The folder of its URDF.
+    """
+    for mesh in robot.iter("mesh"):
+        if name := mesh.get("filename"):
+            mesh.set("filename", str(find_mesh(name, folder).resolve()))
+
+
+def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
+    """Return a hand's URDF with absolute paths of its meshes, for readers that know no folder.
+
+    Args:
+        spec: The hand, whose URDF file tells where its meshes lie.
+        urdf_text: Its URDF, composed or as in the file.
+
+    Raises:
+        HandError: If the text is not a URDF.
+        MissingExtraError: If the URDF lies in a package that is not installed.
+    """
+    robot = parse_urdf(urdf_text)
+    set_mesh_paths(robot, urdf_path(spec).parent)
+    return ET.tostring(robot, encoding="unicode")

@@ -1,4 +1,4 @@
-"""Where the package's hands lie on disk."""
+"""Where the hands of this package lie on disk."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 
 
 def urdf_directory() -> Path:
-    """The folder with one subfolder per hand.
+    """Return the folder with one subfolder per hand.
 
-    Inside the package when installed from a wheel, beside it in a checkout.
+    It is inside the package when installed from a wheel, and beside it in a checkout.
     """
     package = Path(__file__).resolve().parents[2]
     installed = package / "urdf"
