@@ -1,16 +1,19 @@
-"""The command `handmap`: demo, map, view, hands, figures, serve, keys.
+"""The command `handmap`: parse the arguments, run a subcommand, and report errors.
 
-Every user error is one line on stderr and exit code 2; Ctrl-C is exit code 130, and 0 where it is
-the way to end (`view`, `serve`). Results go to stdout, progress to stderr.
+A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but 0 for `view` and
+`serve`, which end that way. Results go to stdout, progress to stderr.
 """
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import json
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -20,10 +23,9 @@ from typing import Annotated, Any, Protocol
 
 import tyro
 
+from handmap_qp.arguments import HandName, MappingArguments
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.experiments.cli import Figures
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.service.cli import Keys, Serve
 from handmap_qp.tables import check_output, print_rows, print_table, progress
@@ -34,26 +36,30 @@ class Command(Protocol):
     """A subcommand: its fields are its arguments."""
 
     def run(self) -> None:
-        """Do the work; raise `HandmapError` on a user error."""
+        """Run the command; raise `HandmapError` on a user error."""
         ...
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Carry a human hand's motion to a three-fingered robot hand, on embedded data.
+    """Map a human hand's motion to a three-fingered robot hand; needs no data of your own.
 
-    The wrist goes along the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural
-    synergy closes and opens the hand. Writes the robot's trajectory, a picture of both hands and
-    plots of errors and joints.
+    The wrist follows the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural synergy
+    closes and opens the hand. Writes the robot's trajectory (.npz), a picture of both hands, and
+    plots of errors and joints (.png).
+
+    Examples:
+        handmap demo
+        handmap demo --out results/demo
 
     Attributes:
-        out: Folder to write to; made if it does not exist.
+        out: Folder to write to; created if it does not exist.
     """
 
-    out: Path = Path("demo")
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("demo")
 
     def run(self) -> None:
-        """Run the demo and say what it made."""
+        """Run the demo, and print its errors and files."""
         from handmap_qp.experiments.demo import run_demo
 
         with progress("mapping") as advance:
@@ -69,40 +75,36 @@ class Demo:
 class Map:
     """Map a recording of a human hand to a robot hand.
 
-    The hand is measured, its landmarks become joint angles, and every sample goes through the
-    mapper. The result is an .npz file with time, joint_names, q, wrist, targets, points,
-    point_error, valid and versions.
+    Measures the human hand, fits its joint angles to the landmarks, maps every sample, and prints a
+    summary of errors [mm] and times [us]. Writes an .npz file with time [s], joint_names, q [rad or
+    m], wrist (poses), targets and points [m], point_error [m], valid, versions and more.
 
-    Examples: `handmap map recording.npz --robot three_finger`, or
-    `handmap map recording.npz --robot my_hand.yaml --out my_hand.npz --rigid-from wrist --json`.
+    Examples:
+        handmap map recording.npz --robot three_finger
+        handmap map recording.npz --robot my_hand.yaml --rigid-from wrist --json
 
     Attributes:
-        recording: Recording of a human hand: an .npz file with time, landmarks (T, 21, 3) and
-            handedness.
-        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml.
-        out: File to write; RECORDING_ROBOT.npz in the working folder if omitted.
+        recording: Recording of a human hand: an .npz file with handedness, time [s] of shape (T,)
+            and landmarks [m] of shape (T, 21, 3).
+        robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
+        out: File to write.
         json: Print the summary as one JSON object instead of a table.
-        human_points: Reference points on the human hand: the name of a set.
-        robot_points: Reference points on the robot hand: the name of a set; its own default if
-            omitted.
-        mapping: How the human's motion becomes the robot's.
-        ik: Weights and settings of the QP.
+        arguments: Reference points and options.
     """
 
-    recording: tyro.conf.Positional[Path]
-    robot: str
-    out: Path | None = None
+    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
+    robot: HandName
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"),
+    ] = None
     json: bool = False
-    human_points: str | None = None
-    robot_points: str | None = None
-    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(
-        default_factory=MappingOptions
+    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
+        default_factory=MappingArguments
     )
-    ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
 
     def run(self) -> None:
-        """Read, fit, map, write and sum up."""
-        from handmap_qp.hands.library import load_hand
+        """Read, fit and map the recording, write the trajectory, and print a summary."""
         from handmap_qp.mapping.mapper import HandMapper
         from handmap_qp.offline.summary import summarise, table_rows
         from handmap_qp.offline.trajectory import map_motion, save_npz
@@ -110,14 +112,14 @@ class Map:
         from handmap_qp.trackers.recording import read_recording
 
         recording = read_recording(self.recording)
-        robot = load_hand(self.robot, points=self.robot_points)
+        robot = self.arguments.load_robot(self.robot)
         out = check_output(
             "--out", self.out or Path(f"{recording.name}_{robot.name}.npz"), (".npz",)
         )
         with progress("fitting the human hand", len(recording)) as advance:
             motion = fit_recording(recording, advance)
-        human = motion.human.with_points(self.human_points)
-        mapper = HandMapper(human, robot, self.mapping, ik=self.ik)
+        human = motion.human.with_points(self.arguments.human_points)
+        mapper = HandMapper(human, robot, self.arguments.mapping, ik=self.arguments.ik)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
             trajectory = map_motion(mapper, motion, advance)
         save_npz(out, trajectory.columns)
@@ -131,21 +133,32 @@ class Map:
 
 @dataclass(frozen=True)
 class Hands:
-    """List the hands that come with the package, or describe one.
+    """List the hands of the package, or describe one hand.
 
-    `handmap hands init ROBOT.urdf` writes the description of a hand of your own, and `handmap hands
-    check hand.yaml` looks it over; both have their own --help.
+    A description shows joints with their limits [rad or m, and per second], reference points [m]
+    and point sets. To use a hand of your own, write its description with `handmap hands init` and
+    check it with `handmap hands check`. Each of the two has its own --help.
+
+    Examples:
+        handmap hands
+        handmap hands allegro_right
+        handmap hands init my_robot.urdf --out my_hand.yaml
+        handmap hands check my_hand.yaml
 
     Attributes:
-        hand: Name of a hand or path of a hand.yaml to describe; lists all hands if omitted.
-        json: Print one JSON object instead of a table.
+        hand: Hand to describe, by name or by the path of its hand.yaml.
+        json: Print JSON instead of tables.
     """
 
-    hand: tyro.conf.Positional[str | None] = None
+    hand: tyro.conf.Positional[
+        Annotated[
+            str | None, tyro.conf.arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
+        ]
+    ] = None
     json: bool = False
 
     def run(self) -> None:
-        """Print the table."""
+        """Print the list or the description."""
         from handmap_qp.hands.library import describe_hand, list_hands
 
         rows = list_hands() if self.hand is None else describe_hand(self.hand)
@@ -171,15 +184,19 @@ _COMMANDS: dict[str, Any] = {
     "serve": Serve,
     "keys": Keys,
 }
-_Any: Any = reduce(
-    or_,
-    (
-        Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)]
-        for name, kind in _COMMANDS.items()
-    ),
-)
-_NESTED: dict[tuple[str, str], Any] = {("hands", "init"): HandsInit, ("hands", "check"): HandsCheck}
-"""Commands of a command that can also be used alone."""
+_NESTED: dict[str, Any] = {"hands init": HandsInit, "hands check": HandsCheck}
+"""Subcommands of a command that also runs on its own."""
+_ABOUT = """Map the motion of a human hand onto a robotic hand.
+
+Lengths are in metres, angles in radians and times in seconds unless a unit is given.
+`handmap COMMAND --help` explains a command and its options.
+
+Examples:
+    handmap demo
+    handmap hands
+    handmap map recording.npz --robot allegro_right
+    handmap view recording.npz --robot allegro_right
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -197,8 +214,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        # The reader of stdout has gone (`| head`): say nothing, and keep Python from complaining
-        # about it at exit.
+        # The reader of stdout has closed it (`| head`): end quietly, also when Python flushes stdout
+        # at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("handmap: interrupted, nothing was written", file=sys.stderr)
@@ -207,7 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """The command that the words ask for.
+    """Parse the command line.
 
     Args:
         arguments: Words after `handmap`.
@@ -216,33 +233,76 @@ def parse(arguments: Sequence[str]) -> Command:
         The command, ready to run.
 
     Raises:
-        InvalidInputError: On a mistake in the words, in one line.
-        SystemExit: After help was asked for and printed.
+        InvalidInputError: If the words are not a valid command, in one line.
+        SystemExit: After printing the help that was asked for.
     """
-    complaint = io.StringIO()
-    command, words, name = _Any, list(arguments), "handmap"
-    for (first, second), nested in _NESTED.items():
-        if words[:2] == [first, second]:
-            command, words, name = nested, words[2:], f"handmap {first} {second}"
+    words, message, printed = list(arguments), io.StringIO(), _Page()
+    commands = {**_COMMANDS, **_NESTED}
+    name = next((key for key in (" ".join(words[:2]), *words[:1]) if key in commands), "")
+    command = commands[name] if name else _any_command()
+    program = f"handmap {name}".rstrip()
+    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0] if name else _ABOUT
     try:
-        with contextlib.redirect_stderr(complaint):
-            description = (__doc__ or "").partition("\n")[0] if command is _Any else None
-            return tyro.cli(command, prog=name, description=description, args=words)
+        with contextlib.redirect_stderr(message), contextlib.redirect_stdout(printed):
+            return tyro.cli(
+                command, prog=program, description=about, args=words[len(name.split()) :]
+            )
     except SystemExit as end:
         if not end.code:
+            encoding = sys.stdout.encoding or "utf-8"
+            page = _wrapped(printed.getvalue())
+            print(page.encode(encoding, "replace").decode(encoding), end="")
             raise
-        if command is _Any and words and words[0] in _COMMANDS:
-            name = f"handmap {words[0]}"
         raise InvalidInputError(
-            f"{_first_sentences(complaint.getvalue())} (see {name} --help)"
+            problem=f"{_first_sentences(message.getvalue())} (see {program} --help)"
         ) from end
 
 
+class _Page(io.StringIO):
+    """Collect what would be printed, in colour if stdout is a terminal."""
+
+    encoding = "utf-8"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._is_terminal = sys.stdout.isatty()
+
+    def isatty(self) -> bool:
+        """Return whether stdout is a terminal."""
+        return self._is_terminal
+
+
+def _any_command() -> Any:
+    """Return a type that lists all commands with the first line of their descriptions."""
+    kinds = (
+        Annotated[
+            kind,
+            tyro.conf.subcommand(
+                name, description=(kind.__doc__ or "").partition("\n")[0], prefix_name=False
+            ),
+        ]
+        for name, kind in _COMMANDS.items()
+    )
+    return reduce(or_, kinds)
+
+
+def _wrapped(page: str) -> str:
+    """Wrap the lines of a help page that tyro leaves longer than the terminal: the description."""
+    width = max(40, shutil.get_terminal_size().columns)
+    lines = (
+        line
+        if len(line) <= width or line.startswith(("│", "╭", "╰"))
+        else textwrap.fill(line, width)
+        for line in page.splitlines(keepends=True)
+    )
+    return "".join(line if line.endswith("\n") else f"{line}\n" for line in lines)
+
+
 def _first_sentences(box: str) -> str:
-    """The message inside the box that tyro draws round it, on one line."""
+    """Return the message inside the box that tyro prints, on one line."""
     lines = [line.strip(" │╭╮╰╯─") for line in box.splitlines() if line.startswith("│")]
     ruled = [i for i, line in enumerate(lines) if not line]
-    # Options that have no name of their own stand in a class of tyro's.
+    # tyro prefixes options of groups without a name.
     return " ".join(lines[: ruled[0]] if ruled else lines).replace("__tyro-dummy-inner__.", "--")
 
 

@@ -5,50 +5,56 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
+from handmap_qp.arguments import HandName
 from handmap_qp.hands.spec import Side
 from handmap_qp.tables import print_rows
 
 
+def _optional(metavar: str, default: str) -> Any:
+    """Describe an optional argument by a placeholder and its effect if omitted."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
 @dataclass(frozen=True)
 class HandsInit:
-    """Find a hand in a URDF and write its hand.yaml.
+    """Find a hand in a URDF and write its description, hand.yaml.
 
-    Palm, fingers, thumb, fingertips, side and a rest posture are found from the kinematics; each
-    comes with how it was found and how sure that is. Look at the result with `handmap hands check`.
+    Finds palm, fingers, thumb, fingertips, side and a rest posture from the kinematics, and prints
+    how each was found and how certain it is. Check the result with `handmap hands check`.
 
-    Examples: `handmap hands init my_hand.urdf`, or
-    `handmap hands init humanoid.urdf --root left_wrist_link --side left --out left_hand/hand.yaml`.
+    Examples:
+        handmap hands init my_hand.urdf
+        handmap hands init humanoid.urdf --root left_wrist_link --out left/hand.yaml
+        handmap hands init humanoid.urdf --root left_wrist_link --base torso_link
 
     Attributes:
-        urdf: The URDF.
-        root: Link at which the hand, or the arm that ends in it, begins, in the URDF of a whole
-            robot.
-        base: Link that stands still: the joints between it and the hand then move the wrist. The
-            hand floats if omitted.
-        side: Side of the hand, where it shall not be found.
-        thumb: A link or joint of the thumb, where it shall not be found.
-        name: Name of the hand; that of the robot if omitted.
+        urdf: URDF of the hand or of a robot with a hand.
+        root: Link at which the hand begins, in the URDF of a whole robot.
+        base: Fixed link of the arm; the joints between it and the hand then move the wrist.
+        side: Side of the hand.
+        thumb: Name of a link or joint of the thumb.
+        name: Name of the hand.
         out: File to write.
         overwrite: Replace the file if it exists.
         json: Print one JSON object instead of a table.
     """
 
-    urdf: tyro.conf.Positional[Path]
-    root: str | None = None
-    base: str | None = None
-    side: Side | None = None
-    thumb: str | None = None
-    name: str | None = None
-    out: Path = Path("hand.yaml")
+    urdf: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROBOT.urdf")]]
+    root: Annotated[str | None, _optional("LINK", "the root of the URDF")] = None
+    base: Annotated[str | None, _optional("LINK", "the wrist floats")] = None
+    side: Annotated[Side | None, _optional("{right,left}", "found")] = None
+    thumb: Annotated[str | None, _optional("LINK", "found")] = None
+    name: Annotated[str | None, _optional("NAME", "the robot's name")] = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
     overwrite: bool = False
     json: bool = False
 
     def run(self) -> None:
-        """Find, write, load what was written, and say how each part was found."""
+        """Find the hand, write its description, load it, and print how each part was found."""
         from handmap_qp.hands.library import load_hand
         from handmap_qp.onboarding.detect import detect
         from handmap_qp.onboarding.write import write_hand
@@ -64,7 +70,7 @@ class HandsInit:
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
         rows = [
-            {"what": c.what, "found": c.answer, "sure": c.sureness, "how": c.how}
+            {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
             for c in found.clues
         ]
         if self.json:
@@ -80,31 +86,37 @@ class HandsInit:
         print_rows(f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows)
         for note in found.notes:
             print(f"note: {note}")
-        print(f"wrote {self.out}; look at it with: handmap hands check {self.out}")
+        print(f"wrote {self.out}; check it with: handmap hands check {self.out}")
 
 
 @dataclass(frozen=True)
 class HandsCheck:
-    """Check a hand.yaml against its URDF and draw the hand with its labels.
+    """Check a hand.yaml against its URDF, and draw the hand with its labels.
 
-    Frames, limits, mimic rules, reference points and weights; how far each finger reaches and how
-    well it moves; the hand's size beside a person's; self-collisions at rest; and which human
-    motions will be out of reach. Findings say what to change.
+    Checks frames, limits, mimic rules, reference points and weights. Measures how far each finger
+    reaches, the hand's size relative to a person's, self-collisions at rest, and which human
+    postures are out of reach. Every finding says what to change.
+
+    Examples:
+        handmap hands check my_hand.yaml
+        handmap hands check allegro_right --picture allegro.png
 
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
-        picture: Picture to draw; beside the hand.yaml if omitted, none for a hand of the package.
-        motion: Try a standard motion of the human hand on it (a second or two).
+        picture: Picture to draw, PNG, SVG or PDF.
+        motion: Map a standard motion of a human hand to it (takes a second or two).
         json: Print one JSON object instead of tables.
     """
 
-    hand: tyro.conf.Positional[str]
-    picture: Path | None = None
+    hand: tyro.conf.Positional[HandName]
+    picture: Annotated[
+        Path | None, _optional("FILE", "beside the hand.yaml; none for a hand of the package")
+    ] = None
     motion: bool = True
     json: bool = False
 
     def run(self) -> None:
-        """Check, draw and print."""
+        """Check the hand, draw it, and print the findings."""
         from handmap_qp.onboarding.check import check_hand
         from handmap_qp.onboarding.picture import draw_hand, picture_path
 

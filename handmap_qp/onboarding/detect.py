@@ -1,8 +1,8 @@
 """From a URDF to a hand's description: `detect`.
 
-Everything rests on how the robot moves: which chains branch from one body, where fingers are
-straight, which way their tips go when they close, where the thumb stands. Names decide only what
-that leaves open, and each answer says how it was found and how sure it is.
+Detection uses the kinematics: which chains branch from one body, where fingers are straight, how
+their tips move in flexion, and where the thumb is. Names decide only where that is ambiguous. Each
+answer has its evidence and its confidence.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ import numpy as np
 from handmap_qp.errors import HandError
 from handmap_qp.hands.spec import HandSpec, Mount, PalmSpec, PointSpec, Side, WristSpec
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
-from handmap_qp.onboarding.flexion import Closing, Fingers, find_closing
+from handmap_qp.onboarding.flexion import FingerFlexion, FingertipKinematics, find_flexion
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.onboarding.structure import Chain, Structure, find_structure
 from handmap_qp.transform import transform_points
 
-# Half open is less than half way to the fist, and no joint need bend further than this for it
-# [rad].
+# Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE, _REST_MOST = 0.4, 0.75
-# A person's palm from wrist to knuckles, in lengths of the longest finger from knuckle to tip.
+# Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
 _PALM_RATIO = (0.4, 1.4)
 
 
@@ -35,10 +34,9 @@ class Detection:
 
     Attributes:
         spec: The description, ready to be written or loaded.
-        clues: How each part of it was found.
-        notes: What was assumed or left out.
-        chains: Joints that move every finger, its own and the leaders of those, by the finger's
-            name.
+        clues: Evidence for each part of it.
+        notes: Assumptions and omissions.
+        chains: Joints that move each finger, its own and their leaders, by the finger's name.
     """
 
     spec: HandSpec
@@ -60,19 +58,18 @@ def detect(
 
     Args:
         urdf: The file.
-        root: Link at which the hand, or the part of the robot that holds it, begins; the whole URDF
+        root: Link at which the hand, or the part of the robot with the hand, begins; the whole URDF
             if omitted.
-        base: Link that stands still, with an arm between it and the hand: the arm's joints then
-            move the wrist. The hand floats if omitted.
-        side: The hand's side, where kinematics shall not decide.
-        thumb: A link or joint of the thumb, where kinematics shall not decide.
+        base: Fixed link of an arm whose joints then move the wrist; the hand floats if omitted.
+        side: The hand's side; detected if omitted.
+        thumb: A link or joint of the thumb; detected if omitted.
         name: The hand's name; that of the robot if omitted.
 
     Returns:
         The hand.
 
     Raises:
-        HandError: If the URDF cannot be used, or holds no hand or more than one.
+        HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
     try:
         text = urdf.read_text(encoding="utf-8")
@@ -91,16 +88,13 @@ def detect_text(
     thumb: str | None = None,
     name: str | None = None,
 ) -> Detection:
-    """Find a hand in a URDF's text.
-
-    `urdf` is where it came from, other arguments and errors as of `detect`.
-    """
+    """Find a hand in a URDF's text; `urdf` is its file, the rest is as in `detect`."""
     robot = Robot(text, urdf, root=root)
     structure = find_structure(robot)
     if root is None and (structure.above or structure.palm != robot.root):
         robot = Robot(text, urdf, root=structure.palm)
         structure = find_structure(robot)
-    closing = find_closing(robot, structure)
+    flexion = find_flexion(robot, structure)
     names = [[*chain.joints, *chain.links] for chain in structure.chains]
     given = (
         None
@@ -109,10 +103,10 @@ def detect_text(
     )
     if thumb is not None and given is None:
         raise HandError(f"no finger has a link or joint {thumb!r}", file=urdf, value=thumb)
-    anatomy = find_anatomy(closing, names, (robot.name, urdf.stem, structure.palm), side, given)
+    anatomy = find_anatomy(flexion, names, (robot.name, urdf.stem, structure.palm), side, given)
     if name is None:
         name = robot.name if robot.is_whole else f"{robot.name}_{anatomy.side}"
-    spec, clues = _describe(robot, structure, closing, anatomy, name)
+    spec, clues = _describe(robot, structure, flexion, anatomy, name)
     notes = (*structure.notes, *robot.notes)
     chains = {
         finger: (*dict.fromkeys([*map(robot.drivers, chain.joints), *chain.joints]),)
@@ -125,15 +119,15 @@ def detect_text(
 
 
 def _describe(
-    robot: Robot, structure: Structure, closing: Closing, anatomy: Anatomy, name: str
+    robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy, name: str
 ) -> tuple[HandSpec, tuple[Clue, ...]]:
     joints = _ordered_joints(robot, structure, anatomy)
-    q_rest = _rest(robot, closing, anatomy)
+    q_rest = _rest(robot, flexion, anatomy)
     rest = {joint: round(float(q_rest[robot.active.index(joint)]), 4) + 0.0 for joint in joints}
     rest = {joint: _inside(rest[joint], robot, joint) for joint in joints}
     robot.place(q_rest)
-    points, tips = _points(robot, structure, closing, anatomy)
-    origin, origin_clue = _palm_origin(robot, structure, closing, anatomy)
+    points, tips = _points(robot, structure, flexion, anatomy)
+    origin, origin_clue = _palm_origin(robot, structure, flexion, anatomy)
     sets = {"fingertips": tips}
     if len(points) > len(tips):
         sets["fingertips_middle"] = (
@@ -170,20 +164,20 @@ def _describe(
         Clue(f"{finger}_tip", chain.tip.link, chain.tip.how, chain.tip.confidence)
         for finger, chain in _in_order(anatomy, structure.chains)
     ]
-    moved = Fingers(robot, structure).tips(q_rest) - closing.tips_open
+    moved = FingertipKinematics(robot, structure).tips(q_rest) - flexion.tips_open
     share = float(np.mean((moved @ -anatomy.dorsal) > 0.0))
     rest_clue = Clue(
         "rest",
         "half open",
-        f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad a joint; other joints near zero, "
-        "or in the middle of their range on the thumb",
+        f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad per "
+        "joint; other joints near zero, or at mid-range on the thumb",
         0.9 if share > 0.5 else 0.6,
     )
     return spec, (palm_clue, *anatomy.clues, origin_clue, *tip_clues, rest_clue)
 
 
 def _in_order(anatomy: Anatomy, chains: tuple[Chain, ...]) -> list[tuple[str, Chain]]:
-    """Fingers with their chains, the thumb first."""
+    """Return the fingers with their chains, the thumb first."""
     known = ("thumb", "index", "middle", "ring", "little")
     pairs = list(zip(anatomy.fingers, chains, strict=True))
     return sorted(
@@ -197,7 +191,7 @@ def _in_order(anatomy: Anatomy, chains: tuple[Chain, ...]) -> list[tuple[str, Ch
 
 
 def _ordered_joints(robot: Robot, structure: Structure, anatomy: Anatomy) -> tuple[str, ...]:
-    """The joints that are set, finger by finger from the palm outwards."""
+    """Return the active joints, finger by finger from the palm outwards."""
     found: list[str] = []
     for _, chain in _in_order(anatomy, structure.chains):
         for joint in chain.joints:
@@ -207,35 +201,32 @@ def _ordered_joints(robot: Robot, structure: Structure, anatomy: Anatomy) -> tup
     return tuple(found)
 
 
-def _rest(robot: Robot, closing: Closing, anatomy: Anatomy) -> np.ndarray:
-    """Half open: a share of the way to the fist.
-
-    What does not flex is near zero, or in the middle of its range on the thumb.
-    """
-    travel = closing.q_closed - closing.q_open
+def _rest(robot: Robot, flexion: FingerFlexion, anatomy: Anatomy) -> np.ndarray:
+    """Return the half-open posture; joints that do not flex are near zero or, on the thumb, centred."""
+    travel = flexion.q_closed - flexion.q_open
     slides = np.array([robot.kinds[name] == "prismatic" for name in robot.active])
     step = np.where(slides, 0.5 * travel, np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST))
-    q = np.where(closing.flexes, closing.q_open + step, robot.zero)
+    q = np.where(flexion.flexes, flexion.q_open + step, robot.zero)
     if "thumb" in anatomy.fingers:
-        of_thumb = closing.moves[anatomy.fingers.index("thumb")] & ~closing.flexes
+        of_thumb = flexion.moves[anatomy.fingers.index("thumb")] & ~flexion.flexes
         one_sided = of_thumb & ((robot.lower > -0.1) | (robot.upper < 0.1))
         q = np.where(one_sided, 0.5 * (robot.lower + robot.upper), q)
     return np.clip(q, robot.lower, robot.upper)
 
 
 def _inside(value: float, robot: Robot, joint: str) -> float:
-    """A rounded number, inside the limits again where rounding has taken it out."""
+    """Clip a rounded value to the joint's limits."""
     at = robot.active.index(joint)
     return float(np.clip(value, robot.lower[at], robot.upper[at]))
 
 
 def _points(
-    robot: Robot, structure: Structure, closing: Closing, anatomy: Anatomy
+    robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy
 ) -> tuple[tuple[PointSpec, ...], tuple[str, ...]]:
-    """Fingertips, and the joint nearest to the middle of each finger that has one."""
+    """Return fingertips, and for each finger the joint nearest to its middle, if any."""
     tips, middles = [], []
     for finger, chain in _in_order(anatomy, structure.chains):
-        # A further finger has no human counterpart: it goes with the little one.
+        # An additional finger has no human counterpart: pair it with the little finger.
         partner = f"{finger}_tip" if not finger.startswith("finger") else "little_tip"
         tip = PointSpec(
             f"{finger}_tip", chain.tip.link, _vector(chain.tip.xyz, 4), finger, 1.0, partner
@@ -257,10 +248,7 @@ def _points(
 
 
 def _middle_link(robot: Robot, chain: Chain) -> str | None:
-    """The link whose joint is nearest to the middle of a finger, measured along it.
-
-    None where no joint is near.
-    """
+    """Return the link whose joint is nearest to the finger's middle along it; None if none is near."""
     robot.place(robot.zero)
     places = [robot.pose(link)[:3, 3] for link in chain.links]
     places.append(transform_points(robot.pose(chain.tip.link), chain.tip.xyz))
@@ -273,41 +261,35 @@ def _middle_link(robot: Robot, chain: Chain) -> str | None:
 
 
 def _palm_origin(
-    robot: Robot, structure: Structure, closing: Closing, anatomy: Anatomy
+    robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy
 ) -> tuple[np.ndarray, Clue]:
-    """Where a wrist would be.
-
-    Under the middle of the knuckles, at the near end of the palm's surface.
-    """
+    """Estimate the wrist position: behind the knuckles, at the proximal end of the palm's surface."""
     robot.place(robot.zero)
     fingers = [i for i, finger in enumerate(anatomy.fingers) if finger != "thumb"] or [0]
-    knuckles = closing.bases[fingers].mean(axis=0)
-    finger_length = float(closing.reach[fingers].max())
+    knuckles = flexion.bases[fingers].mean(axis=0)
+    finger_length = float(flexion.reach[fingers].max())
     body = robot.body(structure.palm)
     cloud = robot.body_surface(body)
     if len(cloud):
         cloud = transform_points(robot.pose_in(body, structure.palm), cloud)
         back = float(knuckles @ anatomy.distal - (cloud @ anatomy.distal).min())
-        how = "the near end of the palm's surface, behind the middle of the knuckles"
+        how = "the proximal end of the palm's surface, behind the centre of the knuckles"
     else:
         back = float(knuckles @ anatomy.distal)
-        how = "the origin of the palm's link, beside the middle of the knuckles"
+        how = "the origin of the palm's link, behind the centre of the knuckles"
     low, high = (ratio * finger_length for ratio in _PALM_RATIO)
     confidence = 0.8
     if not low <= back <= high:
         back, confidence = float(np.clip(back, low, high)), 0.5
         how = (
-            f"{how}; moved to {1e3 * back:.0f} mm behind the knuckles, in proportion to a person's"
+            f"{how}; moved to {1e3 * back:.0f} mm behind the knuckles, as in a person's proportions"
         )
     origin = knuckles - back * anatomy.distal
     return origin, Clue("palm origin", f"{1e3 * back:.0f} mm behind the knuckles", how, confidence)
 
 
 def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec, tuple[str, ...]]:
-    """The same hand with the arm between `base` and itself.
-
-    Everything else that moves is locked.
-    """
+    """Return the hand with the arm from `base` to it; all other joints are locked."""
     robot = Robot(text, urdf, root=base)
     hand = spec.root or spec.wrist.link
     if hand not in robot.links:
@@ -321,7 +303,7 @@ def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec,
         )
     still = [joint for joint in robot.active if joint not in arm and joint not in spec.joints]
     middle = 0.5 * (robot.lower + robot.upper)
-    # An arm stretched out is singular; in the middle of its ranges it seldom is.
+    # A straight arm is singular; at mid-range it seldom is.
     rest = {joint: round(float(middle[robot.active.index(joint)]), 4) + 0.0 for joint in arm}
     changes = {
         "root": None if robot.is_whole else base,
@@ -339,7 +321,7 @@ def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec,
     }
     notes = (
         f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}",
-        f"{len(still)} joints beside it are locked",
+        f"{len(still)} other joints are locked",
     )
     return msgspec.structs.replace(spec, **changes), notes
 

@@ -1,11 +1,10 @@
-"""How fingers close.
+"""How fingers flex: straight posture, direction of flexion, and fingertip motion.
 
-Straight postures, which way every joint bends its finger, and which way a fingertip goes by it.
-
-A joint *curls* a finger if it changes the distance from the finger's base to its tip; the finger is
-straight where that is greatest, and closes towards the end of the range that is farther from there.
-Joints at the base turn the finger as a whole: they flex it if they move the tip the way the curling
-joints do, and spread it else. Fingers that nothing curls (jaws) close towards the other tips.
+A joint *curls* a finger if it changes the distance from the finger's base to its tip. The finger is
+straight where that distance is largest, and flexes towards the end of the joint's range where it is
+smallest. A base joint rotates the finger as a whole: it flexes the finger if it moves the tip in the
+direction of the curling joints, and spreads it otherwise. Fingers without curling joints (jaws)
+flex towards the other tips.
 """
 
 from __future__ import annotations
@@ -18,32 +17,33 @@ from handmap_qp.onboarding.robot import Robot
 from handmap_qp.onboarding.structure import Structure
 from handmap_qp.transform import transform_points
 
+# Samples of a joint's range.
 _GRID = 41
-# Less change of a finger's length over a joint's range than this share of it is not curling.
+# Least relative change of a finger's length over a joint's range that counts as curling.
 _LEAST_CURL = 0.06
-# Cosine from which a joint moves the tip the way that the curling joints do.
+# Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
-# Both ends of a range count as equally curled when the finger's lengths there differ by less than
-# this share.
+# Largest relative difference of a finger's lengths at both ends of a range that count as equally
+# curled.
 _EVEN = 0.08
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closing:
-    """How a hand's fingers close; F fingers, n joints that are set.
+class FingerFlexion:
+    """How a hand's fingers flex; F fingers, n active joints.
 
     Attributes:
         q_open: Straight fingers [rad or m], shape (n,).
-        q_closed: The same with every flexing joint at the end where its finger is closed, shape
-            (n,).
-        flexes: Which joints bend or shut a finger, shape (n,).
+        q_closed: The same with every flexing joint at the end of its range where the finger is
+            closed, shape (n,).
+        flexes: Which joints flex or close a finger, shape (n,).
         moves: Which joint moves which fingertip, shape (F, n).
-        bases: Where the fingers begin, in the palm link's coordinates [m], shape (F, 3).
+        bases: Base of each finger in the palm link's frame [m], shape (F, 3).
         tips_open: Fingertips at `q_open` [m], shape (F, 3).
         tips_closed: Fingertips at `q_closed` [m], shape (F, 3).
         reach: Length of each finger at `q_open` [m], shape (F,).
-        ways: Direction in which each tip sets off when it closes, shape (F, 3).
-        certainty: How clear that direction is, from 0 to 1, shape (F,).
+        ways: Unit direction of each tip's motion at the start of flexion, shape (F, 3).
+        certainty: Confidence in that direction, from 0 to 1, shape (F,).
     """
 
     q_open: np.ndarray
@@ -63,8 +63,8 @@ class Closing:
         return (self.tips_open - self.bases) / np.maximum(self.reach, 1e-9)[:, None]
 
 
-class Fingers:
-    """The fingertips of a robot as a function of the joints that are set.
+class FingertipKinematics:
+    """Fingertips of a robot as a function of its active joints.
 
     Args:
         robot: The robot.
@@ -86,7 +86,7 @@ class Fingers:
                     self.moves[i, robot.active.index(driver)] = True
 
     def tips(self, q: np.ndarray) -> np.ndarray:
-        """Fingertips in the palm link's coordinates [m], shape (F, 3)."""
+        """Return the fingertips in the palm link's frame [m], shape (F, 3)."""
         self.robot.place(q)
         palm = self.structure.palm
         return np.array(
@@ -97,27 +97,27 @@ class Fingers:
         )
 
     def lengths(self, q: np.ndarray) -> np.ndarray:
-        """Distances of the tips from the fingers' bases [m], shape (F,)."""
+        """Return the distances of the tips from the fingers' bases [m], shape (F,)."""
         return np.linalg.norm(self.tips(q) - self.bases, axis=1)
 
     def slopes(self, q: np.ndarray, joint: int) -> np.ndarray:
-        """Motion of the tips per motion of one joint, shape (F, 3)."""
+        """Return the derivative of the tips by one joint, shape (F, 3)."""
         step = np.zeros(len(q))
         step[joint] = 1e-5
         return (self.tips(q + step) - self.tips(q - step)) / 2e-5
 
 
-def find_closing(robot: Robot, structure: Structure) -> Closing:
-    """Find how the fingers of a hand close.
+def find_flexion(robot: Robot, structure: Structure) -> FingerFlexion:
+    """Find how the fingers of a hand flex.
 
     Args:
         robot: The robot.
         structure: Its palm and fingers.
 
     Returns:
-        Open and closed posture, and what they say about every finger.
+        Open and closed posture, and the flexion of every finger.
     """
-    fingers = Fingers(robot, structure)
+    fingers = FingertipKinematics(robot, structure)
     moves = fingers.moves
     q_open, curls, ends = _straighten(fingers)
     sign = np.zeros(len(q_open))
@@ -134,11 +134,11 @@ def find_closing(robot: Robot, structure: Structure) -> Closing:
     _sign_base_joints(fingers, q_open, sign, ways, certainty)
     flexes = sign != 0.0
     q_closed = np.where(sign > 0.0, robot.upper, np.where(sign < 0.0, robot.lower, q_open))
-    # A jaw is open at one end of its range, whatever zero means there.
+    # A jaw is open at one end of its range, which need not be zero.
     slides = flexes & ~curls & np.array([robot.kinds[name] == "prismatic" for name in robot.active])
     q_open = np.where(slides, np.where(sign > 0.0, robot.lower, robot.upper), q_open)
     tips_open = fingers.tips(q_open)
-    return Closing(
+    return FingerFlexion(
         q_open=q_open,
         q_closed=q_closed,
         flexes=flexes,
@@ -152,8 +152,8 @@ def find_closing(robot: Robot, structure: Structure) -> Closing:
     )
 
 
-def _straighten(fingers: Fingers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The posture of straight fingers, which joints curl, and the sign of the end of their range where the finger is shorter."""
+def _straighten(fingers: FingertipKinematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the straight posture, which joints curl, and the sign of their curled end."""
     robot = fingers.robot
     q = robot.zero.copy()
     curls, ends = np.zeros(len(q), dtype=bool), np.zeros(len(q))
@@ -162,7 +162,7 @@ def _straighten(fingers: Fingers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for j in np.flatnonzero(fingers.moves.any(axis=0))
         if robot.kinds[robot.active[j]] != "prismatic"
     ]
-    # Joints straighten each other's effect, so a few rounds settle it.
+    # Coordinate descent: the best value of a joint depends on the others; three rounds suffice.
     for _ in range(3):
         for j in turning:
             grid = np.append(np.linspace(robot.lower[j], robot.upper[j], _GRID), q[j])
@@ -175,7 +175,7 @@ def _straighten(fingers: Fingers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             total = lengths.sum(axis=1)
             curls[j] = bool((np.ptp(lengths, axis=0) > _LEAST_CURL * lengths.max(axis=0)).any())
             if curls[j]:
-                # A flat top is many straight postures: the one next to zero will do.
+                # Several postures are equally straight: take the one nearest to zero.
                 best = np.flatnonzero(total > total.max() - 1e-4 * total.max())
                 q[j] = grid[best[np.argmin(np.abs(grid[best] - robot.zero[j]))]]
                 low, high = total[0], total[_GRID - 1]
@@ -186,16 +186,17 @@ def _straighten(fingers: Fingers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _settle_even(
-    fingers: Fingers,
+    fingers: FingertipKinematics,
     q: np.ndarray,
     even: np.ndarray,
     sign: np.ndarray,
     ways: np.ndarray,
     certainty: np.ndarray,
 ) -> None:
-    """Joints that curl as far one way as the other.
+    """Choose the direction of joints that curl equally far both ways.
 
-    The way of the finger's other joints, or of the other fingers, or together.
+    Follow the finger's other joints, else the other fingers, else towards the other tips, else the
+    upper limit.
     """
     for j in np.flatnonzero(even).tolist():
         mine = fingers.moves[:, j]
@@ -205,17 +206,17 @@ def _settle_even(
         nearer = _nearness(fingers, q, j)
         clear = 0.1 * float(np.linalg.norm(slope[mine]))
         votes = ((own, 0.9), (0.5 * others, 0.6), (nearer, 0.4), (1.0, 0.1))
-        vote, sureness = next(pair for pair in votes if abs(pair[0]) > min(clear, 0.5))
+        vote, confidence = next(pair for pair in votes if abs(pair[0]) > min(clear, 0.5))
         sign[j] = np.sign(vote)
-        for i in np.flatnonzero(mine & (certainty < sureness)):
+        for i in np.flatnonzero(mine & (certainty < confidence)):
             ways[i], certainty[i] = (
                 sign[j] * slope[i] / max(float(np.linalg.norm(slope[i])), 1e-9),
-                sureness,
+                confidence,
             )
 
 
-def _nearness(fingers: Fingers, q: np.ndarray, j: int) -> float:
-    """How much nearer to the other tips a joint brings its own at its upper end than at its lower one [m]; 0 for one finger."""
+def _nearness(fingers: FingertipKinematics, q: np.ndarray, j: int) -> float:
+    """Return how much closer a joint's upper limit brings its tips to the others than its lower [m]."""
     robot = fingers.robot
     distances = []
     for value in (robot.lower[j], robot.upper[j]):
@@ -227,9 +228,13 @@ def _nearness(fingers: Fingers, q: np.ndarray, j: int) -> float:
 
 
 def _close_jaws(
-    fingers: Fingers, q: np.ndarray, sign: np.ndarray, ways: np.ndarray, certainty: np.ndarray
+    fingers: FingertipKinematics,
+    q: np.ndarray,
+    sign: np.ndarray,
+    ways: np.ndarray,
+    certainty: np.ndarray,
 ) -> None:
-    """Fingers that nothing curls close towards the other tips."""
+    """Flex fingers without curling joints towards the other tips."""
     for i in np.flatnonzero(certainty == 0.0):
         nearer = {j: _nearness(fingers, q, j) for j in np.flatnonzero(fingers.moves[i]).tolist()}
         if not nearer or max(map(abs, nearer.values())) < 1e-4:
@@ -241,9 +246,13 @@ def _close_jaws(
 
 
 def _sign_base_joints(
-    fingers: Fingers, q: np.ndarray, sign: np.ndarray, ways: np.ndarray, certainty: np.ndarray
+    fingers: FingertipKinematics,
+    q: np.ndarray,
+    sign: np.ndarray,
+    ways: np.ndarray,
+    certainty: np.ndarray,
 ) -> None:
-    """Joints that turn a finger as a whole the way in which it closes."""
+    """Set the direction of base joints that move the tip as flexion does."""
     for j in np.flatnonzero((sign == 0.0) & fingers.moves.any(axis=0)).tolist():
         slope = fingers.slopes(q, j)
         speed = np.linalg.norm(slope, axis=1)

@@ -158,7 +158,7 @@ def _points(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
 
 
 def _comment(clue: Clue, what: str = "", indent: str = "") -> list[str]:
-    text = f"{what + ': ' if what else ''}{clue.how} ({clue.sureness})"
+    text = f"{what + ': ' if what else ''}{clue.how} ({clue.certainty})"
     return [f"{indent}# {line}" for line in _wrapped(text)]
 
 

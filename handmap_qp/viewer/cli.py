@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from handmap_qp.addresses import check_port
+from handmap_qp.arguments import MappingArguments
 from handmap_qp.errors import InvalidInputError, MissingExtraError
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.options import MappingOptions
 
 if TYPE_CHECKING:
     import viser
@@ -24,96 +23,99 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """Look at a mapping in the browser, and change its options while it plays.
+    """Show a mapping in the browser, and change its options while it plays.
 
-    Shows the human hand and the robot hand side by side, reference points and targets, what T_def
-    makes of a ball, the robot's joints between their limits, errors and timing.
+    Shows the human hand and the robot hand side by side, their reference points and targets, the
+    deformation T_def as an ellipsoid, the robot's joints between their limits, point errors [mm]
+    and the time per step [us]. Ctrl-C ends the view.
 
-    Examples: `handmap view recording.npz --robot allegro_right`, or
-    `handmap view recording.npz --robot three_finger --html page.html` for a page that plays without
-    a server, or `handmap view --live 127.0.0.1` beside a running `handmap serve`.
+    Examples:
+        handmap view recording.npz --robot allegro_right
+        handmap view recording.npz --robot three_finger --html page.html
+        handmap view --live 127.0.0.1      (beside a running handmap serve)
 
     Attributes:
         recording: Recording of a human hand, as for `handmap map`.
-        robot: Robot hand: a name that `handmap hands` lists, or the path of a hand.yaml. With
-            --live, the service says it.
-        live: In place of a recording: HOST or HOST:PORT of a mapping service. A session that was
-            opened with is_shared can be steered from the view, one with has_detail can be seen.
-        session: Name of the service's session; the only one if omitted.
-        keys: For an encrypted service: the folder's files NAME.key_secret and server.key.
-        html: Write a page that plays by itself to this file, and end.
-        host: Address to serve on. Whoever reaches it can use the view: leave it on loopback unless
-            you trust the network.
-        port: Port to serve on; the next free one where it is taken.
+        robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
+            Required for a recording. A service names its own.
+        live: Show a session of a running mapping service instead of a recording. Its client must
+            have opened it with has_detail or is_shared. A shared session can also be steered.
+        session: Name of the service's session.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        html: Write the recording as a page that plays without a server, and end.
+        host: Address to listen on. Everyone who can reach it can use the view, so keep it on
+            loopback unless you trust the network.
+        port: Port to listen on. The next free one is taken if it is in use.
         open: Open the browser.
-        human_points: Reference points on the human hand: the name of a set. As all below, for a
-            recording.
-        robot_points: Reference points on the robot hand: the name of a set; its own default if
-            omitted.
-        mapping: How the human's motion becomes the robot's, to start with.
-        ik: Weights and settings of the QP, to start with.
+        arguments: Reference points and initial options, for a recording only.
     """
 
-    recording: tyro.conf.Positional[Path | None] = None
-    robot: str | None = None
-    live: str | None = None
-    session: str | None = None
-    keys: tuple[Path, Path] | None = None
-    html: Path | None = None
+    recording: tyro.conf.Positional[
+        Annotated[
+            Path | None, tyro.conf.arg(metavar="[RECORDING]", help_behavior_hint="(or give --live)")
+        ]
+    ] = None
+    robot: Annotated[
+        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the service's)")
+    ] = None
+    live: Annotated[
+        str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
+    ] = None
+    session: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only open session)"),
+    ] = None
+    keys: Annotated[
+        tuple[Path, Path] | None,
+        tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
+    ] = None
+    html: Annotated[
+        Path | None, tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)")
+    ] = None
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
-    human_points: str | None = None
-    robot_points: str | None = None
-    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(
-        default_factory=MappingOptions
+    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
+        default_factory=MappingArguments
     )
-    ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
 
     def run(self) -> None:
-        """Read, map or listen, and show until interrupted."""
-        # Said first, for the rest takes a while.
+        """Map the recording or connect to the service, and show it until interrupted."""
+        # Check first: mapping takes a while.
         if importlib.util.find_spec("viser") is None:
             raise MissingExtraError("viser", "view")
         check_port("--port", self.port)
         if (self.recording is None) == (self.live is None):
-            raise InvalidInputError("expected a recording or --live HOST, and not both")
-        self._refuse_idle_options()
+            raise InvalidInputError(problem="expected either a recording or --live HOST")
+        self._refuse_unused_options()
         if self.live is not None:
             self._show_live(self.live)
         elif self.recording is not None:
             if self.robot is None:
                 raise InvalidInputError(
-                    "--robot: missing; a recording can be shown on any hand that `handmap hands` lists"
+                    argument="--robot",
+                    problem="missing",
+                    advice="name a hand that `handmap hands` lists",
                 )
             self._show_recording(self.recording, self.robot)
 
-    def _refuse_idle_options(self) -> None:
-        """Refuse options that would do nothing."""
+    def _refuse_unused_options(self) -> None:
+        """Refuse options that would have no effect."""
         if self.live is not None:
-            self._refuse(["html"], "is for a recording; a session that runs has no end")
-            chosen = ["human_points", "robot_points", "mapping", "ik"]
-            self._refuse(chosen, "is for a recording; of a service, the session's client chose")
+            self._refuse("html", problem="needs a recording: a running session has no end")
+            for option in self.arguments.changed():
+                raise InvalidInputError(
+                    argument=option, problem="needs a recording: the service's client chooses it"
+                )
             return
         if self.html is not None:
-            self._refuse(
-                ["host", "port", "open"], "is for a view that is served, and --html writes a file"
-            )
-        self._refuse(["session", "keys"], "is for --live, and this is a recording")
+            self._refuse("host", "port", "open", problem="has no effect with --html")
+        self._refuse("session", "keys", problem="needs --live")
 
-    def _refuse(self, names: list[str], reason: str) -> None:
-        plain = View()
+    def _refuse(self, *names: str, problem: str) -> None:
         for name in names:
-            given, usual = getattr(self, name), getattr(plain, name)
-            if given != usual:
-                # The fields of options are options of their own.
-                parts = [
-                    part
-                    for part in getattr(given, "__slots__", ())
-                    if getattr(given, part) != getattr(usual, part)
-                ]
-                word = (f"ik.{parts[0]}" if name == "ik" else parts[0]) if parts else name
-                raise InvalidInputError(f"--{word.replace('_', '-')}: {reason}")
+            if getattr(self, name) != getattr(View, name):
+                raise InvalidInputError(argument=f"--{name}", problem=problem)
 
     def _show_recording(self, file: Path, robot: str) -> None:
         from handmap_qp.viewer.app import ReplayViewer
@@ -138,7 +140,7 @@ class View:
         from handmap_qp.viewer.remote import ServiceSession
         from handmap_qp.viewer.serving import serving
 
-        # First of all, for it tells at once whether there is anything to be seen.
+        # Connect before serving, so that a missing session is reported at once.
         first = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
 
         def next_source(before: LiveSource | None) -> LiveSource:
@@ -157,22 +159,20 @@ class View:
             first.close()
 
     def _announce(self, server: viser.ViserServer) -> None:
-        """Say where to look, and open the browser if asked to."""
+        """Print the address, and open the browser if requested."""
         host = server.get_host()
         address = f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
-        print(f"see {address} (Ctrl-C ends it)", flush=True)
+        print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
         if self.open:
             webbrowser.open(address)
 
     def _replay(self, file: Path, name: str) -> Replay:
-        from handmap_qp.hands.library import load_hand
         from handmap_qp.trackers.landmarks import fit_recording
         from handmap_qp.trackers.recording import read_recording
         from handmap_qp.viewer.replay import Replay
 
         recording = read_recording(file)
-        robot = load_hand(name, points=self.robot_points)
+        robot = self.arguments.load_robot(name)
         motion = fit_recording(recording)
-        return Replay(
-            motion, motion.human.with_points(self.human_points), robot, self.mapping, self.ik
-        )
+        human = motion.human.with_points(self.arguments.human_points)
+        return Replay(motion, human, robot, self.arguments.mapping, self.arguments.ik)

@@ -26,6 +26,7 @@ from handmap_qp import (
     MissingExtraError,
     RecordingError,
 )
+from handmap_qp.arguments import MappingArguments
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
@@ -76,11 +77,19 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
     "session of a recording": ({"session": "lab"}, InvalidInputError),
     "address of a page": ({"html": Path("page.html"), "host": "127.0.0.2"}, InvalidInputError),
     "points for a service": (
-        {"recording": None, "live": "127.0.0.1", "human_points": "fingertips"},
+        {
+            "recording": None,
+            "live": "127.0.0.1",
+            "arguments": MappingArguments(human_points="fingertips"),
+        },
         InvalidInputError,
     ),
     "options for a service": (
-        {"recording": None, "live": "127.0.0.1", "mapping": MappingOptions(ridge=0.3)},
+        {
+            "recording": None,
+            "live": "127.0.0.1",
+            "arguments": MappingArguments(mapping=MappingOptions(ridge=0.3)),
+        },
         InvalidInputError,
     ),
     "all addresses": ({"host": ""}, InvalidInputError),
