@@ -1,4 +1,4 @@
-"""Checks of where service and view listen, shared by their doors."""
+"""Checks of the addresses that service and view listen on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from handmap_qp.errors import InvalidInputError
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host, as a name or address, is this machine and cannot be reached from another."""
+    """Return whether only this machine can reach a host, given as name or address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -17,9 +17,9 @@ def is_loopback(host: str) -> bool:
 
 
 def names_loopback(asked: str) -> bool:
-    """Whether the `Host` of an HTTP request names this machine.
+    """Return whether the `Host` of an HTTP request names this machine.
 
-    Any site's name can be made to lead here.
+    Any site can make its own name resolve to this machine (DNS rebinding).
 
     Args:
         asked: `HOST` or `HOST:PORT`.
@@ -28,19 +28,21 @@ def names_loopback(asked: str) -> bool:
 
 
 def bare_host(name: str, host: str) -> str:
-    """A host without the brackets that URLs have round IPv6.
+    """Return a host without the brackets that URLs have round IPv6.
 
     Args:
-        name: What the host is called.
-        host: The host as it was given.
+        name: Name of the argument, for the error.
+        host: The host as given.
 
     Raises:
-        InvalidInputError: If more was given than a host.
+        InvalidInputError: If it is more than a host.
     """
     bare = _unbracketed(host)
     if not bare or "/" in bare or (":" in bare and not _is_address(bare)):
         raise InvalidInputError(
-            f"{name}: expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}"
+            argument=name,
+            expected="a host alone, such as 127.0.0.1 or ::1, and its port apart",
+            value=host,
         )
     return bare
 
@@ -58,16 +60,16 @@ def _is_address(host: str) -> bool:
 
 
 def check_port(name: str, port: int) -> None:
-    """Refuse a number that is no port.
+    """Reject a number that is not a port.
 
     ZeroMQ takes -1 for any port, and others fail late and in their own words.
 
     Args:
-        name: What the port is called.
+        name: Name of the argument, for the error.
         port: The port; 0 lets the system choose.
 
     Raises:
         InvalidInputError: If there is no such port.
     """
     if not 0 <= port <= 65535:
-        raise InvalidInputError(f"{name}: expected 0 to 65535, got {port}", value=port)
+        raise InvalidInputError(argument=name, expected="0 to 65535", value=port)

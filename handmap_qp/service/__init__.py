@@ -1,8 +1,27 @@
-"""The mapper as a process of its own that trackers, robots and viewers talk to: `handmap serve`.
+"""The mapper as a process that trackers, robots and viewers connect to: `handmap serve`.
 
-messages    what travels, as types, and the schema made of them
-session     one human hand and one robot hand: steps, watchdog, reset; no input or output of its own
-safety      the robot's last commanded posture, and the only way to the next one
-dispatch    all sessions: who asks what, caps, answers
-server      ZeroMQ; websocket, metrics: the other doors
+Messages:
+    messages    types of requests and replies, decoding and checks
+    schema      their description
+    convert     arrays to the values of messages and back
+
+One session, without input or output:
+    session     steps, reset, options
+    states      states and transitions
+    watchdog    effects of silence
+    safety      posture last commanded, speed limits, time granted
+    inputs      kinds of samples
+    opening     hands and mapper from a request; hand_cache, calibration
+    refusals    errors as refusals that name a field
+
+All sessions:
+    dispatch    requests, rate limits, repeated requests, answers
+    sessions    open, find and end sessions
+    caps        limits of what clients may do
+    store       postures that outlive sessions
+
+Transports:
+    server      ZeroMQ; websocket, metrics (HTTP)
+    keys        CURVE keys and tokens; handshakes
+    run, cli    process and commands; logs
 """

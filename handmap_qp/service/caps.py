@@ -1,4 +1,4 @@
-"""What a server allows its clients: caps, and rate limits."""
+"""Limits of what clients may do: caps, and rate limits."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from dataclasses import dataclass
 from handmap_qp.errors import InvalidOptionsError
 
 MOST_SESSIONS = 128
-"""As many postures are remembered; each open session has to be."""
+"""Number of postures that the store keeps; every open session must have one."""
 _MOST_PEERS = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Caps:
-    """What a server allows its clients.
+    """Limits of what clients may do.
 
     Attributes:
-        sessions: Sessions open at a time, 1 to 128.
-        rate: Messages a second from one connection.
-        opens: Sessions opened a second, once as many as there may be have been opened.
-        configures: Changes of options a second, in all sessions together: each takes about a
-            millisecond.
+        sessions: Open sessions, 1 to 128.
+        rate: Messages per second from one connection.
+        opens: Sessions opened per second, after a burst of `sessions`.
+        configures: Changes of options per second, in all sessions together. Each takes about 1 ms.
         message_size: Length of a message [bytes].
-        idle: A session that is not heard of for so long is closed [s].
-        allows_client_time: Whether sessions may count time by the client's stamps (simulations).
+        idle: Time without a request after which a session is closed [s].
+        allows_client_time: Whether sessions may use the client's time stamps for speed limits
+            (simulations).
     """
 
     sessions: int = 64
@@ -37,39 +37,39 @@ class Caps:
     allows_client_time: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be.
+        """Reject caps out of range.
 
         Raises:
-            InvalidOptionsError: Naming the cap.
+            InvalidOptionsError: With the cap at fault.
         """
         if not 1 <= self.sessions <= MOST_SESSIONS:
             raise InvalidOptionsError(
-                f"sessions: expected 1 to {MOST_SESSIONS}, got {self.sessions}"
+                option="sessions", expected=f"1 to {MOST_SESSIONS}", value=self.sessions
             )
         for name in ("rate", "opens", "configures", "message_size", "idle"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidOptionsError(
-                    f"{name}: expected a number > 0, got {getattr(self, name)}"
-                )
+            value = getattr(self, name)
+            # `not a > b` also rejects NaN.
+            if not value > 0.0:
+                raise InvalidOptionsError(option=name, expected="a number > 0", value=value)
 
 
 class Bucket:
-    """A rate limit that lets short bursts through.
+    """A rate limit that permits short bursts (token bucket).
 
     Args:
-        rate: Events a second.
+        rate: Events per second.
         now: The present [s].
-        burst: Events at once; a quarter of a second's worth if omitted.
+        burst: Events at once; those of a quarter of a second if omitted.
     """
 
     def __init__(self, rate: float, now: float, burst: float | None = None) -> None:
         self._rate = rate
         self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
         self._then = now
-        self._told = -1.0
+        self._reported = -1.0
 
     def take(self, now: float) -> bool:
-        """Whether one more is allowed."""
+        """Count one event; return whether it is allowed."""
         self._left = min(self._burst, self._left + (now - self._then) * self._rate)
         self._then = now
         if self._left < 1.0:
@@ -77,22 +77,21 @@ class Bucket:
         self._left -= 1.0
         return True
 
-    def may_tell(self, now: float) -> bool:
-        """Whether the one who is refused should hear of it: ten times a second at most."""
-        if now - self._told < 0.1:
+    def may_report(self, now: float) -> bool:
+        """Return whether to report a refusal: at most ten times per second."""
+        if now - self._reported < 0.1:
             return False
-        self._told = now
+        self._reported = now
         return True
 
 
 class RateLimit:
-    """A bucket for every connection; forgets those that were silent for the longest time.
+    """One bucket per connection; the least recently used ones are dropped.
 
-    There is none for all of them together: it would let a few that send too much shut out the
-    others.
+    There is no common bucket, because a few clients above the rate would shut out the others.
 
     Args:
-        rate: Messages a second from one connection.
+        rate: Messages per second from one connection.
     """
 
     def __init__(self, rate: float) -> None:
@@ -100,12 +99,12 @@ class RateLimit:
         self._peers: OrderedDict[Hashable, Bucket] = OrderedDict()
 
     def take(self, peer: Hashable, now: float) -> bool:
-        """Whether one more message from this connection is allowed."""
+        """Count one message of a connection; return whether it is allowed."""
         return self._bucket(peer, now).take(now)
 
-    def may_tell(self, peer: Hashable, now: float) -> bool:
-        """Whether this connection should hear that it is not."""
-        return self._bucket(peer, now).may_tell(now)
+    def may_report(self, peer: Hashable, now: float) -> bool:
+        """Return whether to report a refusal to this connection."""
+        return self._bucket(peer, now).may_report(now)
 
     def _bucket(self, peer: Hashable, now: float) -> Bucket:
         bucket = self._peers.get(peer)

@@ -14,40 +14,41 @@ from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 @dataclass(frozen=True)
 class Serve:
-    """Offer the mapper to trackers and robots as a service, over ZeroMQ and WebSocket.
+    """Serve the mapper to trackers and robots over ZeroMQ and WebSocket.
 
-    Listens on loopback, prints one line of JSON with its ports when it is ready, and logs JSON
-    lines on stderr. The messages are described by `handmap serve --schema`; `handmap_qp/client.py`
-    is a client in one file, to be copied anywhere.
+    Listens on loopback, prints one JSON line with its ports when it is ready, and logs JSON lines
+    on stderr. `handmap serve --schema` describes the messages. `handmap_qp/client.py` is a client
+    in one file, to copy where you need it.
 
     Attributes:
-        host: Address to listen on; any but loopback needs --keys.
-        port: Port of requests and samples; 0 lets the system choose, as below.
+        host: Address to listen on; any but loopback requires --keys.
+        port: Port of requests and samples; 0 lets the system choose, as for the other ports.
         stream_port: Port of the stream of commands.
         health_port: Port of /metrics and /health, on loopback; -1 for none.
-        keys: Folder that `handmap keys` made: connections are encrypted, and only its clients come
-            in.
-        web: Open the WebSocket door.
-        web_host: Its address; any but loopback needs --web-token-file, --web-certificate and
+        keys: Folder that `handmap keys` made. Connections are encrypted, and only its clients are
+            admitted.
+        web: Listen on WebSocket too.
+        web_host: Its address; any but loopback requires --web-token-file, --web-certificate and
             --web-key.
         web_port: Its port.
         web_token_file: File with the token that WebSocket clients must present: 16 to 256 letters,
-            digits, - and _, readable for you alone. They send it as the header `Authorization:
-            Bearer TOKEN`; pages in browsers, which cannot set headers, offer the subprotocols
-            `["handmap.v1", "bearer.TOKEN"]`.
+            digits, - and _, readable for its owner only. Clients send it as the header
+            `Authorization: Bearer TOKEN`; pages in browsers, which cannot set headers, offer the
+            subprotocols `["handmap.v1", "bearer.TOKEN"]`.
         web_certificate: PEM file of the TLS certificate.
         web_key: PEM file of its key.
         web_origin: Further origins of pages that may connect.
-        state: File that keeps the postures last commanded, for sessions that ask to be restored
-            after a restart.
+        state: File that keeps the postures last commanded, so that sessions can be restored after a
+            restart.
         hand: Further robot hands that clients may open: paths of hand.yaml files.
-        sessions: Sessions open at a time, 128 at most.
-        rate: Messages a second from one connection.
-        idle: Close a session that is not heard of for so long [s].
-        simulated_time: Let sessions count speed limits in their clients' time; not for real robots.
-        log_level: What to log.
-        schema: Print the description of all messages, and end.
-        json_schema: Print their JSON schema, and end.
+        sessions: Open sessions, at most 128.
+        rate: Messages per second from one connection.
+        idle: Time without a request after which a session is closed [s].
+        simulated_time: Let sessions use their clients' time stamps for speed limits; not for real
+            robots.
+        log_level: Lowest level to log.
+        schema: Print the description of all messages, and exit.
+        json_schema: Print their JSON schema, and exit.
     """
 
     host: str = "127.0.0.1"
@@ -119,7 +120,7 @@ class Serve:
         run_server(settings, self.log_level)
 
     def _check_web(self) -> None:
-        """Refuse choices for a door that stays shut."""
+        """Reject options of WebSocket without --web."""
         choices = [
             item
             for item in fields(self)
@@ -127,20 +128,19 @@ class Serve:
         ]
         if choices and not self.web:
             names = ", ".join("--" + item.name.replace("_", "-") for item in choices)
-            raise InvalidInputError(f"{names}: expected --web too, which opens the WebSocket door")
+            raise InvalidInputError(argument=names, problem="requires --web")
 
 
 @dataclass(frozen=True)
 class Keys:
-    """Make the keys that `handmap serve --keys` needs; keys that are there stay.
+    """Make the keys that `handmap serve --keys` needs; existing keys stay.
 
-    Give each client its NAME.key_secret and server.key. A running server takes new keys at once;
-    delete clients/NAME.key, and that client cannot connect any more, until the same command with
-    its name admits it again. A connection that is open stays until it ends, at the latest with the
-    server.
+    Give each client its NAME.key_secret and server.key. A running server admits new keys at once.
+    To shut a client out, delete clients/NAME.key; the same command with its name admits it again.
+    Open connections stay until they end.
 
     Attributes:
-        folder: Where to put them.
+        folder: Folder of the keys.
         client: Names of clients.
     """
 
@@ -148,7 +148,7 @@ class Keys:
     client: tuple[str, ...] = field(default=("client",))
 
     def run(self) -> None:
-        """Make them and say which."""
+        """Make the keys, and print the files written."""
         try:
             from handmap_qp.service.keys import make_keys
         except ModuleNotFoundError as error:
@@ -159,4 +159,4 @@ class Keys:
             is_back = file.parent.name == "clients" and self.folder / file.name not in written
             print(f"wrote {file}" + (f", which admits {file.stem} again" if is_back else ""))
         if not written:
-            print("wrote nothing: all keys are there")
+            print("wrote nothing: all keys exist")

@@ -1,4 +1,4 @@
-"""Between the library's arrays and the plain values of messages."""
+"""Conversion between the library's arrays and the plain values of messages."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from handmap_qp.transform import pose_from_xyz_quat
 
 
 def to_row(values: np.ndarray) -> tuple[float, ...]:
-    """An array (n,) as plain floats."""
+    """Convert an array (n,) to floats."""
     return tuple(values.tolist())
 
 
 def to_rows(values: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    """An array (n, m) as plain floats, row by row."""
+    """Convert an array (n, m) to rows of floats."""
     return tuple(map(tuple, values.tolist()))
 
 
 def to_points(values: np.ndarray) -> tuple[tuple[float, float, float], ...]:
-    """An array (n, 3) as plain points."""
+    """Convert an array (n, 3) to points."""
     return tuple((x, y, z) for x, y, z in values.tolist())
 
 
 def to_pose(matrix: np.ndarray | None) -> Pose | None:
-    """A pose (4, 4) as position and quaternion xyzw."""
+    """Convert a pose (4, 4) to position and quaternion xyzw."""
     if matrix is None:
         return None
     (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
-    # The largest of the four squares is divided by: never a small one (Shepperd 1978). In plain
-    # floats, for every command has one.
+    # Divide by the largest of the four squares, which is never small (Shepperd 1978). Plain floats
+    # are faster than numpy here, and every command has a pose.
     squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
     largest = max(squares)
     if largest == squares[3]:
@@ -51,12 +51,12 @@ def to_pose(matrix: np.ndarray | None) -> Pose | None:
 
 
 def to_matrix(pose: Pose | None) -> np.ndarray | None:
-    """A pose of a message, its quaternion normalised, as (4, 4)."""
+    """Convert a pose of a message, with its quaternion normalised, to (4, 4)."""
     return None if pose is None else pose_from_xyz_quat((*pose.position, *pose.quat_xyzw), "xyzw")
 
 
 def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
-    """A measured hand as plain points."""
+    """Convert a measured hand to points."""
     if lengths is None:
         return None
     return msgspec.convert(
@@ -64,17 +64,21 @@ def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
     )
 
 
-def joints_where(robot: Hand, chosen: np.ndarray) -> tuple[str, ...]:
-    """Names of the joints that a mask (n,) chooses."""
+def joints_where(robot: Hand, mask: np.ndarray) -> tuple[str, ...]:
+    """Return the names of the joints where a mask (n,) is true."""
     return tuple(
-        name
-        for name, is_chosen in zip(robot.joint_names, chosen.tolist(), strict=True)
-        if is_chosen
+        name for name, is_chosen in zip(robot.joint_names, mask.tolist(), strict=True) if is_chosen
     )
 
 
 def to_detail(step: MapStep, human_q: np.ndarray | None, human_wrist: np.ndarray | None) -> Detail:
-    """Every stage of a step, for those who watch."""
+    """Convert every stage of a step.
+
+    Args:
+        step: The step.
+        human_q: Joint angles of the human hand [rad], shape (n,); None if they are not known.
+        human_wrist: Pose of the human's wrist, shape (4, 4); None if it is not known.
+    """
     return Detail(
         human_points=to_points(step.human_points),
         human_q=None if human_q is None else to_row(human_q),

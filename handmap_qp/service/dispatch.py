@@ -1,9 +1,7 @@
-"""From messages to sessions and back: decoding, rate limits, repeated requests, answers.
+"""Dispatch of messages to sessions: decoding, rate limits, repeated requests, answers.
 
-It knows no sockets.
-
-A transport hands every message to `receive` with a way to answer, and hears of all that goes into
-streams through `sessions.publish`.
+It has no sockets. A transport passes every message to `receive` with a callback for the answer, and
+receives the messages of all streams through `sessions.publish`.
 """
 
 from __future__ import annotations
@@ -45,24 +43,24 @@ from handmap_qp.service.sessions import Sessions
 from handmap_qp.service.store import PostureStore
 
 Answer = Callable[[bytes], None]
-"""How a transport takes an answer; it must not wait."""
+"""Callback of a transport that sends an answer; it must not block."""
 
 _MOST_REPEATS = 8
 
 
 class Dispatcher:
-    """Answers messages.
+    """Answer messages.
 
     Args:
-        caps: What clients are allowed.
-        cache: The hands there are.
-        metrics: Where to count.
-        store: Where to note what was commanded; in memory alone if omitted.
+        caps: Limits of what clients may do.
+        cache: The hands that clients may open.
+        metrics: Counters.
+        store: Record of the postures commanded; in memory if omitted.
         clock: Monotonic clock [s].
 
     Attributes:
         sessions: The open sessions.
-        stream_port: What `opened` tells clients.
+        stream_port: Port of the stream, as `opened` reports it.
     """
 
     def __init__(
@@ -98,52 +96,44 @@ class Dispatcher:
         is_json: bool = False,
         subscribe: Callable[[str], None] | None = None,
     ) -> bool:
-        """Take a message; to be called from the event loop.
+        """Handle one message; call it from the event loop.
 
         Args:
-            payload: What came over the wire.
+            payload: The message as received.
             peer: The connection that it came from.
-            answer: Called with the answer, now or later; not at all for a streamed sample that can
-                be used.
+            answer: Called with the answer, now or later. A streamed sample that can be read has no
+                answer.
             is_json: Whether message and answer are JSON.
-            subscribe: How the connection takes streams; None where it does not.
+            subscribe: Subscribes the connection to a stream; None if the transport has no such
+                streams.
 
         Returns:
-            Whether it was looked at: False if there are too many.
+            False if the rate limit rejected the message unread.
         """
         now = self._clock()
         self._metrics.counts["requests"] += 1
         if not self._rates.take(peer, now):
             self._metrics.refusals["rate"] += 1
-            if self._rates.may_tell(peer, now):
-                answer(
-                    encode_reply(Error(code="rate", message="too many messages"), is_json=is_json)
-                )
+            if self._rates.may_report(peer, now):
+                error = Error(code="rate", message="too many messages")
+                answer(encode_reply(error, is_json=is_json))
             return False
         request = decode_request(payload, is_json=is_json)
         if isinstance(request, Error):
             self._count(request)
             answer(encode_reply(request, is_json=is_json))
         elif isinstance(request, Sample):
-            if not self._pending:
-                asyncio.get_running_loop().call_soon(self.flush)
-            elif request.session in self._pending:
-                self._metrics.counts["replaced"] += 1
-            self._pending[request.session] = request, answer, is_json
+            self._receive_sample(request, answer, is_json)
         elif isinstance(request, Open):
             self._receive_open(request, payload, answer, is_json)
         elif isinstance(request, Subscribe):
             answer(encode_reply(self._subscribe(request, subscribe), is_json=is_json))
-        elif isinstance(request, Named) and request.name is not None:
-            answer(encode_reply(self._answer_anyone(request, request.name, now), is_json=is_json))
-        elif isinstance(request, Status) and not request.session:
-            answer(encode_reply(self._server_state(request.seq, now), is_json=is_json))
         else:
             answer(self._answer(request, payload, now, is_json))
         return True
 
     def flush(self) -> None:
-        """Map the newest of the streamed samples that have come since the last time, one a session."""
+        """Map the newest streamed sample of each session since the last call."""
         pending, self._pending = self._pending, {}
         for sample, answer, is_json in pending.values():
             try:
@@ -160,14 +150,12 @@ class Dispatcher:
                 self.sessions.send(entry.session.name, encode_reply(reply))
 
     def tick(self) -> None:
-        """Let time pass: watchdogs, and sessions that have been idle too long."""
+        """Let time pass: run the watchdogs, and close idle sessions."""
         now = self._clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
             if now - session.last_request > self._caps.idle and not session.will_move:
-                self.sessions.end(
-                    secret, "no_session", "closed, for nothing was heard of its client"
-                )
+                self.sessions.end(secret, "no_session", "closed: its client was silent too long")
                 continue
             try:
                 trips = session.counts["watchdog"]
@@ -176,7 +164,7 @@ class Dispatcher:
                 if command is not None:
                     self._send(session, command)
             except Exception as error:
-                # The watchdogs of the others go on.
+                # The watchdogs of the other sessions must continue.
                 self._bug(0, error)
 
     async def close(self) -> None:
@@ -186,11 +174,28 @@ class Dispatcher:
         self.sessions.close()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    # -- requests
-    # -------------------------------------------------------------------------------------------------------
+    def _receive_sample(self, sample: Sample, answer: Answer, is_json: bool) -> None:
+        """Keep the newest sample of each session until all waiting messages have been read."""
+        if not self._pending:
+            asyncio.get_running_loop().call_soon(self.flush)
+        elif sample.session in self._pending:
+            self._metrics.counts["replaced"] += 1
+        self._pending[sample.session] = sample, answer, is_json
 
     def _answer(self, request: AnyRequest, payload: bytes, now: float, is_json: bool) -> bytes:
-        """The answer to a request of an open session: a new one, or the last one again."""
+        """Answer a request that needs no waiting."""
+        if isinstance(request, Named) and request.name is not None:
+            reply = self._answer_anyone(request, request.name, now)
+        elif isinstance(request, Status) and not request.session:
+            reply = self._server_state(request.seq, now)
+        else:
+            return self._answer_client(request, payload, now, is_json)
+        return encode_reply(reply, is_json=is_json)
+
+    def _answer_client(
+        self, request: AnyRequest, payload: bytes, now: float, is_json: bool
+    ) -> bytes:
+        """Answer a session's client; repeat the last answer if the request is repeated."""
         try:
             entry = self.sessions.find(request.session)
         except RefusedError as error:
@@ -204,13 +209,16 @@ class Dispatcher:
             return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
         entry.seq, entry.payload, entry.session.last_request = request.seq, payload, now
         reply = self._carry_out(entry.session, request, now)
-        # A command has been written for the stream already.
+        # The stream's command is encoded already.
         written = None if is_json or not isinstance(reply, Command) else self._written
         entry.answer = written or encode_reply(reply, is_json=is_json)
         return entry.answer
 
     def _answer_anyone(self, request: Named, name: str, now: float) -> AnyReply:
-        """The answer to somebody who has a session's public name, and may look, and steer where its client has allowed it."""
+        """Answer a request by a session's public name.
+
+        Everyone may ask for the status; other requests need `is_shared`.
+        """
         try:
             if request.session:
                 raise RefusedError("invalid", "give session or name, not both", field="name")
@@ -236,10 +244,8 @@ class Dispatcher:
                 session.reset(request, now)
             elif isinstance(request, Configure):
                 if not self._configures.take(now):
-                    raise RefusedError(
-                        "rate",
-                        f"more than {self._caps.configures:g} changes of options a second; try again later",
-                    )
+                    limit = f"more than {self._caps.configures:g} changes of options a second"
+                    raise RefusedError("rate", f"{limit}: try again later")
                 session.configure(request)
             elif isinstance(request, Clutch):
                 session.clutch()
@@ -256,7 +262,7 @@ class Dispatcher:
             return self._bug(request.seq, error)
 
     def _receive_open(self, request: Open, payload: bytes, answer: Answer, is_json: bool) -> None:
-        """Open in a task; the same request, come again meanwhile or later, gets the same answer."""
+        """Open a session in a task; a repeated request gets the same answer."""
         entry = self.sessions.entries.get(request.session)
         if entry is not None and payload == entry.payload:
             answer(entry.answer)
@@ -331,16 +337,13 @@ class Dispatcher:
             stream_port=self.stream_port,
         )
 
-    # -- refusals
-    # ---------------------------------------------------------------------------------------------------------
-
     def _refusal(self, seq: int, error: RefusedError) -> Error:
         reply = Error(seq=seq, code=error.code, message=str(error), field=error.field)
         self._count(reply)
         return reply
 
     def _bug(self, seq: int, error: Exception) -> Error:
-        """An exception that nobody foresaw: the log gets it whole, the client that it happened."""
+        """Log an unexpected exception, and tell the client that the request failed."""
         self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
         reply = Error(
             seq=seq, code="internal", message="the server failed at this request; see its log"

@@ -1,6 +1,6 @@
-"""Who knocks at ZeroMQ's doors and is not let in.
+"""Count and log failed ZeroMQ handshakes.
 
-ZeroMQ itself says no word of it, neither to them nor here.
+libzmq reports them only through a socket monitor, neither to the server nor to the client.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ async def report_handshakes(
     """Count and log the handshakes that fail on a socket, until cancelled.
 
     Args:
-        context: The socket's, for asyncio.
-        socket: The socket.
-        metrics: Where to count.
+        context: Context of the socket, for asyncio.
+        socket: The socket to monitor.
+        metrics: Counters.
     """
     address, failed = f"inproc://handshakes-{socket.FD}", Throttle()
     with context.socket(zmq.PAIR) as events:
-        # No bound: ZeroMQ's own thread, which serves all connections, would wait for room.
+        # No high-water mark: libzmq's I/O thread, which serves all connections, would block.
         events.linger = events.rcvhwm = 0
         socket.monitor(address, sum(_FAILURES))
         try:
@@ -47,7 +47,7 @@ async def report_handshakes(
 
 
 def _reason(event: int, value: int) -> str:
-    """Why a handshake has failed, as far as can be told."""
+    """Return why a handshake failed, as far as libzmq reports it."""
     if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
         return "the client's key is not among the keys in clients/"
     if (
@@ -55,4 +55,4 @@ def _reason(event: int, value: int) -> str:
         and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
     ):
         return "the client's server.key is another server's"
-    return "the client has keys and the server none, or the other way round; or it speaks no ZeroMQ"
+    return "only one of client and server uses keys, or the client does not speak ZeroMQ"

@@ -1,7 +1,7 @@
-"""Secrets in files, for their owner alone: CURVE keys, and WebSocket's token.
+"""Secrets in files that only their owner can read: CURVE keys, and the WebSocket token.
 
-Keys are `server.key_secret`, `server.key`, and for each client a pair, its public half also in
-`clients/`.
+A folder of keys holds `server.key_secret` and `server.key`, and such a pair for each client. The
+public keys of admitted clients are also in `clients/`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.service.logs import Throttle, report
 
 _KEY_LENGTH = 40
-"""Of a key as Z85."""
+"""Length of a key as Z85."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """What a server needs.
+    """The keys of a server.
 
     Attributes:
-        public: Its public key, Z85.
-        secret: Its secret key, Z85.
+        public: Public key, Z85.
+        secret: Secret key, Z85.
     """
 
     public: bytes
@@ -35,12 +35,12 @@ class ServerKeys:
 
 
 class ClientKeys:
-    """The keys of the clients that may come in, as they lie in a folder.
+    """The public keys of admitted clients, as they are in a folder.
 
-    Pyzmq's authenticator asks it at every handshake.
+    pyzmq's authenticator asks it at every handshake.
 
     Args:
-        folder: Where the public keys are, each in a file `*.key`.
+        folder: Folder of the public keys, each in a file `*.key`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -50,10 +50,10 @@ class ClientKeys:
         self._refusals = Throttle()
 
     def read(self) -> frozenset[bytes]:
-        """The keys, Z85. Files are read again only if one has come, gone or changed."""
+        """Return the keys, Z85; read the files again only if the folder has changed."""
         seen = {}
         for file in self._folder.glob("*.key"):
-            # What cannot be looked at has gone meanwhile, and lets nobody in.
+            # A file that was deleted meanwhile admits no one.
             with suppress(OSError):
                 status = file.stat()
                 seen[file] = (status.st_ino, status.st_mtime_ns, status.st_size)
@@ -63,11 +63,11 @@ class ClientKeys:
         return self._keys
 
     def callback(self, domain: str, key: bytes) -> bool:
-        """Whether a client may come in; pyzmq's name for it.
+        """Return whether a client is admitted; pyzmq gives the method its name.
 
         Args:
-            domain: Not used: there is one for all.
-            key: The client's public key, Z85.
+            domain: Not used; all clients share one.
+            key: Public key of the client, Z85.
         """
         is_known = key in self.read()
         if not is_known:
@@ -76,22 +76,24 @@ class ClientKeys:
 
 
 def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
-    """Make keys; those that are there stay, and clients that were shut out come in again.
+    """Make keys; existing ones stay, and clients whose admission was deleted are admitted again.
 
     Args:
-        folder: Where to put them; made if it does not exist, for its owner alone.
+        folder: Folder of the keys. It is made if it does not exist, readable for its owner only.
         clients: Names of clients.
 
     Returns:
         The files written.
 
     Raises:
-        InvalidInputError: On a name that makes no file name, or a folder that cannot be written.
+        InvalidInputError: If a name cannot be a file name, or the folder cannot be written.
     """
     for name in clients:
         if not name.replace("-", "").replace("_", "").isalnum() or name == "server":
             raise InvalidInputError(
-                f"{name!r}: expected a name of letters, digits, - and _ that is not 'server'"
+                argument="client",
+                expected="a name of letters, digits, - and _ that is not 'server'",
+                value=name,
             )
     _check_folder(folder)
     written: list[Path] = []
@@ -101,7 +103,7 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
         for name in ("server", *clients):
             secret = folder / f"{name}.key_secret"
             if not secret.exists():
-                # The secret is never readable by others, not even for a moment.
+                # Create the file with its mode, so that others can never read the secret.
                 secret.touch(mode=0o600)
                 create_certificates(folder, name)
                 secret.chmod(0o600)
@@ -111,15 +113,17 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
                 admitted.write_bytes((folder / f"{name}.key").read_bytes())
                 written.append(admitted)
     except OSError as error:
-        raise InvalidInputError(f"{error.filename or folder}: {error.strerror}") from error
+        raise InvalidInputError(
+            argument=str(error.filename or folder), problem=str(error.strerror)
+        ) from error
     return written
 
 
 def read_server_keys(folder: Path) -> ServerKeys:
-    """Read the server's pair.
+    """Read the server's keys.
 
     Raises:
-        InvalidInputError: If it is not there, or readable by others.
+        InvalidInputError: If they do not exist, or others can read them.
     """
     _check_folder(folder)
     file = folder / "server.key_secret"
@@ -127,18 +131,23 @@ def read_server_keys(folder: Path) -> ServerKeys:
         _check_private(file)
         public, secret = load_certificate(file)
     except FileNotFoundError as error:
-        raise InvalidInputError(f"{file}: is not there; handmap keys {folder} makes it") from error
+        raise InvalidInputError(
+            argument=str(file), problem="does not exist", advice=f"handmap keys {folder} makes it"
+        ) from error
     except OSError as error:
-        raise InvalidInputError(f"{file}: cannot be read: {error.strerror}") from error
+        raise _unreadable(file, error) from error
     except InvalidInputError:
         raise
     except ValueError:
-        # Of pyzmq, where no line is a key.
+        # pyzmq raises ValueError if the file has no key.
         public, secret = b"", None
     if secret is None or not len(public) == len(secret) == _KEY_LENGTH:
-        advice = f"delete it, and handmap keys {folder} makes a new pair, of which clients need server.key"
         raise InvalidInputError(
-            f"{file}: expected a server's secret key, got something else; {advice}"
+            argument=str(file),
+            expected="a server's secret key",
+            got="something else",
+            advice=f"delete it and run handmap keys {folder}; "
+            "then give all clients the new server.key",
         )
     return ServerKeys(public, secret)
 
@@ -147,38 +156,48 @@ def read_token(file: Path) -> str:
     """Read the token that WebSocket clients must present.
 
     Raises:
-        InvalidInputError: If it cannot be read, or can be by others.
+        InvalidInputError: If it cannot be read, or if others can read it.
     """
     try:
         _check_private(file)
         return file.read_text(encoding="utf-8").strip()
     except OSError as error:
-        raise InvalidInputError(f"{file}: cannot be read: {error.strerror}") from error
+        raise _unreadable(file, error) from error
     except UnicodeDecodeError as error:
         raise InvalidInputError(
-            f"{file}: cannot be read: expected a token, got bytes that are no text"
+            argument=str(file),
+            problem="cannot be read: expected a token, got bytes that are not text",
         ) from error
 
 
+def _unreadable(file: Path, error: OSError) -> InvalidInputError:
+    return InvalidInputError(argument=str(file), problem=f"cannot be read: {error.strerror}")
+
+
 def _check_private(file: Path) -> None:
-    """Refuse a file with a secret that others can read."""
+    """Reject a file with a secret that others can read."""
     if file.stat().st_mode & 0o077:
         raise InvalidInputError(
-            f"{file}: others can read it; chmod 600 it, and make a new secret if they may have"
+            argument=str(file),
+            problem="others can read it",
+            advice="chmod 600 it, and make a new secret if they may have",
         )
 
 
 def _check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InvalidInputError(
-            f"{folder}: expected a folder of keys, as handmap keys FOLDER makes it; got a file"
+            argument=str(folder),
+            expected="a folder of keys",
+            got="a file",
+            advice="handmap keys FOLDER makes one",
         )
 
 
 def _read_public(file: Path) -> bytes | None:
-    """A client's public key; None, and a warning, where the file holds none.
+    """Return a client's public key; log a warning and return None if the file has none.
 
-    The other clients are not to suffer.
+    The other clients must still be admitted.
     """
     try:
         return load_certificate(file)[0]

@@ -1,7 +1,4 @@
-"""Logs as JSON lines.
-
-One object a line, with `time`, `level`, `event` and what belongs to the event.
-"""
+"""Logs as JSON lines: one object per line, with `time`, `level`, `event` and the event's data."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import time
 from typing import Any
 
 log = logging.getLogger("handmap_qp.service")
-"""Where the service logs; `report` writes to it."""
+"""Logger of the service; `report` writes to it."""
 
 
 def report(level: int, event: str, *, failure: BaseException | None = None, **data: Any) -> None:
@@ -21,10 +18,10 @@ def report(level: int, event: str, *, failure: BaseException | None = None, **da
 
 
 class JsonLines(logging.Formatter):
-    """Formats a record as one JSON object; texts of clients are escaped by that."""
+    """Format a record as one JSON object, which also escapes text from clients."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
+        """Return the line."""
         line = {
             "time": round(record.created, 6),
             "level": record.levelname.lower(),
@@ -46,24 +43,24 @@ def log_to_stderr(level: str) -> None:
 
 
 class Throttle:
-    """Lets one report through in a while, with the number of those that were swallowed before it.
+    """Pass one report per period, with the number of reports suppressed before it.
 
     Args:
-        period: Time between two [s].
+        period: Shortest time between two reports [s].
     """
 
     def __init__(self, period: float = 1.0) -> None:
         self._period = period
         self._next = 0.0
-        self._swallowed = 0
+        self._suppressed = 0
 
     def report(
         self, level: int, event: str, *, failure: BaseException | None = None, **data: Any
     ) -> None:
-        """Log an event, with the traceback of a failure, or count it."""
+        """Log an event, with the traceback of a failure; only count it within the period."""
         now = time.monotonic()
         if now < self._next:
-            self._swallowed += 1
+            self._suppressed += 1
             return
-        report(level, event, failure=failure, **data, swallowed=self._swallowed)
-        self._next, self._swallowed = now + self._period, 0
+        report(level, event, failure=failure, **data, swallowed=self._suppressed)
+        self._next, self._suppressed = now + self._period, 0

@@ -1,10 +1,8 @@
-"""The messages of the mapping service, as types.
+"""The messages of the mapping service as types, with their decoding and checks.
 
-What decodes and checks them, and what the schema is made of.
-
-They travel as msgpack (ZeroMQ, WebSocket binary) or JSON (WebSocket text). `type` tells which one
-it is: the class's name in lower case. Requests with unknown fields are refused; replies may grow
-fields. SI and radians; poses are of the wrist frame.
+They travel as msgpack (ZeroMQ, WebSocket binary) or JSON (WebSocket text). `type` is the name of
+the class in lower case. Requests with unknown fields are refused; replies may get further fields.
+SI and radians; poses are of the wrist frame. `schema` describes the types.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ import msgspec
 PROTOCOL = 1
 """Version of the messages; the server answers no other."""
 TOPIC_END = b"\0"
-"""What stands between a session's name and the message in its stream."""
+"""Separator between a session's name and the message in its stream."""
 
 
 def _doc(text: str, **bounds: Any) -> msgspec.Meta:
@@ -39,15 +37,13 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A rigid pose in a right-handed world."""
 
     position: Annotated[Vector, _doc("Origin [m].")]
-    quat_xyzw: Annotated[
-        tuple[float, float, float, float], _doc("Unit quaternion, its scalar last.")
-    ]
+    quat_xyzw: Annotated[tuple[float, float, float, float], _doc("Unit quaternion, scalar last.")]
 
 
 class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A person's hand, measured: rows thumb, index, middle, ring, little.
+    """A measured hand of a person: rows thumb, index, middle, ring, little.
 
-    As a right hand (a left one mirrored in x = 0).
+    Lengths are those of a right hand; mirror a left one in x = 0.
     """
 
     bases: Annotated[
@@ -67,11 +63,11 @@ class Request(
     tag_field="type",
     tag=str.lower,
 ):
-    """What a client asks."""
+    """A request of a client."""
 
     protocol: Annotated[int, _doc("Version of the messages.")]
     seq: Annotated[
-        int, _doc("Number of the request, which the answer bears too; increases.", ge=1, le=2**53)
+        int, _doc("Number of the request, increasing; the answer has it too.", ge=1, le=2**53)
     ]
     session: Annotated[
         str,
@@ -83,37 +79,39 @@ class Request(
 
 
 class Open(Request, frozen=True):
-    """Open a session: one human hand that leads one robot hand. Answered by `opened`."""
+    """Open a session: one human hand that leads one robot hand. The answer is `opened`."""
 
-    robot: Annotated[str, _doc("A robot hand that the server knows by name.", max_length=64)]
+    robot: Annotated[str, _doc("Name of a robot hand on the server.", max_length=64)]
     name: Annotated[
         Name | None,
-        _doc("Public name of the session and of its stream; the server makes one if omitted."),
+        _doc("Public name of the session and its stream; the server makes one if omitted."),
     ] = None
     input: Annotated[Literal["q", "landmarks", "points"], _doc("What samples hold.")] = "q"
     side: Annotated[Literal["right", "left"], _doc("The human hand.")] = "right"
     hand_length: Annotated[Length | None, _doc("From wrist crease to middle fingertip [m].")] = None
     lengths: Annotated[
         Lengths | None,
-        _doc("The hand, measured. With neither, landmarks of the first samples give it."),
+        _doc("The measured hand. With neither, the first landmarks measure it."),
     ] = None
     human_points: Annotated[Name | None, _doc("Set of reference points on the human hand.")] = None
     robot_points: Annotated[Name | None, _doc("Set of reference points on the robot hand.")] = None
     mount: Annotated[
-        Literal["floating", "fixed"] | None, _doc("The robot's wrist, overriding the hand's own.")
+        Literal["floating", "fixed"] | None,
+        _doc("Mount of the robot's wrist, in place of the hand's own."),
     ] = None
     mapping: Annotated[dict[str, Any], _doc("Fields of MappingOptions.")] = {}
-    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; its solver is daqp.")] = {}
+    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; the solver must be daqp.")] = {}
     robot_q: Annotated[
-        Numbers | None, _doc("Where the robot is now [rad]; at rest if omitted.")
+        Numbers | None, _doc("Joint angles where the robot is now [rad]; at rest if omitted.")
     ] = None
     robot_wrist: Annotated[
-        Pose | None, _doc("Where its wrist is; at the first sample's palm if omitted.")
+        Pose | None, _doc("Pose of its wrist; at the palm of the first sample if omitted.")
     ] = None
     restore: Annotated[
         bool,
         _doc(
-            "Go on where the last session of this name left the robot; it ends, if its client is silent."
+            "Continue where the last session of this name left the robot. "
+            "A running session of this name ends if its client is silent."
         ),
     ] = False
     is_released: Annotated[bool, _doc("Start released: the robot holds still until `clutch`.")] = (
@@ -121,36 +119,41 @@ class Open(Request, frozen=True):
     )
     max_dt: Annotated[
         float,
-        _doc("Most time that one command may account for [s]: about two samples.", ge=1e-4, le=1),
+        _doc(
+            "Longest time that one command may account for [s]; about two samples.", ge=1e-4, le=1
+        ),
     ] = 1 / 30
     time_from: Annotated[
-        Literal["server", "client"], _doc("Clock that speed limits count in; `client` needs leave.")
+        Literal["server", "client"],
+        _doc("Clock for speed limits; `client` needs --simulated-time."),
     ] = "server"
     watchdog: Annotated[
-        float, _doc("Without a sample for so long, the robot holds [s].", ge=0.01, le=10)
+        float, _doc("Time without a sample after which the robot holds [s].", ge=0.01, le=10)
     ] = 0.25
     return_after: Annotated[
-        Duration | None, _doc("After holding for so long, it returns to rest [s].")
+        Duration | None,
+        _doc("Time of a hold after which the robot returns to rest [s]; null for never."),
     ] = None
     return_speed: Annotated[
-        float, _doc("Part of its speed limits that it returns at.", gt=0, le=1)
+        float, _doc("Share of its speed limits that it returns at.", gt=0, le=1)
     ] = 0.1
     resume: Annotated[
-        Literal["follow", "clutch"], _doc("After a hold: go after the human, or a new reference.")
+        Literal["follow", "clutch"],
+        _doc("After a hold: follow the human, or take a new reference."),
     ] = "follow"
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")] = False
     is_shared: Annotated[
-        bool, _doc("Whether others may release, clutch and configure the session, by its name.")
+        bool, _doc("Whether others may release, clutch and configure the session by its name.")
     ] = False
 
 
 class Step(Request, frozen=True):
-    """One sample of the human hand: the one of `q`, `landmarks`, `points` that `open` named.
+    """One sample of the human hand: `q`, `landmarks` or `points`, as `open` chose.
 
-    Answered by `command`.
+    The answer is `command`.
     """
 
-    time: Annotated[float, _doc("Time stamp, of any clock of the client's [s].")]
+    time: Annotated[float, _doc("Time stamp of any clock of the client [s].")]
     q: Annotated[
         Numbers | None, _doc("Joint angles in the order of `human_joint_names` [rad].")
     ] = None
@@ -160,39 +163,41 @@ class Step(Request, frozen=True):
     ] = None
     wrist: Annotated[
         Pose | None,
-        _doc("The human's wrist; must come with `q`, may with `points`, not with `landmarks`."),
+        _doc(
+            "The human's wrist: required with `q`, optional with `points`, none with `landmarks`."
+        ),
     ] = None
 
 
 class Sample(Step, frozen=True):
-    """The same without an answer: the command comes in the stream.
+    """A sample without an answer: its command is in the stream.
 
-    Of several that wait, the newest counts.
+    If several samples wait, the newest is mapped.
     """
 
 
 class Named(Request, frozen=True, kw_only=True):
-    """What others than its client may ask of a session too.
+    """A request that clients other than the session's own may send too.
 
-    Asked twice, it is done twice, which does no harm.
+    It is idempotent, because such requests have no protection against repetition.
     """
 
     name: Annotated[Name | None, _doc("Public name of a session, in place of the secret.")] = None
 
 
 class Clutch(Named, frozen=True):
-    """Take hold (again).
+    """Engage, or engage again: the next sample is the reference.
 
-    The next sample is the reference, and the robot goes on from where it is.
+    The robot continues from where it is.
     """
 
 
 class Release(Named, frozen=True):
-    """Let go: the robot holds still until `clutch`."""
+    """Disengage: the robot holds its posture until `clutch`."""
 
 
 class Configure(Named, frozen=True):
-    """Change options: the reference stays what it was, and the robot goes on from where it is."""
+    """Change options: the reference stays, and the robot continues from where it is."""
 
     mapping: Annotated[
         dict[str, Any], _doc("Fields of MappingOptions; others stay as they are.")
@@ -204,17 +209,20 @@ class Configure(Named, frozen=True):
 
 
 class Reset(Request, frozen=True):
-    """Start anew: the next sample is the reference."""
+    """Start again: the next sample is the reference."""
 
     robot_q: Annotated[
         Numbers | None,
-        _doc("Where the robot is now [rad]; if omitted it goes to rest within its limits."),
+        _doc("Joint angles where the robot is now [rad]. Without them, it stays where it is."),
     ] = None
-    robot_wrist: Annotated[Pose | None, _doc("Where its wrist is; if omitted it stays.")] = None
+    robot_wrist: Annotated[
+        Pose | None,
+        _doc("Pose of its wrist. Without both, the robot moves to rest within its speed limits."),
+    ] = None
 
 
 class Status(Named, frozen=True):
-    """Ask how a session is, or without one the server. Answered by `state`."""
+    """Ask for the state of a session; of the server without one. The answer is `state`."""
 
 
 class Close(Request, frozen=True):
@@ -222,21 +230,21 @@ class Close(Request, frozen=True):
 
 
 class Subscribe(Request, frozen=True):
-    """WebSocket only: send the stream of the session of this name too."""
+    """Subscribe to the stream of a session (WebSocket only)."""
 
     name: Annotated[Name, _doc("Public name of a session.")]
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
-    """What the server says. Clients skip fields that they do not know."""
+    """A reply of the server. Clients ignore fields that they do not know."""
 
-    seq: Annotated[int, _doc("Number of the request answered.")] = 0
+    seq: Annotated[int, _doc("Number of the request that it answers.")] = 0
 
 
 class Opened(Reply, frozen=True):
     """The session is open."""
 
-    name: Annotated[str, _doc("Public name of the session and of its stream.")]
+    name: Annotated[str, _doc("Public name of the session and its stream.")]
     joint_names: Annotated[
         tuple[str, ...],
         _doc("The robot's joints as its URDF names them, in the order of every robot q."),
@@ -246,9 +254,7 @@ class Opened(Reply, frozen=True):
     speed: Annotated[Numbers, _doc("Their speed limits [rad/s].")]
     q: Annotated[
         Numbers,
-        _doc(
-            "Where the robot is taken to be [rad]: compare it with the real one before you engage."
-        ),
+        _doc("Assumed posture of the robot [rad]; compare it with the real one before you engage."),
     ]
     human_joint_names: Annotated[tuple[str, ...], _doc("Order of a sample's `q`.")]
     human_point_names: Annotated[tuple[str, ...], _doc("Order of a sample's `points`.")]
@@ -259,28 +265,28 @@ class Opened(Reply, frozen=True):
 
 
 class Detail(msgspec.Struct, frozen=True, kw_only=True):
-    """Every stage of a step, for those who watch. Matrices row by row."""
+    """Every stage of a step. Matrices are row by row."""
 
     human_points: Annotated[Points, _doc("In the human's world [m].")]
-    human_q: Annotated[Numbers | None, _doc("[rad]; null where the sample was points.")]
-    human_wrist: Annotated[Pose | None, _doc("In the human's world; null where nothing needed it.")]
+    human_q: Annotated[Numbers | None, _doc("Joint angles [rad]; null if the sample was points.")]
+    human_wrist: Annotated[Pose | None, _doc("In the human's world; null if it is not known.")]
     motion: Annotated[Matrix, _doc("T (eqs. 5-6), 4x4.")]
     motion_rigid: Annotated[Matrix, _doc("T_rb (eq. 2), 4x4.")]
     motion_deformation: Annotated[Matrix, _doc("T_def (eq. 2), 4x4.")]
     stretches: Annotated[Numbers, _doc("Of T, before clamping.")]
-    pivot: Annotated[Vector, _doc("Where T takes the human's pivot, about which it deforms [m].")]
-    targets: Annotated[Points, _doc("Where the robot's reference points should be (eq. 7) [m].")]
-    points: Annotated[Points, _doc("Where the mapping has them [m].")]
+    pivot: Annotated[
+        Vector, _doc("Image of the human's pivot under T, about which it deforms [m].")
+    ]
+    targets: Annotated[Points, _doc("Targets of the robot's reference points (eq. 7) [m].")]
+    points: Annotated[Points, _doc("The robot's reference points after the step [m].")]
 
 
 class Command(Reply, frozen=True):
-    """What a robot's driver takes."""
+    """A command for the robot's driver."""
 
     name: Annotated[str, _doc("Public name of the session.")]
-    time: Annotated[float, _doc("Time stamp of the sample answered [s].")]
-    server_time: Annotated[
-        float, _doc("When the command was made, on the server's monotonic clock [s].")
-    ]
+    time: Annotated[float, _doc("Time stamp of the sample that it answers [s].")]
+    server_time: Annotated[float, _doc("Time of the command on the server's monotonic clock [s].")]
     joint_names: Annotated[tuple[str, ...], _doc("As the URDF names them, in the order of `q`.")]
     q: Annotated[Numbers, _doc("Joint angles [rad].")]
     wrist: Annotated[
@@ -289,47 +295,53 @@ class Command(Reply, frozen=True):
     status: Annotated[
         str,
         _doc(
-            "converged, limited, unreachable, unsettled, failed, released; hold, returning or calibrating."
+            "converged, limited, unreachable, unsettled, failed, released, "
+            "hold, returning or calibrating."
         ),
     ]
-    flags: Annotated[tuple[str, ...], _doc("What else a driver should know; see the list.")] = ()
+    flags: Annotated[
+        tuple[str, ...], _doc("Conditions that a driver should know; see the list.")
+    ] = ()
     point_error: Annotated[
         Numbers, _doc("Distance of each reference point from its target [m].")
     ] = ()
     residual: Annotated[
-        float, _doc("How far the human's motion is from a linear one: RMS over its points [m].")
+        float, _doc("Residual of T: RMS over the human's reference points [m].")
     ] = 0.0
-    at_limit: Annotated[tuple[str, ...], _doc("Joints that a position or speed limit holds.")] = ()
+    at_limit: Annotated[tuple[str, ...], _doc("Joints at a position or speed limit.")] = ()
     out_of_range: Annotated[
         tuple[str, ...], _doc("Human joints outside their limits, within the tolerance.")
     ] = ()
     epoch: Annotated[
         int,
         _doc(
-            "Only commands of one epoch are near each other: in another, the robot was said to be elsewhere."
+            "Commands are continuous within an epoch; if it changes, the robot state was "
+            "re-initialised."
         ),
     ] = 0
-    dt: Annotated[float, _doc("Time that the speed limits were granted [s].")] = 0.0
+    dt: Annotated[float, _doc("Time granted to the speed limits [s].")] = 0.0
     solve_time: Annotated[float, _doc("Time spent on the mapping [s].")] = 0.0
-    detail: Annotated[Detail | None, _doc("Every stage, where `has_detail` asks for it.")] = None
+    detail: Annotated[
+        Detail | None, _doc("Every stage of the mapping, if `has_detail` is set.")
+    ] = None
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
-    """What a session maps, for those who look on."""
+    """The hands and options of a session, for clients that watch it."""
 
     robot: Annotated[str, _doc("Name of the robot hand.")]
     side: Annotated[str, _doc("The human hand.")]
-    input: Annotated[str, _doc("What samples hold.")]
-    lengths: Annotated[Lengths | None, _doc("The human hand, measured; null for the model's own.")]
+    input: Annotated[str, _doc("Kind of the samples.")]
+    lengths: Annotated[Lengths | None, _doc("The measured human hand; null for the model's own.")]
     human_points: Annotated[
-        str | None, _doc("Set of reference points on the human hand; null for the usual one.")
+        str | None, _doc("Set of reference points on the human hand; null for the default one.")
     ]
     robot_points: Annotated[
-        str | None, _doc("Set of reference points on the robot hand; null for the usual one.")
+        str | None, _doc("Set of reference points on the robot hand; null for the default one.")
     ]
-    mount: Annotated[str | None, _doc("The robot's wrist; null for the hand's own.")]
+    mount: Annotated[str | None, _doc("Mount of the robot's wrist; null for the hand's own.")]
     mapping: Annotated[
-        dict[str, Any], _doc("All of MappingOptions; in JSON, null stands for what is infinite.")
+        dict[str, Any], _doc("All of MappingOptions; in JSON, null stands for infinity.")
     ]
     ik: Annotated[dict[str, Any], _doc("All of IkOptions.")]
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")]
@@ -339,40 +351,41 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class State(Reply, frozen=True):
-    """How a session is, or the server."""
+    """The state of a session or of the server."""
 
-    version: Annotated[str, _doc("Of the package on the server.")]
-    uptime: Annotated[float, _doc("Of the session, or the server [s].")]
+    version: Annotated[str, _doc("Version of the package on the server.")]
+    uptime: Annotated[float, _doc("Time since the session was opened, or the server started [s].")]
     names: Annotated[tuple[str, ...], _doc("The session's name, or those of all open sessions.")]
     mode: Annotated[
         str,
-        _doc("waiting, following, released, hold, returning, calibrating; serving for the server."),
+        _doc("waiting, following, released, hold, returning, calibrating; of the server: serving."),
     ] = "serving"
     counts: Annotated[
-        dict[str, int], _doc("Samples answered, replaced by newer ones, refused, and so on.")
+        dict[str, int],
+        _doc("Numbers of samples answered, replaced by newer ones, refused, and so on."),
     ] = {}
     robots: Annotated[
-        tuple[str, ...], _doc("Robot hands that can be opened; of the server only.")
+        tuple[str, ...], _doc("Robot hands that clients may open; only of the server.")
     ] = ()
     is_released: Annotated[
-        bool, _doc("Whether the session was let go, also while its watchdog holds the robot.")
+        bool, _doc("Whether the robot is released, also while the watchdog holds it.")
     ] = False
-    q: Annotated[Numbers, _doc("The session's last command [rad].")] = ()
+    q: Annotated[Numbers, _doc("Joint angles of the last command [rad].")] = ()
     stream_port: Annotated[int, _doc("Port of the streams (ZeroMQ PUB).")] = 0
-    about: Annotated[About | None, _doc("What the session maps.")] = None
+    about: Annotated[About | None, _doc("Hands and options of the session.")] = None
 
 
 class Done(Reply, frozen=True):
-    """The request was carried out."""
+    """The server carried the request out."""
 
 
 class Error(Reply, frozen=True):
-    """The request was not carried out; the session goes on as it was."""
+    """The server refused the request; the session is unchanged."""
 
     code: Annotated[str, _doc("One word; see the list.")]
-    message: Annotated[str, _doc("What was expected, and what came.")]
+    message: Annotated[str, _doc("What was expected, and what was received.")]
     field: Annotated[
-        str, _doc("The field at fault, as `q[3]` or `mapping.ridge`; empty where none is.")
+        str, _doc("The field at fault, such as `q[3]` or `mapping.ridge`; empty if there is none.")
     ] = ""
 
 
@@ -382,23 +395,20 @@ AnyRequest = (
 )
 
 LARGEST = 1e3
-"""Farthest that a coordinate may be from the origin [m], and the largest angle [rad].
-
-Beyond it, numbers are mistakes.
-"""
+"""Largest coordinate [m] and angle [rad]; larger numbers are mistakes."""
 LATEST = 1e15
-"""Farthest that a time stamp may be from 0 [s]."""
+"""Largest time stamp [s]."""
 _QUAT_TOLERANCE = 1e-2
 
 
 class _Head(msgspec.Struct):
-    """What a message that cannot be read whole may still tell."""
+    """The fields that identify a request which is invalid elsewhere."""
 
     protocol: Any = None
     seq: Any = 0
 
 
-# Texts that are no UTF-8 and depths that no message has are told by errors of their own.
+# Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _DECODE = {
     False: msgspec.msgpack.Decoder(AnyRequest).decode,
@@ -415,12 +425,12 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
     """Read and check one request.
 
     Args:
-        payload: What came over the wire.
+        payload: The message as received.
         is_json: Whether it is JSON; msgpack otherwise.
 
     Returns:
-        The request; or the error to answer with, which names the field and bears the request's
-        number where that can be told.
+        The request; or the error to answer with, which has the field at fault, and the number of
+        the request if it can be read.
     """
     try:
         request = _DECODE[is_json](payload)
@@ -428,12 +438,11 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
         protocol, seq = _head(payload, is_json)
         if type(protocol) is int and protocol != PROTOCOL:
             return _wrong_protocol(seq, protocol)
-        message, _, place = str(error).partition(" - at `$")
-        field = place.rstrip("`").lstrip(".") or _field_in(message)
-        return Error(seq=seq, code="invalid", message=_in_words(message, place), field=field)
+        message, path = split_validation_error(error)
+        return Error(seq=seq, code="invalid", message=_explain(message, path), field=path)
     except _UNREADABLE as error:
         kind = "JSON" if is_json else "msgpack"
-        return Error(code="invalid", message=f"is no {kind} message: {error}"[:200])
+        return Error(code="invalid", message=f"not a {kind} message: {error}"[:200])
     if request.protocol != PROTOCOL:
         return _wrong_protocol(request.seq, request.protocol)
     found = _bad_number(request)
@@ -444,12 +453,12 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
 
 
 def encode_reply(reply: AnyReply, *, is_json: bool = False) -> bytes:
-    """One reply as it goes over the wire."""
+    """Encode one reply."""
     return _ENCODE[is_json](reply)
 
 
 def _head(payload: bytes | str, is_json: bool) -> tuple[Any, int]:
-    """Protocol and number of a request that is wrong elsewhere."""
+    """Return protocol and number of a request that is invalid elsewhere."""
     try:
         head = _DECODE_HEAD[is_json](payload)
     except _UNREADABLE:
@@ -466,23 +475,40 @@ def _wrong_protocol(seq: int, protocol: int) -> Error:
     )
 
 
-def _field_in(message: str) -> str:
-    """The field that msgspec names in its message where the place is the message as a whole."""
-    named = re.search(r"field `(\w+)`", message)
-    return named[1] if named else ""
+def split_validation_error(error: msgspec.ValidationError) -> tuple[str, str]:
+    """Split the text of msgspec's error into its message and the path of the value at fault.
+
+    msgspec has no attributes for them. It appends a JSON path to its message, as in "Expected
+    `float`, got `str` - at `$.q[1]`". For a missing or unknown field of the message itself, it
+    quotes the field instead, as in "Object missing required field `time`".
+
+    Returns:
+        The message, and a path such as `q[1]`; the path of the message as a whole is empty.
+    """
+    message, separator, path = str(error).rpartition(" - at `$")
+    if separator:
+        return message, path.rstrip("`").lstrip(".")
+    named = re.search(r"field `(\w+)`$", path)
+    return path, named[1] if named else ""
 
 
-def _in_words(message: str, place: str) -> str:
-    """What msgspec says of a mistake, where its own words would not help."""
+def _explain(message: str, path: str) -> str:
+    """Replace messages of msgspec that would not help a client."""
     if "matching regex" in message:
         return f"expected {_NAME}"
-    if message == "Object contains unknown field `name`" and not place:
-        return "by a session's name you may only watch it, and steer it if it is shared; this asks for its secret"
+    if path == "name" and message.startswith("Object contains unknown field"):
+        return (
+            "by a session's name you may only watch it, and steer it if it is shared; "
+            "this request requires its secret"
+        )
     return message
 
 
 def _bad_number(request: Request) -> tuple[str, str] | None:
-    """The first number that is not finite, much too large, or part of a quaternion that is none."""
+    """Return field and message of the first number that is not finite, or out of range.
+
+    Also check the norm of quaternions.
+    """
     if isinstance(request, Step):
         if not abs(request.time) <= LATEST:
             return "time", f"expected a number within {LATEST:g} of 0, got {request.time:g}"
@@ -505,7 +531,7 @@ def _bad_number(request: Request) -> tuple[str, str] | None:
 
 
 def _bad_row(field: str, row: tuple[float, ...] | None) -> tuple[str, str] | None:
-    # A NaN is within nothing.
+    # `not a <= b` also rejects NaN.
     for i, value in enumerate(row or ()):
         if not -LARGEST <= value <= LARGEST:
             return f"{field}[{i}]", f"expected a number within {LARGEST:g} of 0, got {value:g}"

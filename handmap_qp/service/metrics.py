@@ -1,4 +1,7 @@
-"""Counters of the service, and `/metrics` (Prometheus text format 0.0.4) and `/health` over HTTP on loopback."""
+"""Counters of the service, served over HTTP on loopback.
+
+`/metrics` is in Prometheus' text format 0.0.4, `/health` is JSON.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,14 @@ from handmap_qp.addresses import names_loopback
 BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
 _HELP = {
-    "requests": ("counter", "Messages that came in."),
+    "requests": ("counter", "Messages received."),
     "steps": ("counter", "Samples mapped."),
-    "replaced": ("counter", "Streamed samples that a newer one replaced before they were mapped."),
-    "refusals": ("counter", "Messages that were refused, by code; also handshakes."),
-    "watchdog": ("counter", "Times that the watchdog found a session without samples."),
+    "replaced": ("counter", "Streamed samples replaced by a newer one before they were mapped."),
+    "refusals": ("counter", "Messages refused, by code; also failed handshakes."),
+    "watchdog": ("counter", "Holds that the watchdog started."),
     "opened": ("counter", "Sessions opened."),
-    "dropped": ("counter", "Replies that a slow reader lost."),
-    "sessions": ("gauge", "Sessions open."),
+    "dropped": ("counter", "Replies lost by slow readers."),
+    "sessions": ("gauge", "Open sessions."),
     "lag_seconds": ("gauge", "Longest delay of the event loop in the last second [s]."),
     "resident_bytes": ("gauge", "Resident memory of the process."),
     "uptime_seconds": ("gauge", "Time since the start [s]."),
@@ -34,7 +37,7 @@ _READ_TIMEOUT = 2.0
 
 
 class Metrics:
-    """What the service counts."""
+    """Counters, gauges and a histogram of step times."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -44,13 +47,13 @@ class Metrics:
         self._step_total = 0.0
 
     def observe_step(self, seconds: float) -> None:
-        """Count a step and its time."""
+        """Count a step and its time [s]."""
         self.counts["steps"] += 1
         self._step_counts[bisect_left(BUCKETS, seconds)] += 1
         self._step_total += seconds
 
     def render(self) -> str:
-        """Everything in Prometheus' text format."""
+        """Return all values in Prometheus' text format."""
         lines = []
         for name, (kind, text) in _HELP.items():
             full = f"handmap_{name}" + ("_total" if kind == "counter" else "")
@@ -78,7 +81,7 @@ class Metrics:
 
 
 def resident_bytes() -> float:
-    """Resident memory of this process, where the system tells; else its peak."""
+    """Return the resident memory of this process; its peak if the system does not report it."""
     try:
         return (
             int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
@@ -99,7 +102,7 @@ async def serve_metrics(
         host: Loopback address to listen on.
         port: Port; 0 lets the system choose.
         metrics: The counters.
-        health: What the health check says; its `status` is `ok` or an error.
+        health: Returns the result of the health check; its `status` is `ok` or an error.
 
     Returns:
         The listening server.
@@ -135,7 +138,7 @@ def _response(head: bytes, metrics: Metrics, health: Callable[[], dict[str, Any]
     if method != b"GET":
         return _page("405 Method Not Allowed", "text/plain", "GET only\n")
     if not _is_for_loopback(head):
-        # A name that an attacker's DNS has turned to 127.0.0.1 under a browser's feet.
+        # Prevent DNS rebinding: an attacker's name that resolves to 127.0.0.1 in a browser.
         return _page("421 Misdirected Request", "text/plain", "ask for localhost\n")
     if path == b"/metrics":
         return _page("200 OK", "text/plain; version=0.0.4; charset=utf-8", metrics.render())
@@ -150,7 +153,7 @@ def _response(head: bytes, metrics: Metrics, health: Callable[[], dict[str, Any]
 
 
 def _is_for_loopback(head: bytes) -> bool:
-    """Whether the Host header, if there is one, names this machine."""
+    """Return whether the Host header, if there is one, names this machine."""
     for line in head.split(b"\r\n")[1:]:
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"host":
@@ -160,5 +163,11 @@ def _is_for_loopback(head: bytes) -> bool:
 
 def _page(status: str, kind: str, body: str) -> bytes:
     content = body.encode()
-    head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(content)}\r\nConnection: close\r\n\r\n"
-    return head.encode() + content
+    lines = (
+        f"HTTP/1.1 {status}",
+        f"Content-Type: {kind}",
+        f"Content-Length: {len(content)}",
+        "Connection: close",
+        "\r\n",
+    )
+    return "\r\n".join(lines).encode() + content

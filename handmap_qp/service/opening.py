@@ -20,10 +20,9 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.service.hand_cache import HandCache
-from handmap_qp.service.messages import Open
+from handmap_qp.service.messages import Open, split_validation_error
 from handmap_qp.service.refusals import (
     refused,
-    split_validation_error,
     with_field_errors,
     with_option_errors,
 )

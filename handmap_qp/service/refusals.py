@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import TypeVar
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import (
@@ -99,21 +98,6 @@ def with_option_errors(robot: Hand, ik: IkOptions, make: Callable[[], _T]) -> _T
     except RefusedError:
         with_field_errors("ik", lambda: PointIk(robot, ik))
         raise
-
-
-def split_validation_error(error: msgspec.ValidationError) -> tuple[str, str]:
-    """Split the text of msgspec's error into its message and the path of the value at fault.
-
-    msgspec 0.19 to 0.22 has no attributes for them. It appends the path as a JSON path to the
-    message: "Expected `float`, got `str` - at `$.q[1]`".
-
-    Returns:
-        The message, and the path such as `q[1]`; empty for the message as a whole.
-    """
-    message, _, path = str(error).rpartition(" - at `$")
-    if not message:
-        return str(error), ""
-    return message, path.rstrip("`").lstrip(".")
 
 
 def _field_of_argument(argument: str) -> str:

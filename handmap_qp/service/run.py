@@ -1,4 +1,4 @@
-"""The service as a process: signals, logs, and the line that says it is ready."""
+"""The service as a process: signals, logs, and the line that reports readiness."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import sys
 from handmap_qp.service.logs import log_to_stderr
 from handmap_qp.service.server import Server, Settings
 
-# A thread that loads a hand gives way to one that answers after so long [s]; Python's own choice is
-# ten times that.
+# Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
+# default is ten times longer.
 _SWITCH_INTERVAL = 5e-4
-# Connections that do nothing must not use up the descriptors that clients need.
+# Idle connections must not use up the descriptors that clients need.
 _MOST_FILES = 65536
 
 
@@ -23,8 +23,8 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     """Serve until SIGINT or SIGTERM.
 
     Args:
-        settings: Where to listen and what to take.
-        log_level: What to log.
+        settings: Addresses, limits and files.
+        log_level: Lowest level to log.
 
     Raises:
         InvalidInputError: If an address or file cannot be used.
@@ -43,7 +43,7 @@ async def _serve(settings: Settings) -> None:
     server = Server(settings)
     try:
         await server.start()
-        # What exists now stays: collections need not look at it again.
+        # Exclude the objects that exist now from garbage collection: they stay.
         gc.collect()
         gc.freeze()
         hosts = {"host": settings.host} | (
@@ -56,7 +56,7 @@ async def _serve(settings: Settings) -> None:
 
 
 def _raise_file_limit() -> None:
-    """Let the process open as many files as the system allows it, within reason."""
+    """Raise the limit of open files to the system's maximum, at most 65536."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, _MOST_FILES)
     if soft != resource.RLIM_INFINITY and soft < wanted:

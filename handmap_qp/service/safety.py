@@ -1,11 +1,9 @@
-"""What stands between a mapping and a robot.
+"""Speed limits of the commands that leave a session.
 
-No command goes faster than the robot's speed limits, whatever was asked.
-
-A mapper keeps to its limits between its own steps. It does not know how much time has really
-passed, that it was reset, that the session before left the robot elsewhere, or that a client
-switched speed limits off. So every command passes a `SpeedGuard`, which alone owns the posture last
-commanded, and `StepClock` says how much time the next one may account for.
+A mapper respects its limits between its own steps only. It does not know how much time has really
+passed, that it was reset, that the former session left the robot elsewhere, or that a client
+switched speed limits off. So every command passes a `SpeedGuard`, which owns the posture last
+commanded, and `StepClock` limits the time that the next command may account for.
 """
 
 from __future__ import annotations
@@ -21,30 +19,30 @@ from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Pose
 
 START_TOLERANCE = 0.1
-"""How far outside its limits a robot may say it is [rad].
+"""Distance outside its limits that a client may report for a robot's joint [rad].
 
 Encoders do not read exactly what was commanded.
 """
 SHORTEST_DT = 1e-6
-"""Time granted where none has passed [s].
+"""Time granted if none has passed [s].
 
-The robot stands still, and the mapper wants a number > 0.
+The robot practically stands still, and the mapper needs a number > 0.
 """
 _ROUNDING = 1e-9
 
 
 class SpeedGuard:
-    """The robot's last commanded posture.
+    """The posture last commanded, and the speed limits of the next one.
 
-    Between two commands, no joint goes farther than its speed limit times the time granted, and a
-    floating wrist's displacement (its twist in body axes, as in the QP) keeps the limits of
+    Between two commands, no joint moves farther than its speed limit times the time granted. The
+    displacement of a floating wrist (its twist in body axes, as in the QP) respects the limits of
     `hand.yaml`.
 
     Args:
         robot: The robot hand.
         q: Joint angles where it is now [rad], shape (n,).
-        wrist: Wrist pose there, shape (4, 4); None if it is not known yet. Ignored where the wrist
-            is fixed.
+        wrist: Pose of its wrist, shape (4, 4); None if it is not known yet. Ignored if the wrist is
+            fixed.
 
     Attributes:
         q: Joint angles last commanded [rad], shape (n,).
@@ -53,7 +51,7 @@ class SpeedGuard:
     def __init__(self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> None:
         self._robot = robot
         self._workspace = robot.configuration()
-        # Followers (mimic joints) have limits of their own only through their leaders'.
+        # Mimic joints are limited through their leaders.
         self._speed = np.full(robot.model.nv, np.inf)
         self._speed[robot.v_indices] = robot.velocity_limits
         if robot.is_floating:
@@ -66,7 +64,7 @@ class SpeedGuard:
 
     @property
     def wrist(self) -> np.ndarray | None:
-        """Wrist pose last commanded, shape (4, 4).
+        """Pose of the wrist last commanded, shape (4, 4).
 
         None if a floating wrist has not been placed yet.
         """
@@ -79,16 +77,16 @@ class SpeedGuard:
     def advance(
         self, q: np.ndarray, wrist: np.ndarray | None, dt: float, share: float = 1.0
     ) -> bool:
-        """Go towards a posture as far as the limits allow.
+        """Move towards a posture as far as the speed limits allow.
 
         Args:
-            q: Joint angles wanted [rad], shape (n,).
-            wrist: Wrist pose wanted, shape (4, 4); None leaves it. The first one places it.
+            q: Target joint angles [rad], shape (n,).
+            wrist: Target pose of the wrist, shape (4, 4); None keeps it. The first one places it.
             dt: Time since the last command [s].
-            share: Part of the speed limits to use.
+            share: Share of the speed limits to use.
 
         Returns:
-            Whether it got there. Numbers that are not finite are not followed.
+            Whether the posture is reached. A target that is not finite is ignored.
         """
         if not (np.isfinite(q).all() and (wrist is None or np.isfinite(wrist).all())):
             return False
@@ -104,12 +102,12 @@ class SpeedGuard:
         if (np.abs(change) <= limit * (1.0 + _ROUNDING) + _ROUNDING).all():
             self.q = q.copy()
             self._wrist = None if self._wrist is None else goal.copy()
-            # The next way starts where this one ends.
+            # Reuse the configuration: the next motion starts here.
             self._last, self._wanted, self._is_written = self._wanted, self._last, True
             return True
         allowed = np.clip(change, -limit, limit)
         if self._robot.is_floating:
-            # The wrist keeps to its way: all six coordinates are slowed down alike.
+            # Scale all six coordinates alike, so that the wrist stays on its path.
             allowed[:6] = change[:6] * (limit[:6] / np.maximum(np.abs(change[:6]), 1e-300)).min(
                 initial=1.0
             )
@@ -123,16 +121,16 @@ class SpeedGuard:
 
 
 class StepClock:
-    """How much time a command may account for.
+    """The time that a command may account for.
 
-    With `time_from="server"` that is the time since the last command on the server's monotonic
-    clock, and at most `max_dt`: time stamps are looked at and never believed, so that neither a
-    jump of the client's clock nor a burst of samples nor a pause makes the robot go faster than it
-    may, measured where commands leave. With `"client"`, for simulated time, the time stamps count.
+    With `time_from="server"`, it is the time since the last command on the server's monotonic
+    clock, and at most `max_dt`. Time stamps are only compared with it. So neither a jump of the
+    client's clock nor a burst of samples nor a pause makes the robot exceed its speed limits. With
+    `"client"`, for simulated time, the time stamps count.
 
     Args:
-        max_dt: Most time that one command may account for [s].
-        time_from: Whose clock counts.
+        max_dt: Longest time that one command may account for [s].
+        time_from: Clock that counts.
         now: The present [s].
     """
 
@@ -144,17 +142,16 @@ class StepClock:
         self._stamp: float | None = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
-        """Time for the command that answers a sample.
+        """Grant time to the command that answers a sample.
 
         Args:
-            stamp: The sample's time stamp [s].
+            stamp: Time stamp of the sample [s].
             now: The present [s].
 
         Returns:
-            Time [s], and flags: `time_backwards`, the stamp is not later than the last one's;
-                `time_jump`, the two clocks differ by
-            more than a second since the last sample; `dt_clamped`, more time has passed than is
-            granted.
+            The time [s], and flags. `time_backwards`: the time stamp is not later than the last
+            one. `time_jump`: since the last sample, the two clocks differ by more than a second.
+            `dt_clamped`: more time has passed than is granted.
         """
         elapsed, since_sample = now - self._last, now - self._last_sample
         stamped = since_sample if self._stamp is None else stamp - self._stamp
@@ -170,16 +167,16 @@ class StepClock:
         return min(max(wanted, SHORTEST_DT), self._max_dt), flags
 
     def grant_tick(self, now: float) -> float:
-        """Time for a command that answers no sample: the watchdog's [s]."""
+        """Grant time to a command of the watchdog, which answers no sample [s]."""
         elapsed, self._last = now - self._last, now
         return min(max(elapsed, SHORTEST_DT), self._max_dt)
 
 
 def start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
-    """Joint angles that a robot says it is at [rad], or rest, shape (n,).
+    """Return the joint angles that a client reports, or the rest posture [rad], shape (n,).
 
     Raises:
-        RefusedError: If it cannot be there.
+        RefusedError: If the robot cannot be there.
     """
     if robot_q is None:
         return robot.rest.copy()
@@ -194,21 +191,24 @@ def start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
     worst = int(np.argmax(outside))
     if outside[worst] > START_TOLERANCE:
         limits = f"[{robot.lower_limits[worst]:.6g}, {robot.upper_limits[worst]:.6g}]"
-        message = f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, expected within {START_TOLERANCE:g} rad of {limits}"
+        message = (
+            f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, "
+            f"expected within {START_TOLERANCE:g} rad of {limits}"
+        )
         raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
     return q
 
 
 def start_wrist(robot: Hand, robot_wrist: Pose | None) -> np.ndarray | None:
-    """The wrist pose that a robot says it is at, shape (4, 4), or None.
+    """Return the pose of the wrist that a client reports, shape (4, 4), or None.
 
     Raises:
-        RefusedError: If its wrist is fixed.
+        RefusedError: If the wrist is fixed.
     """
     if robot_wrist is not None and not robot.is_floating:
         raise RefusedError(
             "invalid",
-            f"{robot.name} has a fixed wrist, which stays where it is",
+            f"{robot.name} has a fixed wrist: leave it out",
             field="robot_wrist",
         )
     return to_matrix(robot_wrist)

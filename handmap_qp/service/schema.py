@@ -1,4 +1,4 @@
-"""The schema of the messages, in words and as JSON schema, made of the types themselves."""
+"""Description of the messages, as Markdown and as JSON schema, made from their types."""
 
 from __future__ import annotations
 
@@ -28,58 +28,71 @@ from handmap_qp.service.messages import (
 from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 
 FLAGS = {
-    "dt_clamped": "more time has passed since the last command than `max_dt`",
+    "dt_clamped": "more time than `max_dt` has passed since the last command",
     "time_backwards": "the time stamp is not later than the last one",
-    "time_jump": "the time stamps jumped by more than a second against the server's clock",
-    "slewing": "the robot is on its way to where the mapping has it, within its speed limits",
+    "time_jump": "the time stamps jumped by more than a second relative to the server's clock",
+    "slewing": "the robot is on its way to the mapped posture, within its speed limits",
     "stretch_clamped": "a stretch of T was outside its range",
-    "watchdog": "no sample has come in time: `status` is `hold` or `returning`",
-    "at_rest": "the robot has arrived at rest",
+    "watchdog": "no sample arrived in time: `status` is `hold` or `returning`",
+    "at_rest": "the robot is at its rest posture",
     "resumed": "the first command after a hold",
-    "released": "the session was let go: the robot stays until `clutch`, whatever `status` says besides",
+    "released": "the robot is released and holds until `clutch`, whatever `status` says",
 }
-"""What a command may be flagged with."""
+"""Flags of a command."""
 
 CODES = {
-    "invalid": "a field is missing, unknown, of the wrong type or cannot be used; `field` names it",
-    "protocol": "another version of the messages",
-    "no_session": "the server does not know the session: it was restarted, or has closed it",
-    "taken": "another client has taken the session over (`restore`)",
-    "stale": "the number is not above the last one, and the message is not its repetition",
-    "busy": "all sessions are taken, or this one is in use",
-    "rate": "too many messages, openings of sessions or changes of options a second; `seq` may be 0",
-    "denied": "the server does not allow it, or the session's client",
-    "internal": "the server failed at it, and has logged why",
+    "invalid": "a field is missing, unknown, of another type or unusable; `field` names it",
+    "protocol": "the message is of another version of the protocol",
+    "no_session": "the server does not know the session: it was restarted, or closed the session",
+    "taken": "another client took the session over (`restore`)",
+    "stale": "the number is not above the last one, and the request is not a repetition",
+    "busy": "all sessions are in use, or this one is",
+    "rate": "too many messages, openings or changes of options per second; `seq` may be 0",
+    "denied": "the server or the client of the session does not allow it",
+    "internal": "the server failed and logged the reason",
 }
-"""What an error's `code` may be."""
+"""Codes of an error."""
 
 _NARROWED = {
-    "solver": f"`{'` or `'.join(SOLVERS)}`: the time of others is not bounded.",
-    "max_iterations": f"Linearisations per sample, at most; the service takes no more than {MOST_ITERATIONS}.",
+    "solver": f"`{'` or `'.join(SOLVERS)}`, because the time of other solvers has no bound.",
+    "max_iterations": "Linearisations per sample, at most; "
+    f"the service accepts up to {MOST_ITERATIONS}.",
 }
+"""Options that the service restricts."""
+
+_INTRODUCTION = f"""\
+One message is one map with the key `type`. Units are SI and radians; poses are of the wrist frame,
+in right-handed worlds.
+
+- ZeroMQ: msgpack. Connect a DEALER (or REQ) socket to the port of requests, and a SUB socket to the
+  port of the stream. A message of the stream is the session's name, a zero byte, and the message.
+  Use one SUB socket per session: for each socket, the server keeps the newest message only,
+  whatever session it is of.
+- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` starts a stream. If the server
+  requires a token (16 to 256 of A-Z a-z 0-9 _ -), send it as the header `Authorization: Bearer
+  TOKEN`. A page in a browser cannot set headers, so it offers the token as a subprotocol:
+  `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.
+
+A message is at most {Caps().message_size} bytes long; a longer one ends its connection.
+Coordinates [m] and angles [rad] are within {messages.LARGEST:g} of 0, time stamps [s] within
+{messages.LATEST:g}.
+
+If a request arrives again byte by byte, the server repeats its answer without carrying it out
+again. A request with a session's public `name` in place of its secret is carried out each time."""
 
 
 def schema_text() -> str:
-    """All messages as Markdown."""
+    """Return the description of all messages as Markdown."""
     parts = [
         f"# Messages of the mapping service, protocol {PROTOCOL}",
-        "One message is one map with a key `type`. SI and radians; poses are of the wrist frame, in right-handed worlds.\n\n"
-        "- ZeroMQ: msgpack. A DEALER (or REQ) socket to the port of requests; a SUB socket to the port of the stream, where a "
-        "message is the session's name, a zero byte, and the message. One SUB socket per session: for each the server keeps the "
-        "newest message alone, whatever session it is of.\n"
-        "- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` turns on a stream. Where a token is asked for (16 "
-        "to 256 of A-Z a-z 0-9 _ -), a client shows it as the header `Authorization: Bearer TOKEN`, and a page in a browser, which "
-        'cannot set headers, as a subprotocol: `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.\n\n'
-        f"A message is at most {Caps().message_size} bytes long; a longer one ends its connection. Coordinates [m] and angles "
-        f"[rad] are within {messages.LARGEST:g} of 0, time stamps [s] within {messages.LATEST:g}.\n\n"
-        "A request that is repeated byte by byte is answered again and carried out once. One that bears a session's public "
-        "`name` in place of its secret is carried out each time.",
+        _INTRODUCTION,
         "## Requests",
-        "Every request has these fields too:",
-        _table(Request).partition("\n\n")[2].partition("\n\n")[2],
+        "Every request also has these fields:",
+        _rows(Request),
         *(_table(kind) for kind in get_args(AnyRequest)),
         "## Replies",
-        "Every reply has `seq`, the number of the request that it answers. Replies may grow fields.",
+        "Every reply has `seq`, the number of the request that it answers. "
+        "Replies may get further fields.",
         *(_table(kind) for kind in get_args(AnyReply)),
         "## Values",
         *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
@@ -93,7 +106,7 @@ def schema_text() -> str:
 
 
 def json_schema() -> str:
-    """All messages as JSON schema (2020-12)."""
+    """Return all messages as JSON schema (2020-12)."""
     (requests, replies), components = msgspec.json.schema_components(
         [AnyRequest, AnyReply], ref_template="#/$defs/{name}"
     )
@@ -107,9 +120,18 @@ def json_schema() -> str:
     )
 
 
+_HEAD = ["| field | type | default | |", "|---|---|---|---|"]
+
+
 def _table(kind: type[msgspec.Struct]) -> str:
+    """Describe a message or value with its fields."""
     tag = kind.__struct_config__.tag
-    title = f"`{tag}`" if tag else f"`{kind.__name__}`"
+    parts = [f"### `{tag or kind.__name__}`", " ".join((kind.__doc__ or "").split()), _rows(kind)]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _rows(kind: type[msgspec.Struct]) -> str:
+    """Describe the fields that a struct adds to its base; empty if there are none."""
     hints = get_type_hints(kind, dict(vars(messages)), include_extras=True)
     base = next(
         (base for base in (Request, Reply) if issubclass(kind, base) and kind is not base), None
@@ -117,30 +139,24 @@ def _table(kind: type[msgspec.Struct]) -> str:
     inherited = () if base is None else base.__struct_fields__
     rows = []
     for item in msgspec.structs.fields(kind):
-        if item.name in inherited:
-            continue
-        default = "" if item.required else f"`{json.dumps(_default(item))}`"
-        rows.append(
-            f"| `{item.name}` | {_type(hints[item.name])} | {default} | {_description(hints[item.name])} |"
-        )
-    head = ["", "| field | type | default | |", "|---|---|---|---|"] if rows else []
-    return "\n".join([f"### {title}", "", " ".join((kind.__doc__ or "").split()), *head, *rows])
+        if item.name not in inherited:
+            default = "" if item.required else f"`{json.dumps(_default(item))}`"
+            hint = hints[item.name]
+            rows.append(f"| `{item.name}` | {_type(hint)} | {default} | {_description(hint)} |")
+    return "\n".join([*_HEAD, *rows]) if rows else ""
 
 
 def _options_table(kind: type[MappingOptions | IkOptions]) -> str:
-    """Options as their class describes them."""
+    """Describe options as their class does, except those that the service restricts."""
     described = docstring_parser.parse(kind.__doc__ or "")
     hints = get_type_hints(kind)
-    # Of what the service takes less than the package does, it says so.
     texts = {param.arg_name: param.description or "" for param in described.params} | _NARROWED
-    rows = [
-        f"| `{item.name}` | {_type(hints[item.name])} | `{json.dumps(item.default)}` | {' '.join(texts[item.name].split())} |"
-        for item in dataclasses.fields(kind)
-    ]
-    head = ["", "| field | type | default | |", "|---|---|---|---|"]
-    return "\n".join(
-        [f"### `{kind.__name__}`", "", described.short_description or "", *head, *rows]
-    )
+    rows = []
+    for item in dataclasses.fields(kind):
+        hint, text = _type(hints[item.name]), " ".join(texts[item.name].split())
+        rows.append(f"| `{item.name}` | {hint} | `{json.dumps(item.default)}` | {text} |")
+    title = [f"### `{kind.__name__}`", "", described.short_description or "", ""]
+    return "\n".join([*title, *_HEAD, *rows])
 
 
 def _default(item: msgspec.structs.FieldInfo) -> Any:
@@ -154,7 +170,7 @@ def _description(hint: Any) -> str:
 
 
 def _type(hint: Any) -> str:
-    """A type as readers of any language know it."""
+    """Name a type independently of Python."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return _type(inner[0]) + _bounds(inner[1:])
@@ -186,7 +202,7 @@ def _bounds(metas: tuple[Any, ...]) -> str:
     found = []
     for meta in metas:
         if isinstance(meta, msgspec.Meta):
-            # 2^53 is merely where JSON's integers end.
+            # 2^53 is only the limit of integers in JSON.
             found += [
                 f"{sign} {getattr(meta, key):g}"
                 for key, sign in signs.items()

@@ -1,12 +1,11 @@
-"""`Server`: the mapping service on its sockets. ZeroMQ here.
+"""`Server`: the mapping service on its ZeroMQ sockets.
 
-WebSocket and HTTP are started from here.
+    ROUTER  requests, each answered; samples, not answered, of which the newest counts
+    PUB     the stream: commands of every session under its name
 
-    ROUTER  requests, each answered; and samples, not answered, of which the newest counts
-    PUB     the stream: commands of every session under its name; a reader needs a SUB socket for
-    each of its sessions
-
-Off loopback, both speak CURVE and take only the clients whose public keys lie in the keys' folder.
+A reader needs one SUB socket for each session, because PUB keeps the newest message only. Off
+loopback, both sockets use CURVE and admit only the clients whose public keys are in the folder of
+keys. The server also starts WebSocket and HTTP.
 """
 
 from __future__ import annotations
@@ -40,29 +39,29 @@ from handmap_qp.service.store import PostureStore
 from handmap_qp.service.websocket import WebSettings, WebSocketTransport
 
 TICK = 0.005
-"""Time between looks at the watchdogs [s]."""
+"""Time between checks of the watchdogs [s]."""
 _BATCH = 64
-"""Messages taken before others get their turn."""
+"""Messages read before other tasks get their turn."""
 _MOST_WAITING = 200
-"""Messages kept of a client that sends too fast, which then has to wait."""
+"""High-water mark of received messages, above which a client has to wait."""
 _MOST_UNREAD = 500
-"""Replies kept for a client that reads too slowly, which loses the others."""
+"""High-water mark of replies, above which a slow client loses the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Where a server listens and what it takes.
+    """Addresses, limits and files of a server.
 
     Attributes:
         host: Address to listen on; off loopback only with `keys`.
-        port: Port of requests and samples; 0 lets the system choose, here and below.
+        port: Port of requests and samples; 0 lets the system choose, as for the other ports.
         stream_port: Port of the stream.
         health_port: Port of `/metrics` and `/health`, always on loopback; None for neither.
-        keys: Folder that `handmap keys` made; CURVE is spoken if given.
-        web: The WebSocket door; None for none.
+        keys: Folder that `handmap keys` made; None for unencrypted connections.
+        web: The WebSocket transport; None for none.
         state: File that keeps the postures last commanded; None for none.
         hands: Further robot hands: paths of `hand.yaml` files.
-        caps: What clients are allowed.
+        caps: Limits of what clients may do.
     """
 
     host: str = "127.0.0.1"
@@ -76,19 +75,22 @@ class Settings:
     caps: Caps = field(default_factory=Caps)
 
     def __post_init__(self) -> None:
-        """Refuse to be reached from elsewhere without keys.
+        """Reject unencrypted connections off loopback.
 
         Raises:
             InvalidInputError: If there is no such port.
-            InvalidOptionsError: Saying what is missing.
+            InvalidOptionsError: If keys are missing.
         """
         check_port("port", self.port)
-        check_port("stream port", self.stream_port)
+        check_port("stream_port", self.stream_port)
         if self.health_port is not None:
-            check_port("health port", self.health_port)
+            check_port("health_port", self.health_port)
         if not is_loopback(self.host) and self.keys is None:
             raise InvalidOptionsError(
-                f"host {self.host}: others could move the robot; off loopback, give keys (handmap keys FOLDER makes them)"
+                option="host",
+                problem=f"others could move the robot on {self.host}",
+                value=self.host,
+                advice="off loopback, give keys (handmap keys FOLDER makes them)",
             )
 
 
@@ -96,11 +98,11 @@ class Server:
     """The service.
 
     Args:
-        settings: Where it listens and what it takes.
+        settings: Addresses, limits and files.
 
     Attributes:
-        dispatcher: What answers messages.
-        metrics: What it counts.
+        dispatcher: Answers messages.
+        metrics: Counters.
         ports: The ports in use by name, once started.
     """
 
@@ -110,7 +112,7 @@ class Server:
         self.ports: dict[str, int] = {}
         self._closing = contextlib.AsyncExitStack()
         cache = HandCache(settings.hands)
-        # Last of what may fail: from here on the file is taken.
+        # Acquire the file lock last, after everything that can fail.
         store = (
             None
             if settings.state is None
@@ -125,7 +127,7 @@ class Server:
         self.metrics.gauges["lag_seconds"] = lambda: max(self._lag, self._worst_lag)
 
     async def start(self) -> None:
-        """Open all doors.
+        """Listen on all transports.
 
         Raises:
             InvalidInputError: If an address or file cannot be used.
@@ -135,8 +137,7 @@ class Server:
         if settings.keys is not None:
             self._keys = read_server_keys(settings.keys)
             self._authenticate(context, settings.keys / "clients")
-        # Plain sockets, read as soon as their descriptor stirs: a future for each message would
-        # cost as much as a third of a step.
+        # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
         self.ports["requests"] = _bind(self._router, settings.host, settings.port)
@@ -146,8 +147,8 @@ class Server:
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
         if settings.web is not None:
-            door = WebSocketTransport(settings.web, self.dispatcher, settings.caps)
-            self.ports["web"] = await self._closing.enter_async_context(door)
+            transport = WebSocketTransport(settings.web, self.dispatcher, settings.caps)
+            self.ports["web"] = await self._closing.enter_async_context(transport)
         if settings.health_port is not None:
             try:
                 health = await serve_metrics(
@@ -155,7 +156,9 @@ class Server:
                 )
             except OSError as error:
                 raise InvalidInputError(
-                    f"health port {settings.health_port}: {error.strerror}"
+                    argument="health_port",
+                    problem=f"{settings.health_port}: {error.strerror}",
+                    value=settings.health_port,
                 ) from error
             self._closing.callback(health.close)
             self.ports["health"] = health.sockets[0].getsockname()[1]
@@ -170,7 +173,7 @@ class Server:
         report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
 
     async def stop(self) -> None:
-        """Close all sessions and doors."""
+        """Close all sessions and transports."""
         was_ready = bool(self._tasks)
         for task in self._tasks:
             task.cancel()
@@ -180,7 +183,7 @@ class Server:
             report(INFO, "stopped")
 
     def health(self) -> dict[str, Any]:
-        """What the health check says."""
+        """Return the result of the health check."""
         is_alive = bool(self._tasks) and not any(task.done() for task in self._tasks)
         return {
             "status": "ok" if is_alive else "stopped",
@@ -190,7 +193,7 @@ class Server:
 
     def _socket(self, context: zmq.Context, kind: int) -> zmq.Socket:
         socket = context.socket(kind)
-        # What is on its way when the server ends gets a moment to leave.
+        # Linger [ms]: send queued messages when the server stops.
         self._closing.callback(socket.close, 100)
         socket.setsockopt(zmq.MAXMSGSIZE, self.settings.caps.message_size)
         socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
@@ -199,8 +202,8 @@ class Server:
         socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
         socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
         socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
-        # ROUTER tells of replies that it cannot queue, so that they can be counted; PUB keeps the
-        # newest for each reader's socket, whatever its topic.
+        # ROUTER reports replies that it cannot queue, so that they are counted. PUB keeps the
+        # newest message per reader, whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
         if (keys := self._keys) is not None:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_server = (
@@ -211,11 +214,14 @@ class Server:
         return socket
 
     def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
-        """Let in only clients whose public keys lie in the folder when they knock."""
+        """Admit only clients whose public keys are in the folder at their handshake."""
         clients = ClientKeys(folder)
         if not clients.read():
             raise InvalidInputError(
-                f"{folder}: holds no client's key (*.key), so that nobody could come in"
+                argument=str(folder),
+                expected="a client's key (*.key)",
+                got="none",
+                advice="handmap keys FOLDER --client NAME makes one",
             )
         authenticator = AsyncioAuthenticator(context)
         authenticator.start()
@@ -223,9 +229,9 @@ class Server:
         authenticator.configure_curve_callback("*", credentials_provider=clients)
 
     def _drain(self) -> None:
-        """Take what has come, up to a batch.
+        """Read waiting messages, up to a batch.
 
-        Then samples that wait are mapped, and others get their turn.
+        Then the waiting samples are mapped, and other tasks get their turn.
         """
         if self._router.closed:
             return
@@ -240,7 +246,7 @@ class Server:
             self._is_draining = False
 
     def _receive(self, frames: Sequence[bytes]) -> None:
-        """One message: a DEALER's payload, or a REQ's after an empty frame."""
+        """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
         *envelope, payload = frames
         if len(envelope) > 2 or (len(envelope) == 2 and envelope[1]):
             self.metrics.refusals["frames"] += 1
@@ -256,7 +262,7 @@ class Server:
         except zmq.ZMQError:
             self.metrics.counts["dropped"] += 1
         if not self._is_draining:
-            # ZeroMQ's descriptor stirs once, and sending may have taken that for itself.
+            # ZeroMQ's descriptor is edge-triggered, and sending may have consumed the edge.
             self._loop.call_soon(self._drain)
 
     def _publish(self, name: str, payload: bytes) -> None:
@@ -264,7 +270,7 @@ class Server:
             self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
 
     async def _tick(self) -> None:
-        """The watchdogs' clock; also measures how late the event loop is."""
+        """Drive the watchdogs, and measure the delay of the event loop."""
         second = time.monotonic()
         while True:
             wanted = time.monotonic() + TICK
@@ -283,18 +289,18 @@ class Server:
 
 
 def _bind(socket: zmq.Socket, host: str, port: int) -> int:
-    """Listen; the port in use."""
+    """Listen on an address; return the port in use."""
     host = "127.0.0.1" if host == "localhost" else host
     address = f"tcp://[{host}]" if ":" in host else f"tcp://{host}"
     try:
         socket.bind(f"{address}:{port or '*'}")
     except zmq.ZMQError as error:
-        # ZeroMQ looks up no names where it listens.
+        # ZeroMQ does not resolve names to listen on.
         is_unknown = error.errno == errno.ENODEV
         reason = (
             "expected an IP address of this machine, or a network interface"
             if is_unknown
             else error.strerror
         )
-        raise InvalidInputError(f"{address}:{port}: {reason}") from error
+        raise InvalidInputError(argument=f"{address}:{port}", problem=str(reason)) from error
     return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])

@@ -3,8 +3,8 @@
 A session has no sockets and no clock of its own; its caller passes messages and times. `states` has
 its states and their transitions, `watchdog` the effects of silence.
 
-Every posture that leaves passes the `SpeedGuard`. If the robot's posture and the mapper's differ for
-good (after a return to rest, or an exception in the mapper), the session resets the mapper to the
+Every posture that leaves passes the `SpeedGuard`. If the postures of robot and mapper differ for
+good, after a return to rest or an exception in the mapper, the session resets the mapper to the
 robot's posture before the next sample, which is then the reference.
 """
 

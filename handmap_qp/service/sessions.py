@@ -1,4 +1,4 @@
-"""The open sessions of a server: opening, finding and ending them."""
+"""The open sessions of a server: open, find and end them."""
 
 from __future__ import annotations
 
@@ -30,13 +30,15 @@ Publish = Callable[[str, bytes], None]
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """A session, and the request answered last with its answer, which is repeated when the same request comes again.
+    """A session with its last request and answer.
+
+    The answer is sent again if the same request arrives again.
 
     Attributes:
         session: The session.
         seq: Number of the request.
-        payload: The request itself.
-        answer: Its answer.
+        payload: The request as received.
+        answer: Its encoded answer.
     """
 
     session: Session
@@ -49,15 +51,15 @@ class Sessions:
     """The open sessions.
 
     Args:
-        caps: What clients are allowed.
-        cache: The hands there are.
-        metrics: Where to count.
-        store: Where former sessions left their robots.
+        caps: Limits of what clients may do.
+        cache: The hands that clients may open.
+        metrics: Counters.
+        store: Records of former sessions.
         clock: Monotonic clock [s].
 
     Attributes:
         entries: Sessions by their secrets.
-        publish: Who hears of what goes into streams.
+        publish: Callbacks that receive the messages of all streams.
     """
 
     def __init__(
@@ -77,8 +79,7 @@ class Sessions:
             store,
             clock,
         )
-        # One thread: what is slow shall be slow for those who open sessions, and not take the
-        # processor from those who have one.
+        # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
         self._names_opening: set[str] = set()
@@ -91,23 +92,20 @@ class Sessions:
         return tuple(entry.session.name for entry in self.entries.values())
 
     def find(self, secret: str) -> Entry:
-        """An open session.
+        """Return the session of a secret.
 
         Raises:
-            RefusedError: `no_session` if there is none, `taken` if another client has taken it
-                over.
+            RefusedError: `no_session` if there is none, `taken` if another client took it over.
         """
         entry = self.entries.get(secret)
         if entry is not None:
             return entry
         if self._ended.get(secret) == "taken":
-            raise RefusedError(
-                "taken", "another client has taken this session over", field="session"
-            )
+            raise RefusedError("taken", "another client took this session over", field="session")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
-        """The open session of a public name.
+        """Return the open session of a public name.
 
         Raises:
             RefusedError: If there is none.
@@ -121,7 +119,7 @@ class Sessions:
         """Open a session.
 
         Raises:
-            RefusedError: Naming the field at fault, or `busy`, `rate`, `denied`.
+            RefusedError: With the field at fault, or `busy`, `rate`, `denied`.
         """
         self._check(request)
         name = request.name or self._new_name()
@@ -130,7 +128,7 @@ class Sessions:
             loop = asyncio.get_running_loop()
             hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._cache)
             robot = hands.mapper.robot
-            # Its client may have come back meanwhile.
+            # The client of the former session may have returned meanwhile.
             self._check_unattended(self._find_named(request.name))
             former = self._former(request, name, robot.name, len(robot.joint_names))
             calibration = Calibration(request, self._cache, self._executor.submit)
@@ -142,7 +140,7 @@ class Sessions:
         for secret in [
             secret for secret, entry in self.entries.items() if entry.session.name == name
         ]:
-            self.end(secret, "taken", "another client has taken this session over")
+            self.end(secret, "taken", "another client took this session over")
         self.entries[request.session] = Entry(session, request.seq, payload)
         if self._store.is_persistent:
             self._store.note(session.record)
@@ -161,9 +159,9 @@ class Sessions:
         """Close a session.
 
         Args:
-            secret: The session's.
-            code: What those who go on using it are told.
-            reason: The same in words, for stream and log.
+            secret: Secret of the session.
+            code: Error code for clients that go on using it.
+            reason: The reason for stream and log.
         """
         session = self.entries.pop(secret).session
         self._store.note(session.record)
@@ -174,18 +172,18 @@ class Sessions:
         report(INFO, "closed", session=session.name, reason=reason, counts=dict(session.counts))
 
     def send(self, name: str, payload: bytes) -> None:
-        """Put a message into a session's stream."""
+        """Publish a message in the stream of a session."""
         for publish in self.publish:
             publish(name, payload)
 
     def close(self) -> None:
         """Close all sessions."""
         for secret in list(self.entries):
-            self.end(secret, "no_session", "the server ends")
+            self.end(secret, "no_session", "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _check(self, request: Open) -> None:
-        """Refuse what can be refused before hands are loaded."""
+        """Refuse requests that can be refused before hands are loaded."""
         if len(request.session) < _SHORTEST_SECRET:
             raise RefusedError(
                 "invalid",
@@ -194,7 +192,7 @@ class Sessions:
             )
         if request.session in self.entries:
             raise RefusedError(
-                "invalid", "there is such a session already; choose another secret", field="session"
+                "invalid", "a session with this secret exists: choose another one", field="session"
             )
         last = self._find_named(request.name)
         is_replacing = last is not None and request.restore
@@ -202,12 +200,12 @@ class Sessions:
             raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
         if not self._opens.take(self._clock()):
             raise RefusedError(
-                "rate", f"more than {self._caps.opens:g} sessions opened a second; try again later"
+                "rate", f"more than {self._caps.opens:g} sessions opened a second: try again later"
             )
         if request.time_from == "client" and not self._caps.allows_client_time:
             raise RefusedError(
                 "denied",
-                "the server takes its own clock (see handmap serve --simulated-time)",
+                "the server uses its own clock (see handmap serve --simulated-time)",
                 field="time_from",
             )
         if request.name in self._names_opening:
@@ -215,23 +213,23 @@ class Sessions:
         if last is not None and not request.restore:
             raise RefusedError(
                 "invalid",
-                f"there is a session {request.name!r}; restore=true takes it over",
+                f"session {request.name!r} exists: restore=true takes it over",
                 field="name",
             )
         self._check_unattended(last)
         if request.restore and request.name is None:
             raise RefusedError(
-                "invalid", "missing; restore needs to know whose session", field="name"
+                "invalid", "missing: restore needs the name of the session", field="name"
             )
 
     def _find_named(self, name: str | None) -> Session | None:
-        """The open session of a name, if there is one."""
+        """Return the open session of a name, if there is one."""
         return next(
             (entry.session for entry in self.entries.values() if entry.session.name == name), None
         )
 
     def _check_unattended(self, session: Session | None) -> None:
-        """Refuse to take a session over while its client sends samples."""
+        """Refuse to take over a session whose client sends samples."""
         if session is not None and session.is_attended:
             raise RefusedError(
                 "busy",
@@ -240,7 +238,7 @@ class Sessions:
             )
 
     def _former(self, request: Open, name: str, robot: str, joints: int) -> Record | None:
-        """Where the session of this name left the robot, if the request asks for it."""
+        """Return the record of the former session of this name, if the request asks for it."""
         if not request.restore:
             return None
         running = self._find_named(name)
@@ -248,11 +246,11 @@ class Sessions:
             self._store.note(running.record)
         found = self._store.find(name, robot, joints)
         if found is None and request.robot_q is None:
-            message = f"nothing is known of a session {name!r}; say where the robot is in robot_q"
+            message = f"no record of a session {name!r}: give the robot's joint angles in robot_q"
             raise RefusedError("invalid", message, field="restore")
         return found
 
     def _new_name(self) -> str:
-        """A name that nobody has, nor will have after a restart: somebody may be watching it."""
+        """Return a name that is unique also over restarts, because others may watch it."""
         self._last_name += 1
         return f"session-{self._last_name}-{secrets.token_hex(3)}"

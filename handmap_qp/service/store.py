@@ -1,12 +1,10 @@
-"""Where sessions left their robots, for those that ask to be restored.
+"""Records of where sessions left their robots, for sessions that ask to be restored.
 
-In memory, and in a file that outlives the server.
-
-The file is mapped into memory, so that noting a command costs microseconds and survives a kill of
-the process (a power cut may lose the last ones). Each session has a slot with two copies, written
-in turn, each with a checksum: a kill in the middle of a write leaves the copy before it whole. All
-of the file is reserved at the start: a disk that fills up later would otherwise kill the server at
-its next write to memory.
+Records are in memory, and by option in a file that outlives the server. The file is mapped into
+memory, so that a record costs microseconds and survives a kill of the process; a power cut may lose
+the last ones. Each session has a slot with two copies, written in turn, each with a checksum: a
+kill during a write leaves the other copy valid. All space is reserved at the start, because a disk
+that fills up later would kill the server at its next write to the mapped memory.
 """
 
 from __future__ import annotations
@@ -29,12 +27,12 @@ from handmap_qp.service.caps import MOST_SESSIONS
 from handmap_qp.service.logs import report
 
 _MAGIC = b"handmap_qp postures 1\n"
-"""What the file begins with; the number is the layout's."""
+"""Start of the file; the number is the version of the layout."""
 _HEAD = struct.Struct("<IIQ")
 """Length and CRC-32 of a record, and the number of the write."""
 _COPY = 4096
 _SLOTS = MOST_SESSIONS
-# The first block is the magic's.
+# The first block holds the magic.
 _SIZE = (1 + 2 * _SLOTS) * _COPY
 
 
@@ -42,12 +40,12 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where a session left its robot.
 
     Attributes:
-        name: The session's name.
-        robot: The robot hand's.
+        name: Name of the session.
+        robot: Name of the robot hand.
         q: Joint angles last commanded [rad].
-        wrist: Wrist pose row by row, 16 numbers; None where it was not known.
-        epoch: The last command's.
-        is_released: Whether its client had let go.
+        wrist: Pose of the wrist row by row, 16 numbers; None if it was not known.
+        epoch: Epoch of the last command.
+        is_released: Whether a client had released the robot.
     """
 
     name: str
@@ -59,18 +57,18 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def posture(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Joint angles (n,) [rad] and wrist pose (4, 4)."""
+        """Joint angles (n,) [rad] and pose of the wrist (4, 4)."""
         return np.array(self.q), None if self.wrist is None else np.array(self.wrist).reshape(4, 4)
 
 
 class PostureStore:
-    """Postures by session name.
+    """Records by session name.
 
     Args:
-        path: The file; made if it does not exist. One server at a time. None for memory alone.
+        path: The file, made if it does not exist, for one server at a time; None for memory alone.
 
     Raises:
-        InvalidInputError: If the file cannot be used, is no such file, or another server has it.
+        InvalidInputError: If the file cannot be used, is another kind of file, or is in use.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -83,7 +81,9 @@ class PostureStore:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as error:
-            raise InvalidInputError(f"{path}: cannot be used: {error.strerror}") from error
+            raise InvalidInputError(
+                argument=str(path), problem=f"cannot be used: {error.strerror}"
+            ) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._reserve(path)
@@ -93,7 +93,7 @@ class PostureStore:
             reason = (
                 "another server uses it" if isinstance(error, BlockingIOError) else error.strerror
             )
-            raise InvalidInputError(f"{path}: {reason}") from error
+            raise InvalidInputError(argument=str(path), problem=str(reason)) from error
         except InvalidInputError:
             os.close(self._file)
             raise
@@ -114,23 +114,23 @@ class PostureStore:
         self.close()
 
     def _reserve(self, path: Path) -> None:
-        """Make a new file one of postures, and give it all the room that it will need.
-
-        Other files are left as they are.
-        """
+        """Initialise a new file and reserve its space; leave other kinds of files unchanged."""
         size = os.fstat(self._file).st_size
         if size and os.pread(self._file, len(_MAGIC), 0) != _MAGIC:
             raise InvalidInputError(
-                f"{path}: expected a state file of handmap ({_MAGIC.decode().strip()!r}), got another file"
+                argument=str(path),
+                expected=f"a state file of handmap ({_MAGIC.decode().strip()!r})",
+                got="another file",
             )
         try:
-            # In this order a kill in between leaves a file that is taken the next time.
+            # In this order, a kill in between leaves a file that the next start accepts.
             os.pwrite(self._file, _MAGIC, 0)
             os.posix_fallocate(self._file, 0, _SIZE)
         except OSError as error:
             os.ftruncate(self._file, size)
             raise InvalidInputError(
-                f"{path}: expected room for {_SIZE} bytes: {error.strerror}"
+                argument=str(path),
+                problem=f"expected room for {_SIZE} bytes: {error.strerror}",
             ) from error
 
     @property
@@ -164,10 +164,10 @@ class PostureStore:
         _HEAD.pack_into(memory, start, len(payload), zlib.crc32(payload), self._writes)
 
     def find(self, name: str, robot: str, joints: int) -> Record | None:
-        """Where the last session of a name left its robot; None if nothing is known.
+        """Return the record of the last session of a name, if there is one.
 
         Raises:
-            RefusedError: If it was another robot.
+            RefusedError: If it is of another robot.
         """
         record = self._records.get(name)
         if record is None:
@@ -181,14 +181,14 @@ class PostureStore:
         return record
 
     def close(self) -> None:
-        """Write the file out and let go of it."""
+        """Write the file and release its lock."""
         if self._memory is not None:
             self._memory.flush()
             self._memory.close()
             os.close(self._file)
 
     def _free_slot(self) -> int:
-        """An unused slot, or that of the name not heard of for the longest time."""
+        """Return an unused slot, or that of the least recently updated name."""
         slot = min(range(_SLOTS), key=lambda i: self._written[i])
         for name in [name for name, used in self._slots.items() if used == slot]:
             del self._slots[name]
@@ -196,12 +196,10 @@ class PostureStore:
         return slot
 
     def _load(self, memory: mmap.mmap) -> int:
-        """Read the file.
-
-        Of each slot the newest copy that is whole, and of each name the newest slot.
+        """Read the newest valid copy of each slot, and the newest slot of each name.
 
         Returns:
-            The number of slots that were written to and hold nothing whole.
+            The number of slots that were written and have no valid copy.
         """
         found = {slot: self._read(memory, slot) for slot in range(_SLOTS) if _is_used(memory, slot)}
         whole = [(*read, slot) for slot, read in found.items() if read is not None]
@@ -211,10 +209,7 @@ class PostureStore:
         return sum(read is None for read in found.values())
 
     def _read(self, memory: mmap.mmap, slot: int) -> tuple[int, Record] | None:
-        """The number of the last write to a slot, and what was written.
-
-        None if it holds nothing whole.
-        """
+        """Return the number of the last write to a slot and its record; None if none is valid."""
         newest = None
         for copy in _copies(slot):
             length, checksum, write = _HEAD.unpack_from(memory, copy)
@@ -233,11 +228,11 @@ class PostureStore:
 
 
 def _copies(slot: int) -> tuple[int, int]:
-    """Where the two copies of a slot begin."""
+    """Return the offsets of the two copies of a slot."""
     start = (1 + 2 * slot) * _COPY
     return start, start + _COPY
 
 
 def _is_used(memory: mmap.mmap, slot: int) -> bool:
-    """Whether a slot was ever written to; of what is written, the head comes last."""
+    """Return whether a slot was ever written; the head of a copy is written last."""
     return any(any(memory[copy : copy + _HEAD.size]) for copy in _copies(slot))

@@ -1,10 +1,10 @@
-"""The second door: the same messages over WebSocket, for browsers and headsets.
+"""WebSocket transport of the same messages, for browsers and headsets.
 
 Binary frames are msgpack, text frames JSON.
 
-A page that some web site has put into the user's browser could reach a socket on loopback, so
-browsers must come from loopback or from an origin that was named, unless a token is asked for. Off
-loopback, a token and TLS are.
+A page of any web site could reach a socket on loopback from the user's browser. So a page must come
+from loopback or from a named origin, unless the server requires a token. Off loopback, a token and
+TLS are required.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from handmap_qp.service.logs import log
 from handmap_qp.service.sessions import Sessions
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
-"""What a browser names besides `bearer.TOKEN`, since it cannot set headers."""
+"""Subprotocol that a browser offers besides `bearer.TOKEN`, because it cannot set headers."""
 _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d+)?")
-# Whoever knocks with something else than a handshake would fill the log with tracebacks.
+# Connections that send no handshake would fill the log with tracebacks.
 _LOG = logging.getLogger(f"{log.name}.websocket")
 _LOG.setLevel(logging.CRITICAL)
 _SEND_TIMEOUT = 5.0
@@ -48,12 +48,12 @@ _CONNECTIONS_PER_SESSION = 2
 
 @dataclass(frozen=True, slots=True)
 class WebSettings:
-    """Where the WebSocket door is and who may come in.
+    """Address and access rules of the WebSocket transport.
 
     Attributes:
         host: Address to listen on; off loopback only with `token`, `certificate` and `key`.
         port: Port; 0 lets the system choose.
-        token: What clients must present; None asks for none.
+        token: Token that clients must present; None for none.
         certificate: PEM file of the TLS certificate.
         key: PEM file of its key.
         origins: Origins of pages that may connect, besides those on loopback.
@@ -67,30 +67,39 @@ class WebSettings:
     origins: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse to be reached from elsewhere without token and TLS.
+        """Reject connections off loopback without token and TLS.
 
         Raises:
             InvalidInputError: If there is no such port.
-            InvalidOptionsError: Saying what is missing.
+            InvalidOptionsError: With the setting at fault.
         """
-        check_port("web port", self.port)
+        check_port("web_port", self.port)
         if (self.certificate is None) != (self.key is None):
-            raise InvalidOptionsError("web: certificate and key go together; give both or neither")
+            raise InvalidOptionsError(
+                option="web_certificate" if self.certificate is None else "web_key",
+                problem="certificate and key go together",
+                advice="give both or neither",
+            )
         if self.token is not None and not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", self.token):
-            raise InvalidOptionsError("web token: expected 16 to 256 letters, digits, - and _")
+            raise InvalidOptionsError(
+                option="web_token_file", expected="a token of 16 to 256 letters, digits, - and _"
+            )
         if not is_loopback(self.host) and (self.token is None or self.certificate is None):
             raise InvalidOptionsError(
-                f"web host {self.host}: others could move the robot; off loopback, give a token, a certificate and its key"
+                option="web_host",
+                problem=f"others could move the robot on {self.host}",
+                value=self.host,
+                advice="off loopback, give a token, a certificate and its key",
             )
 
 
 class WebSocketTransport:
-    """The listening WebSocket; an asynchronous context manager that gives the port in use.
+    """The listening WebSocket: an asynchronous context manager that returns the port in use.
 
     Args:
-        settings: Where it is and who may come in.
-        dispatcher: What answers messages.
-        caps: What clients are allowed.
+        settings: Address and access rules.
+        dispatcher: Answers messages.
+        caps: Limits of what clients may do.
     """
 
     def __init__(self, settings: WebSettings, dispatcher: Dispatcher, caps: Caps) -> None:
@@ -119,7 +128,8 @@ class WebSocketTransport:
             )
         except OSError as error:
             raise InvalidInputError(
-                f"web {settings.host}:{settings.port}: {error.strerror or error}"
+                argument=f"web {settings.host}:{settings.port}",
+                problem=str(error.strerror or error),
             ) from error
         self._dispatcher.sessions.publish.append(self._publish)
         return next(iter(self._server.sockets)).getsockname()[1]
@@ -131,7 +141,7 @@ class WebSocketTransport:
             await self._server.wait_closed()
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Let a handshake pass, or answer it with what is wrong."""
+        """Return None to accept a handshake, or the response that rejects it."""
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
             return connection.respond(
                 http.HTTPStatus.SERVICE_UNAVAILABLE, "all connections are taken\n"
@@ -165,8 +175,8 @@ class WebSocketTransport:
                     is_json=is_json,
                     subscribe=partial(outbox.subscribe, is_json=is_json),
                 )
-                # Who does not read the answers is not read from either, and who sends too much is
-                # read slowly.
+                # Back-pressure: stop reading from clients that do not drain replies, and throttle
+                # those over the rate limit.
                 await outbox.answered()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
@@ -182,10 +192,7 @@ class WebSocketTransport:
 
 
 class _Outbox:
-    """What is on its way to one connection.
-
-    Answers in their order, and of each stream the newest message.
-    """
+    """Messages waiting for one connection: all answers in order, the newest of each stream."""
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self._connection, self._sessions = connection, sessions
@@ -202,8 +209,8 @@ class _Outbox:
 
     def subscribe(self, name: str, *, is_json: bool) -> None:
         if len(self._streams) >= MOST_SESSIONS:
-            # A session may come back under its name; but not all those that ever were are
-            # remembered.
+            # Forget ended sessions. They could return under their names, but their number has no
+            # bound.
             self._streams = {
                 known: self._streams[known]
                 for known in self._sessions.names
@@ -220,7 +227,7 @@ class _Outbox:
         await self._is_idle.wait()
 
     async def write(self) -> None:
-        """Send what there is, until the connection closes or does not take anything for too long."""
+        """Send waiting messages until the connection closes or accepts none for too long."""
         try:
             while True:
                 await self._has_work.wait()
@@ -241,25 +248,33 @@ class _Outbox:
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
-    """What TLS needs of a server."""
+    """Read the certificate and its key.
+
+    Raises:
+        InvalidInputError: If a file cannot be read, or they are not a certificate and its key.
+    """
     for file in (certificate, key):
         try:
             file.read_bytes()
         except OSError as error:
-            raise InvalidInputError(f"{file}: cannot be read: {error.strerror}") from error
+            raise InvalidInputError(
+                argument=str(file), problem=f"cannot be read: {error.strerror}"
+            ) from error
     tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
-        # Without a passphrase: nobody sits there to be asked for it.
+        # An empty passphrase: otherwise OpenSSL would prompt for one.
         tls.load_cert_chain(certificate, key, password="")
     except ssl.SSLError as error:
-        reason = f": {error.reason.replace('_', ' ').lower()}" if error.reason else ""
-        message = f"expected a PEM certificate and its key, without passphrase{reason}"
-        raise InvalidInputError(f"{certificate}, {key}: {message}") from error
+        raise InvalidInputError(
+            argument=f"{certificate}, {key}",
+            problem="expected a PEM certificate and its key, without passphrase",
+            advice=error.reason.replace("_", " ").lower() if error.reason else "",
+        ) from error
     return tls
 
 
 def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
-    """The messages' own name where a client asks for it; clients need not."""
+    """Select the subprotocol of the messages if a client offers it."""
     return SUBPROTOCOL if SUBPROTOCOL in offered else None
 
 

@@ -298,11 +298,11 @@ def test_simulated_time_needs_leave(server: Server) -> None:
 @pytest.mark.parametrize("name", ["port", "stream_port", "health_port"])
 def test_a_number_that_is_no_port_is_refused(name: str, port: int) -> None:
     choice: dict[str, Any] = {name: port}
-    with pytest.raises(
-        InvalidInputError, match=f"^{name.replace('_', ' ')}: expected 0 to 65535, got {port}$"
-    ):
+    message = f"^{name}: expected 0 to 65535, got {port}$"
+    with pytest.raises(InvalidInputError, match=message) as raised:
         Settings(**choice)
-    with pytest.raises(InvalidInputError, match=f"^web port: expected 0 to 65535, got {port}$"):
+    assert (raised.value.argument, raised.value.value) == (name, port)
+    with pytest.raises(InvalidInputError, match=f"^web_port: expected 0 to 65535, got {port}$"):
         WebSettings(port=port)
 
 

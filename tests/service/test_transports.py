@@ -58,11 +58,14 @@ def test_a_file_that_is_no_key_is_to_be_deleted_first(tmp_path: Path, text: byte
     make_keys(tmp_path, ["a"])
     (tmp_path / "server.key_secret").write_bytes(text)
     with pytest.raises(
-        InvalidInputError, match=r"server.key_secret: expected a server's secret key, .* delete it"
+        InvalidInputError,
+        match=r"server.key_secret: expected a server's secret key, got something else: delete it",
     ):
         read_server_keys(tmp_path)
     (tmp_path / "server.key_secret").unlink()
-    with pytest.raises(InvalidInputError, match=f"is not there; handmap keys {tmp_path} makes it"):
+    with pytest.raises(
+        InvalidInputError, match=f"does not exist: handmap keys {tmp_path} makes it"
+    ):
         read_server_keys(tmp_path)
     make_keys(tmp_path, [])
     assert len(read_server_keys(tmp_path).secret) == 40
@@ -81,7 +84,7 @@ def test_a_client_that_was_shut_out_is_admitted_again(
     assert capsys.readouterr().out == f"wrote {tmp_path}/clients/a.key, which admits a again\n"
     assert keys.callback("*", a)
     assert cli.main(words) == 0
-    assert capsys.readouterr().out == "wrote nothing: all keys are there\n"
+    assert capsys.readouterr().out == "wrote nothing: all keys exist\n"
 
 
 def test_names_of_clients_are_checked_before_anything_is_written(tmp_path: Path) -> None:
@@ -102,7 +105,7 @@ def test_a_token_is_for_its_owner_alone(tmp_path: Path, capsys: pytest.CaptureFi
     file = tmp_path / "token"
     file.write_text("a-token-of-the-tests\n", encoding="utf-8")
     file.chmod(0o640)
-    assert "token: others can read it; chmod 600" in complaint(
+    assert "token: others can read it: chmod 600" in complaint(
         capsys, "serve", "--web", "--web-token-file", file
     )
     file.chmod(0o600)
@@ -136,7 +139,7 @@ def test_a_key_that_is_refused_is_told(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_host_with_more_than_a_host_is_refused_as_such(
     capsys: pytest.CaptureFixture[str], host: str
 ) -> None:
-    expected = f"expected a host alone, such as 127.0.0.1 or ::1, and its port apart; got {host!r}"
+    expected = f"expected a host alone, such as 127.0.0.1 or ::1, and its port apart, got {host!r}"
     assert complaint(capsys, "serve", "--host", host) == f"handmap: --host: {expected}"
     assert (
         complaint(capsys, "serve", "--web", "--web-host", host)
@@ -226,7 +229,7 @@ class Events:
 @pytest.mark.parametrize(
     ("key", "server_key", "reason"),
     [
-        (None, None, "the other way round"),
+        (None, None, "only one of client and server uses keys"),
         ("others", "keys", "not among the keys"),
         ("keys", "others", "another server's"),
     ],
