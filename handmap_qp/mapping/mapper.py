@@ -230,8 +230,9 @@ class HandMapper:
             configuration.wrist.homogeneous,
         )
         if plan.bound.renews_reference:
+            kept = _copied(sample)
             posture = RobotPosture(command.q.copy(), result.points.copy(), command.wrist.copy())
-            self._course = _Course(sample, posture, plan.bound.start(sample, posture))
+            self._course = _Course(kept, posture, plan.bound.start(kept, posture))
         return MapStep(
             command, sample.points, asked, result, out_of_range, perf_counter() - started
         )
@@ -345,10 +346,7 @@ class HandMapper:
             self._robot.points.copy(),
             self._robot.wrist.homogeneous,
         )
-        # The sample's arrays go to the caller too, who may write into them.
-        kept = HumanSample(
-            sample.points.copy(), None if sample.wrist is None else sample.wrist.copy()
-        )
+        kept = _copied(sample)
         begins_at = None if start is None else vector.copy()
         return _Course(kept, posture, bound.start(kept, posture), begins_at)
 
@@ -493,6 +491,11 @@ def _method_of(method: Method | MappingOptions | None, options: MappingChanges) 
             advice=f"there are {', '.join(MappingOptions.__slots__)}",
         )
     return Homogeneous(replace(method or MappingOptions(), **options))
+
+
+def _copied(sample: HumanSample) -> HumanSample:
+    """Copy a sample that is kept: the caller has its arrays too, and may write into them."""
+    return HumanSample(sample.points.copy(), None if sample.wrist is None else sample.wrist.copy())
 
 
 def _check_dt(dt: float) -> float:

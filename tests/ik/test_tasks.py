@@ -1,0 +1,175 @@
+"""Further tasks of the QP: their derivatives, their optimum, and the same QP through mink."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from ik_cases import HANDS, hand_of, random_cases
+
+from handmap_qp import HandMapper, IkOptions, InvalidInputError, load_hand
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.ik.mink_problem import build_problem, solve_problem
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.tasks import PointDistances, TaskRows
+
+SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, has_velocity_limits=False)
+SOME = [which for which in HANDS if which[0] in ("three_finger", "allegro_right", "ur5_allegro")]
+each_hand = pytest.mark.parametrize("which", SOME, ids=lambda which: "-".join(filter(None, which)))
+
+
+class Height:
+    """A point at a height: a task as a user would write it."""
+
+    def __init__(self, point: int, height: float, weight: float) -> None:
+        self.point, self.height, self.weight = point, height, weight
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        error = hand.points[self.point, 2] - self.height
+        row = hand.point_jacobian()[3 * self.point + 2]
+        return TaskRows(np.array([self.weight * error]), self.weight * row[None])
+
+
+@each_hand
+def test_the_rows_are_the_derivative_of_the_residual(which: Any) -> None:
+    hand = hand_of(which)
+    task = PointDistances([(0, 1), (2, 0)], [0.02, 0.05], [8.0, 3.0])
+    configuration = hand.configuration()
+    for case in random_cases(hand, 5, seed=3, is_inside=True):
+        configuration.place_with_jacobians(case.q)
+        residual, jacobian, _ = task.linearise(configuration)
+        offsets = configuration.points[[0, 2]] - configuration.points[[1, 0]]
+        lengths = np.linalg.norm(offsets, axis=1)
+        np.testing.assert_allclose(
+            residual, np.array([800.0, 300.0]) * (lengths - [0.02, 0.05]), atol=1e-9
+        )
+        step = 1e-6
+        for column in range(configuration.nv):
+            moved = [np.zeros(configuration.nv) for _ in range(2)]
+            moved[0][column], moved[1][column] = step, -step
+            values = []
+            for displacement in moved:
+                configuration.displace(case.q, displacement)
+                values.append(task.linearise(configuration).residual)
+            slope = (values[0] - values[1]) / (2.0 * step)
+            np.testing.assert_allclose(slope, jacobian[:, column], atol=1e-4)
+
+
+@each_hand
+def test_mink_takes_the_same_step_with_further_tasks(which: Any) -> None:
+    hand = hand_of(which)
+    options = IkOptions(max_iterations=1)
+    tasks = (PointDistances([(0, 1)], [0.01], [8.0]), Height(1, 0.1, 50.0))
+    rest = 0.5 * (hand.lower_limits + hand.upper_limits)
+    for case in random_cases(hand, 10, seed=4):
+        ik = PointIk(hand, options)
+        ik.place(case.q)
+        problem = build_problem(
+            hand,
+            options,
+            ik.configuration,
+            case.point_targets,
+            case.wrist_target,
+            case.dt,
+            rest=rest,
+            tasks=tasks,
+        )
+        expected = solve_problem(problem)
+        assert expected is not None
+        H, c, *_ = ik.problem(
+            case.point_targets, case.wrist_target, case.dt, rest=rest, tasks=tasks
+        )
+        scale = max(1.0, np.abs(H).max())
+        assert np.abs(np.asarray(problem.P) - H).max() < 1e-9 * scale
+        assert np.abs(problem.q - c).max() < 1e-9 * max(1.0, np.abs(c).max())
+        ik.solve(case.point_targets, case.wrist_target, case.dt, rest=rest, tasks=tasks)
+        step = pin.difference(hand.model, case.q, ik.configuration.q)[hand.active_columns]
+        np.testing.assert_allclose(step, expected, atol=1e-8)
+
+
+def test_two_fingertips_meet_when_they_are_told_to() -> None:
+    hand = load_hand("allegro_right")
+    ik = PointIk(hand, SETTLE)
+    ik.place(hand.configuration_vector(hand.rest))
+    points, wrist = ik.configuration.points.copy(), ik.configuration.wrist.homogeneous
+    task = PointDistances([(0, 1)], [0.01], [100.0])
+    apart = np.linalg.norm(points[0] - points[1])
+    ik.solve(points, wrist, 1.0, tasks=[task])
+    together = np.linalg.norm(ik.configuration.points[0] - ik.configuration.points[1])
+    assert apart > 0.03
+    assert together == pytest.approx(0.01, abs=2e-4)
+
+
+def test_the_end_is_a_minimum_of_the_cost_with_its_tasks() -> None:
+    hand, rng = load_hand("allegro_right"), np.random.default_rng(0)
+    options = IkOptions(
+        max_iterations=300, step_tolerance=1e-12, has_velocity_limits=False, rest_weight=0.3
+    )
+    ik = PointIk(hand, options)
+    ik.place(hand.configuration_vector(hand.rest))
+    points = ik.configuration.points + rng.normal(scale=0.003, size=ik.configuration.points.shape)
+    wrist, rest = ik.configuration.wrist.homogeneous, hand.rest + 0.02
+    task = PointDistances([(0, 1), (0, 2)], [0.06, 0.07], [4.0, 2.0])
+    ik.solve(points, wrist, 1.0, rest=rest, tasks=[task])
+
+    def cost(q: np.ndarray) -> float:
+        at = hand.configuration()
+        at.place_with_jacobians(q)
+        twist = pin.log6(at.wrist.actInv(pin.SE3(wrist))).vector
+        residual = task.linearise(at).residual
+        return float(
+            1e4 * ((at.points - points) ** 2).sum()
+            + (300.0 * twist[:3]) @ (300.0 * twist[:3])
+            + (30.0 * twist[3:]) @ (30.0 * twist[3:])
+            + 0.09 * ((q[hand.q_indices] - rest) ** 2).sum()
+            + residual @ residual
+        )
+
+    end = ik.configuration.q.copy()
+    for _ in range(40):
+        direction = 1e-3 * rng.normal(size=hand.model.nv)
+        assert cost(pin.integrate(hand.model, end, direction)) > cost(end)
+
+
+def test_tasks_of_ones_own_reach_the_qp_through_the_mapper() -> None:
+    human, robot = load_hand("human"), load_hand("three_finger")
+    task = Height(0, -0.05, 1000.0)
+    plain, tasked = HandMapper(human, robot), HandMapper(human, robot, tasks=[task])
+    for _ in range(60):
+        without, within = (mapper.map_step(human.rest, np.eye(4)) for mapper in (plain, tasked))
+    assert abs(without.points[0, 2] + 0.05) > 0.01
+    assert within.points[0, 2] == pytest.approx(-0.05, abs=1e-3)
+    tasked.configure(tasks=())
+    for _ in range(60):
+        within = tasked.map_step(human.rest, np.eye(4))
+    np.testing.assert_allclose(within.points, without.points, atol=1e-4)
+
+
+def test_points_in_one_place_can_be_parted() -> None:
+    hand = load_hand("three_finger")
+    twice = hand.with_points(("finger1_tip", "finger1_tip"))
+    configuration = twice.configuration()
+    configuration.place_with_jacobians(twice.configuration_vector(twice.rest))
+    rows = PointDistances([(0, 1)], [0.01]).linearise(configuration)
+    assert all(np.isfinite(part).all() for part in rows)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (([(0, 0)], [0.1]), "pairs"),
+        (([(0, -1)], [0.1]), "pairs"),
+        (([(0, 1)], [0.1, 0.2]), "distances"),
+        (([(0, 1)], [-0.1]), "distances"),
+        (([(0, 1)], ["a"]), "distances"),
+        (([(0, 1)], [0.1], [np.nan]), "weights"),
+        (([(0, 1)], [0.1], [1.0, 2.0]), "weights"),
+    ],
+    ids=str,
+)
+def test_distances_without_a_meaning_are_rejected_by_name(arguments: Any, name: str) -> None:
+    with pytest.raises(InvalidInputError) as raised:
+        PointDistances(*arguments)
+    assert raised.value.argument == name
