@@ -28,7 +28,7 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.landmarks import PALM, measure_hand
 from handmap_qp.trackers.recording import Recording
-from handmap_qp.transform import affine, inverse_pose, nearest_rotation
+from handmap_qp.transform import inverse_pose, rigid_fit
 from peers import build, runner
 
 ROBOTS = ("allegro_hand_right", "leap_hand_right", "schunk_svh_hand_right")
@@ -251,19 +251,12 @@ def measured_palms(recording: Recording, lengths: HumanLengths | None = None) ->
     first = int(np.argmax(recording.valid))
     for i in range(first, len(recording)):
         if recording.valid[i]:
-            wrist = _rigid_fit(points, recording.landmarks[i, PALM])
+            wrist = rigid_fit(points, recording.landmarks[i, PALM])
             poses[i] = wrist @ human.wrist_to_palm
         else:
             poses[i] = poses[i - 1]
     poses[:first] = poses[first]
     return poses
-
-
-def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """Pose that lays points (n, 3) best onto others (n, 3), shape (4, 4) (Kabsch)."""
-    centre, centre_onto = points.mean(axis=0), onto.mean(axis=0)
-    rotation = nearest_rotation((onto - centre_onto).T @ (points - centre))
-    return affine(rotation, centre_onto - rotation @ centre)
 
 
 def _method(method: PeerMethod | str) -> PeerMethod:
