@@ -1,0 +1,189 @@
+"""Samples of a recording that show named poses: `find_poses`.
+
+A pose is told by the raw landmarks alone, so that no fit and no mapping has a say in what the hand
+showed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.trackers.landmarks import TIPS
+from handmap_qp.trackers.recording import Recording
+
+STRAIGHT = 60.0
+"""A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
+CURLED = 150.0
+"""A finger whose bones turn by more than this from wrist to tip is curled [deg]."""
+PINCH_GAP = 0.025
+"""Thumb and finger touch if their tips are nearer than this [m].
+
+Where tips touch, gloves measure 1 to 5 mm between them, cameras up to 20.
+"""
+PINCH_LEAD = 0.010
+"""In a pinch, every other fingertip is farther from the thumb's by at least this [m]."""
+SPREAD = 35.0
+"""Spread fingers: index and little finger diverge by more than this [deg]."""
+SETTLING = 0.5
+"""Samples this soon after the first valid one are not used, for mappings may still start up [s]."""
+HOLD = 0.2
+"""A pose counts as clear as it was at its least clear moment of this time before the sample [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posture:
+    """What poses are told by, of every sample.
+
+    Attributes:
+        flexion: Sum of the angles between successive bones, from the metacarpal to the fingertip,
+            of index, middle, ring and little finger [deg], shape (T, 4). 0 is straight, about 260
+            a fist. Abduction at the knuckle counts too, some 10 to 20 deg.
+        gaps: Distance between the tips of the thumb and of those fingers [m], shape (T, 4).
+        spread: Angle between the proximal bones of index and little finger, both seen along the
+            palm's normal; positive where they diverge [deg], shape (T,).
+    """
+
+    flexion: np.ndarray
+    gaps: np.ndarray
+    spread: np.ndarray
+
+
+def measure_posture(landmarks: np.ndarray) -> Posture:
+    """Flexion, gaps and spread of a hand.
+
+    Args:
+        landmarks: Landmarks of a right or left hand [m], shape (T, 21, 3).
+
+    Returns:
+        The measures of every sample; NaN where landmarks are NaN or coincide.
+
+    Raises:
+        InvalidInputError: On a wrong shape.
+    """
+    points = np.asarray(landmarks, dtype=float)
+    if points.ndim != 3 or points.shape[1:] != (21, 3):
+        raise InvalidInputError(
+            argument="landmarks", expected="shape (T, 21, 3)", got=str(points.shape)
+        )
+    wrist = points[:, 0]
+    # Chains of wrist, MCP, PIP, DIP and tip, shape (T, 4, 5, 3).
+    fingers = points[:, 5:].reshape(-1, 4, 4, 3)
+    starts = np.broadcast_to(wrist[:, None, None], (len(points), 4, 1, 3))
+    bones = np.diff(np.concatenate([starts, fingers], axis=2), axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bones /= np.linalg.norm(bones, axis=3, keepdims=True)
+        normal = np.cross(fingers[:, 0, 0] - wrist, fingers[:, 3, 0] - wrist)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=3)
+        flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
+        index, little = bones[:, 0, 1], bones[:, 3, 1]
+        # The turn about the normal from index to little finger: on both hands, the normal is such
+        # that the little finger's side is the positive one.
+        sine = (np.cross(index, little) * normal).sum(axis=1)
+        along_index, along_little = ((bone * normal).sum(axis=1) for bone in (index, little))
+        cosine = (index * little).sum(axis=1) - along_index * along_little
+        spread = np.degrees(np.arctan2(sine, cosine))
+    gaps = np.linalg.norm(points[:, TIPS[1:]] - points[:, TIPS[:1]], axis=2)
+    return Posture(flexion, gaps, spread)
+
+
+def _open(posture: Posture) -> np.ndarray:
+    """All four fingers are straight; the straighter the most bent of them, the clearer."""
+    bent = posture.flexion.max(axis=1)
+    return np.where(bent < STRAIGHT, STRAIGHT - bent, np.nan)
+
+
+def _spread(posture: Posture) -> np.ndarray:
+    """All four fingers are straight and diverge by `SPREAD`; the wider, the clearer."""
+    is_open = posture.flexion.max(axis=1) < STRAIGHT
+    return np.where(is_open & (posture.spread > SPREAD), posture.spread, np.nan)
+
+
+def _pointing(posture: Posture) -> np.ndarray:
+    """The index is straight, the other three are curled; the larger the difference, the clearer."""
+    index, others = posture.flexion[:, 0], posture.flexion[:, 1:].min(axis=1)
+    return np.where((index < STRAIGHT) & (others > CURLED), others - index, np.nan)
+
+
+def _fist(posture: Posture) -> np.ndarray:
+    """All four fingers are curled; the more the least curled of them is, the clearer."""
+    least = posture.flexion.min(axis=1)
+    return np.where(least > CURLED, least, np.nan)
+
+
+def _pinch(finger: int) -> Callable[[Posture], np.ndarray]:
+    def score(posture: Posture) -> np.ndarray:
+        gap = posture.gaps[:, finger]
+        others = np.delete(posture.gaps, finger, axis=1).min(axis=1)
+        is_fist = posture.flexion.min(axis=1) > CURLED
+        is_pinch = (gap < PINCH_GAP) & (others > gap + PINCH_LEAD) & ~is_fist
+        return np.where(is_pinch, PINCH_GAP - gap, np.nan)
+
+    score.__doc__ = (
+        "Thumb and this finger touch, the others are farther, and the hand is no fist; "
+        "the smaller the gap, the clearer."
+    )
+    return score
+
+
+_SCORES: dict[str, Callable[[Posture], np.ndarray]] = {
+    "open": _open,
+    "spread": _spread,
+    "pointing": _pointing,
+    "fist": _fist,
+    **{f"{finger} pinch": _pinch(i) for i, finger in enumerate(FINGERS[1:])},
+}
+POSES = tuple(_SCORES)
+"""Names of the poses, in the order of every result."""
+
+
+def find_poses(recording: Recording) -> dict[str, int | None]:
+    """Find the sample that shows each pose most clearly.
+
+    | pose | rule (angles are sums over a finger's joints) | the clearest has |
+    | --- | --- | --- |
+    | `open` | all four fingers bend less than 60 deg | the least bent worst finger |
+    | `spread` | `open`, and index and little finger diverge by more than 35 deg | the most spread |
+    | `pointing` | index less than 60 deg, the other three more than 150 | the largest difference |
+    | `fist` | all four fingers bend more than 150 deg | the most bent least finger |
+    | `index pinch` and so on | tips of thumb and that finger nearer than 25 mm, every other \
+finger's 10 mm farther from the thumb, no `fist` | the smallest gap |
+
+    A sample is as clear as the least clear sample of the 0.2 s before it. If some of those samples
+    do not show the pose, it counts half. So a pose that is held wins over one in passing, which
+    mappings with a low-pass filter cannot follow. The first 0.5 s are not used.
+
+    Args:
+        recording: Landmarks of a hand.
+
+    Returns:
+        For every name of `POSES`, the index of a sample, or None where no sample shows the pose.
+    """
+    posture = measure_posture(recording.landmarks)
+    start = recording.time[int(np.argmax(recording.valid))] + SETTLING
+    is_usable = recording.valid & (recording.time >= start)
+    found: dict[str, int | None] = {}
+    for name, rule in _SCORES.items():
+        scores = np.where(is_usable, rule(posture), np.nan)
+        held = _held(scores, recording.time)
+        found[name] = None if np.isnan(held).all() else int(np.nanargmax(held))
+    return found
+
+
+def _held(scores: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Lower each score to the least of the `HOLD` before it; NaN where the sample has none.
+
+    Scores are positive. A pose that was not held throughout counts half.
+    """
+    held = np.full(len(scores), np.nan)
+    first = np.searchsorted(time, time - HOLD)
+    for i in np.flatnonzero(~np.isnan(scores)):
+        before = scores[first[i] : i + 1]
+        is_held = not np.isnan(before).any() and time[i] - time[0] >= HOLD
+        held[i] = np.nanmin(before) * (1.0 if is_held else 0.5)
+    return held
