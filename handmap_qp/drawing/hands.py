@@ -94,7 +94,7 @@ class HandShape:
 
 
 def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) -> HandShape:
-    """Read the visual shapes of a hand from its URDF.
+    """Read the visual shapes of a hand from its URDF; of one without any, the collision shapes.
 
     Meshes are looked for where the URDF says, relative to its own file; `package://` names are
     resolved in installed packages of robot descriptions. One that cannot be read is left out and
@@ -111,7 +111,7 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
         MissingExtraError: If trimesh is not installed.
     """
     trimesh = _trimesh()
-    from yourdfpy import URDF
+    from yourdfpy import URDF, Visual
 
     robot = URDF.load(
         io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
@@ -120,20 +120,22 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
         material.name: material.color for material in robot.materials if material.color is not None
     }
     links, missing = [], []
+    has_visuals = any(link.visuals for link in robot.links)
     for link in robot.links:
         parts = []
-        for visual in link.visuals:
+        for visual in link.visuals if has_visuals else link.collisions:
             # Where a material is defined inside a visual, others may name it without repeating its
             # colour.
-            if visual.material is not None and visual.material.color is not None:
-                palette[visual.material.name] = visual.material.color
+            material = visual.material if isinstance(visual, Visual) else None
+            if material is not None and material.color is not None:
+                palette[material.name] = material.color
             if visual.geometry is None:
                 continue
             solid = _solid(trimesh, visual.geometry, hand.spec)
             if solid is None:
                 missing.append(visual.geometry.mesh.filename if visual.geometry.mesh else link.name)
                 continue
-            tint = colour or _colour(visual.material, palette)
+            tint = colour or _colour(material, palette)
             parts.append(
                 _triangles(*solid, np.eye(4) if visual.origin is None else visual.origin, tint)
             )

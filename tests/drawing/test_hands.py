@@ -283,3 +283,18 @@ def test_absent_packages_are_named_with_their_extra(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError, match=r"trimesh .*handmap-qp\[plot\]"):
         load_shape(hand)
+
+
+def test_hand_without_visual_shapes_is_drawn_by_its_collision_shapes() -> None:
+    text = URDF.format(distal='<box size="0.04 0.01 0.01"/>')
+    spec = finger().spec
+    seen = load_shape(finger())
+    bare = load_shape(Hand(spec, urdf_text=text.replace("visual>", "collision>")))
+    # Where there are visual shapes, collision shapes are not drawn beside them.
+    extra = '<collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+    both = load_shape(Hand(spec, urdf_text=text.replace("</link>", extra, 1)))
+    q = [0.3, 0.5]
+    for shape in (bare, both):
+        np.testing.assert_allclose(
+            shape.triangles(q).vertices, seen.triangles(q).vertices, atol=1e-12
+        )

@@ -1,0 +1,421 @@
+"""A contact sheet of poses: the human's hand and every mapping's robot side by side.
+
+`sheet_rows` picks the samples, `contact_sheet` draws them, `save_contact_sheet` writes the PNG.
+
+All hands are seen in their own palm frames by the same two cameras: from the palm's side, and from
+between palm and thumb, where curl and pinches show. The human is drawn as tubes through the raw
+landmarks, not as a model fitted to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.drawing.hands import (
+    HandShape,
+    LinkShape,
+    load_shape,
+    require_matplotlib,
+    spheres,
+    tube,
+)
+from handmap_qp.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.landmarks import PALM, measure_hand
+from handmap_qp.trackers.recording import LANDMARK_COUNT, Recording
+from handmap_qp.transform import affine, inverse_pose, rigid_fit, transform_points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FINGER_COLOURS: dict[str, tuple[float, float, float]] = {
+    "thumb": (0.84, 0.22, 0.16),
+    "index": (0.93, 0.60, 0.10),
+    "middle": (0.20, 0.58, 0.36),
+    "ring": (0.16, 0.45, 0.78),
+    "little": (0.55, 0.30, 0.68),
+}
+"""Colours of the fingers, human and robot."""
+VIEWS: tuple[tuple[float, float], ...] = ((-90.0, 8.0), (-25.0, 18.0))
+"""Azimuth and elevation of the cameras for right hands [deg], see `Camera.framing`.
+
+The fingers point up and the palm looks along -y. For left hands, azimuths are mirrored.
+"""
+CELL = (170, 190)
+"""Width and height of one view [pixel]."""
+
+_DPI = 100
+_LEFT, _TOP, _BOTTOM = 118, 54, 30
+_MARGIN = 0.05
+_BONE, _JOINT, _TIP, _PALM_BONE = 0.0062, 0.0068, 0.0072, 0.0052
+_PALM_COLOUR = (0.80, 0.72, 0.66)
+_ROBOT_COLOUR = (0.66, 0.68, 0.72)
+_HUMAN_BACKGROUND = 0.965
+_RULE = 0.86
+_INK, _PALE = "#222831", "#6b7280"
+# Across the palm: wrist to knuckles, and from knuckle to knuckle.
+_PALM_BONES = ((0, 1), (0, 5), (0, 9), (0, 13), (0, 17), (5, 9), (9, 13), (13, 17), (1, 5))
+_PALM_FACES = ((0, 1, 5), (0, 5, 9), (0, 9, 13), (0, 13, 17))
+# From palm axes (y distal, z dorsal) to those of the drawing: z up the fingers, -y out of the palm.
+_UPRIGHT = affine(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetRow:
+    """One pose.
+
+    Attributes:
+        label: Its name.
+        note: Where it is from, in few words.
+        landmarks: The human's raw landmarks in the palm frame (origin at the wrist, y distal,
+            z dorsal) [m], shape (21, 3).
+        q: Joint angles of the robot in every column [rad], in the order of its `joint_names`.
+    """
+
+    label: str
+    note: str
+    landmarks: np.ndarray
+    q: tuple[np.ndarray, ...]
+
+
+def sheet_rows(
+    recording: Recording, poses: Mapping[str, int | None], motions: Sequence[np.ndarray]
+) -> list[SheetRow]:
+    """Pick samples out of a recording and the motions that were mapped from it.
+
+    Args:
+        recording: Landmarks of a hand.
+        poses: For every pose the index of a sample, or None (`find_poses`). Poses without a sample
+            have no row.
+        motions: Joint angles of every column [rad], each of shape (T, n).
+
+    Returns:
+        Rows in the order of `poses`.
+
+    Raises:
+        InvalidInputError: If a motion has another number of samples than the recording, or an index
+            is not one of a valid sample.
+    """
+    for i, q in enumerate(motions):
+        if np.ndim(q) != 2 or len(q) != len(recording):
+            raise InvalidInputError(
+                argument=f"motions[{i}]",
+                expected=f"shape ({len(recording)}, n)",
+                got=str(np.shape(q)),
+            )
+    bases = measure_hand(recording).bases[1:]
+    sign = 1.0 if recording.side == "right" else -1.0
+    palm = np.vstack([np.zeros(3), bases]) * (sign, 1.0, 1.0)
+    rows = []
+    for label, i in poses.items():
+        if i is None:
+            continue
+        if not (0 <= i < len(recording) and recording.valid[i]):
+            raise InvalidInputError(
+                argument=f"poses[{label!r}]", expected="index of a valid sample", value=i
+            )
+        landmarks = recording.landmarks[i]
+        to_palm = rigid_fit(landmarks[PALM], palm)
+        note = f"{recording.time[i] - recording.time[0]:.2f} s"
+        rows.append(
+            SheetRow(
+                label, note, transform_points(to_palm, landmarks), tuple(q[i] for q in motions)
+            )
+        )
+    return rows
+
+
+def contact_sheet(
+    columns: Sequence[tuple[str, Hand]],
+    rows: Sequence[SheetRow],
+    *,
+    side: Side = "right",
+    title: str = "",
+    footnote: str = "",
+) -> Figure:
+    """Draw poses in rows, the human and every mapping in columns.
+
+    Columns of the same hand are drawn at the same scale, and all rows of a column are too.
+
+    Args:
+        columns: Name and robot of every mapping.
+        rows: The poses, of `sheet_rows` (of one recording or several).
+        side: Which hand the landmarks are of.
+        title: Printed above the human's column.
+        footnote: Printed below, such as the poses that a recording does not show.
+
+    Returns:
+        The picture, one pixel per pixel at its own resolution. The human's column comes first; each
+        column has the views of `VIEWS` side by side.
+
+    Raises:
+        InvalidInputError: If there are no rows, or shapes do not fit.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    _check(columns, rows)
+    canvas, lefts, tops = _canvas(columns, rows)
+    human = [_human_triangles(row.landmarks) for row in rows]
+    frame = np.concatenate([triangles.vertices.reshape(-1, 3) for triangles in human])
+    _paste(canvas, lefts[0], tops, human, _cameras(frame, side))
+    for hand in {id(hand): hand for _, hand in columns}.values():
+        _draw_robot(canvas, lefts, tops, columns, rows, hand)
+    return _figure(canvas, lefts, tops, columns, rows, title=title, footnote=footnote)
+
+
+def save_contact_sheet(
+    file: Path | str,
+    recording: Recording,
+    poses: Mapping[str, int | None],
+    methods: Sequence[tuple[str, Hand, np.ndarray]],
+) -> Path:
+    """Draw the contact sheet of one recording and write it as PNG.
+
+    Args:
+        file: Where to.
+        recording: Landmarks of the hand that the methods were given.
+        poses: For every pose the index of a sample, or None (`find_poses`).
+        methods: Name, robot and joint angles [rad], shape (T, n), of every mapping.
+
+    Returns:
+        The file.
+
+    Raises:
+        InvalidInputError: If there is no pose, or shapes do not fit.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    rows = sheet_rows(recording, poses, [q for _, _, q in methods])
+    absent = [label for label, i in poses.items() if i is None]
+    footnote = f"Not in this recording: {', '.join(absent)}." if absent else ""
+    columns = [(name, hand) for name, hand, _ in methods]
+    figure = contact_sheet(
+        columns, rows, side=recording.side, title=recording.name, footnote=footnote
+    )
+    figure.savefig(Path(file), dpi=_DPI)
+    return Path(file)
+
+
+def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
+    """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
+    width, height = CELL
+    return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
+
+
+def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
+    if not rows:
+        raise InvalidInputError(
+            argument="rows",
+            expected="at least one pose",
+            got="none",
+            advice="find_poses finds them",
+        )
+    for i, row in enumerate(rows):
+        if np.shape(row.landmarks) != (LANDMARK_COUNT, 3) or not np.isfinite(row.landmarks).all():
+            raise InvalidInputError(
+                argument=f"rows[{i}].landmarks",
+                expected=f"finite numbers of shape ({LANDMARK_COUNT}, 3)",
+                got=str(np.shape(row.landmarks)),
+            )
+        if len(row.q) != len(columns):
+            raise InvalidInputError(
+                argument=f"rows[{i}].q",
+                expected=f"joint angles of {len(columns)} columns",
+                got=str(len(row.q)),
+            )
+
+
+def _canvas(
+    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]
+) -> tuple[np.ndarray, list[int], list[int]]:
+    """Make an empty picture (height, width, 3), its columns' left edges and its rows' tops."""
+    lefts = [cell_of(column, 0, 0)[0] for column in range(len(columns) + 1)]
+    tops = [cell_of(0, row, 0)[1] for row in range(len(rows))]
+    span = len(VIEWS) * CELL[0]
+    canvas = np.ones((tops[-1] + CELL[1] + _BOTTOM, lefts[-1] + span, 3))
+    canvas[tops[0] : tops[-1] + CELL[1], lefts[0] : lefts[0] + span] = _HUMAN_BACKGROUND
+    for top in [*tops, tops[-1] + CELL[1]]:
+        canvas[top - 1] = _RULE
+    for left in lefts:
+        canvas[tops[0] - 1 : tops[-1] + CELL[1], left] = _RULE
+    return canvas, lefts, tops
+
+
+def _draw_robot(
+    canvas: np.ndarray,
+    lefts: list[int],
+    tops: list[int],
+    columns: Sequence[tuple[str, Hand]],
+    rows: Sequence[SheetRow],
+    hand: Hand,
+) -> None:
+    """Draw all columns of one robot."""
+    shape = _coloured(load_shape(hand))
+    own = [i for i, (_, other) in enumerate(columns) if other is hand]
+    drawn = {i: [_robot_triangles(shape, row.q[i]) for row in rows] for i in own}
+    frame = np.concatenate(
+        [solid.vertices.reshape(-1, 3) for cells in drawn.values() for solid in cells]
+    )
+    cameras = _cameras(frame, hand.spec.side)
+    for i, cells in drawn.items():
+        _paste(canvas, lefts[i + 1], tops, cells, cameras)
+
+
+def _cameras(points: np.ndarray, side: Side) -> list[Camera]:
+    """The cameras of `VIEWS` with points (n, 3) in the picture."""
+    return [
+        Camera.framing(
+            points,
+            CELL,
+            azimuth=azimuth if side == "right" else 180.0 - azimuth,
+            elevation=elevation,
+            margin=_MARGIN,
+        )
+        for azimuth, elevation in VIEWS
+    ]
+
+
+def _paste(
+    canvas: np.ndarray,
+    left: int,
+    tops: list[int],
+    solids: Sequence[Triangles],
+    cameras: Sequence[Camera],
+) -> None:
+    width, height = CELL
+    for top, solid in zip(tops, solids, strict=True):
+        for view, camera in enumerate(cameras):
+            image = render(solid, camera)
+            x = left + view * width
+            cell = canvas[top : top + height, x : x + width]
+            opacity = image[..., 3:]
+            # The rules at the cell's edges stay.
+            cell[:-1, 1:] = (opacity * image[..., :3] + (1.0 - opacity) * cell)[:-1, 1:]
+
+
+def _human_triangles(landmarks: np.ndarray) -> Triangles:
+    """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
+    points = transform_points(_UPRIGHT, landmarks)
+    parts = [
+        _faces(points),
+        *(_bone(points[[a, b]], _PALM_BONE, _PALM_COLOUR) for a, b in _PALM_BONES),
+    ]
+    parts.append(spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR))
+    for i, finger in enumerate(FINGERS):
+        chain = points[1 + 4 * i : 5 + 4 * i]
+        colour = FINGER_COLOURS[finger]
+        parts += [_bone(chain[k : k + 2], _BONE, colour) for k in range(3)]
+        parts += [spheres(chain[1:3], _JOINT, colour), spheres(chain[3:], _TIP, colour)]
+    return merged(parts)
+
+
+def _bone(ends: np.ndarray, radius: float, colour: tuple[float, float, float]) -> Triangles:
+    """A tube between two points (2, 3); nothing where they coincide."""
+    if np.linalg.norm(ends[1] - ends[0]) < 1e-5:
+        return merged([])
+    return tube(ends, radius, colour)
+
+
+def _faces(points: np.ndarray) -> Triangles:
+    """The palm as flat triangles, seen from both sides."""
+    corners = points[np.array(_PALM_FACES)]
+    corners = np.concatenate([corners, corners[:, ::-1]])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Triangles(
+        corners, np.tile(_PALM_COLOUR, (len(corners), 1)), np.repeat(normals[:, None], 3, axis=1)
+    )
+
+
+def _coloured(shape: HandShape) -> HandShape:
+    """The same shape, grey, with the links of every finger in the finger's colour."""
+    hand = shape.hand
+    links = []
+    for link in shape.links:
+        finger = _finger_of(hand, link.link)
+        colour = _ROBOT_COLOUR if finger is None else FINGER_COLOURS[finger]
+        vertices, colours, normals = link.triangles
+        triangles = Triangles(vertices, np.broadcast_to(colour, colours.shape), normals)
+        links.append(LinkShape(link.link, triangles))
+    return HandShape(hand, tuple(links), shape.missing)
+
+
+def _finger_of(hand: Hand, link: str) -> str | None:
+    """The finger that a link moves with: the one whose points alone lie on or beyond its joint."""
+    joint = _carrier(hand, link)
+    beyond = {
+        point.finger
+        for point in hand.spec.points
+        if joint in hand.model.supports[_carrier(hand, point.link)]
+    }
+    return next(iter(beyond)) if len(beyond) == 1 and beyond <= FINGER_COLOURS.keys() else None
+
+
+def _carrier(hand: Hand, link: str) -> int:
+    """The joint of the model that moves a link."""
+    return hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+
+
+def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
+    """The robot in its palm frame, upright."""
+    pose = _UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
+    vertices, colours, normals = shape.triangles(q)
+    return Triangles(transform_points(pose, vertices), colours, normals @ pose[:3, :3].T)
+
+
+def _figure(
+    canvas: np.ndarray,
+    lefts: list[int],
+    tops: list[int],
+    columns: Sequence[tuple[str, Hand]],
+    rows: Sequence[SheetRow],
+    *,
+    title: str,
+    footnote: str,
+) -> Figure:
+    """The picture with its words."""
+    with require_matplotlib().rc_context({"font.family": "DejaVu Sans"}):
+        from matplotlib.figure import Figure
+
+        height, width = canvas.shape[:2]
+        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
+        axes.set_axis_off()
+        middle = 0.5 * len(VIEWS) * CELL[0]
+        for left, name in zip(lefts, ["human", *(name for name, _ in columns)], strict=True):
+            axes.text(
+                left + middle,
+                24,
+                name,
+                ha="center",
+                va="center",
+                fontsize=10,
+                fontweight="bold",
+                color=_INK,
+            )
+            axes.text(
+                left + middle,
+                43,
+                "palm side  |  three-quarter",
+                ha="center",
+                va="center",
+                fontsize=6.5,
+                color=_PALE,
+            )
+        for top, row in zip(tops, rows, strict=True):
+            centre = top + 0.5 * CELL[1]
+            axes.text(
+                10, centre - 8, row.label, va="center", fontsize=9.5, fontweight="bold", color=_INK
+            )
+            axes.text(10, centre + 9, row.note, va="center", fontsize=7.5, color=_PALE)
+        axes.text(10, 24, title, va="center", fontsize=7, color=_PALE)
+        axes.text(10, height - 0.5 * _BOTTOM, footnote, va="center", fontsize=8, color=_PALE)
+    return figure
