@@ -8,16 +8,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Figures:
-    """Redo the paper's numerical experiment (Sec.
+    """Repeat the paper's numerical experiment (Sec. IV) and draw its figures.
 
-    IV) and draw its figures, and those of what it leaves open.
-
-    Two hands hold the same cube; the human's wrist goes along an arc while a synergy is activated,
-    and the robot follows. Writes each figure as PNG, SVG and CSV, and report.md with the table
+    Two hands hold the same cube. The human's wrist moves along an arc while a synergy is activated,
+    and the robot follows. Each figure is written as PNG, SVG and CSV, and report.md holds the table
     "what the paper claims, what we find".
 
     Attributes:
-        out: Folder to write to; made if it does not exist.
+        out: Folder to write to; created if it does not exist.
         beyond: Also make the figures that go beyond the paper; they need the Allegro hand.
     """
 
@@ -48,4 +46,4 @@ class Figures:
         for row in result.claims:
             table.add_row(*map(str, row.values()))
         Console().print(table)
-        print(f"wrote {len(result.files)} files to {self.out}, among them {self.out / 'report.md'}")
+        print(f"wrote {len(result.files)} files to {self.out}; start with {self.out / 'report.md'}")

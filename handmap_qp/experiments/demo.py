@@ -1,7 +1,4 @@
-"""The demo: the paper's wrist arc with the first synergy (Sec.
-
-IV), carried from the human hand to the three-fingered one.
-"""
+"""The demo: map the paper's wrist arc with the first synergy to the three-fingered hand."""
 
 from __future__ import annotations
 
@@ -15,10 +12,11 @@ import numpy as np
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joints_figure
-from handmap_qp.experiments.output import output_folder
+from handmap_qp.experiments.output_folder import output_folder
 from handmap_qp.hands.human import load_synergies
 from handmap_qp.hands.library import load_hand
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.offline.trajectory import Trajectory, map_motion, save_npz
 from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, transform_points
@@ -32,17 +30,17 @@ RATE = 60.0
 
 _START_HEIGHT = 0.15
 _OPEN, _CLOSED = 1.0, -0.4
-# Back of the hand up, fingers along -y of the world, so that the arc runs across the hand.
+# Back of the hand up, fingers along -y of the world: the arc is perpendicular to the fingers.
 _WRIST_ROTATION = np.diag([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoResult:
-    """What the demo made and how good it is.
+    """Result of the demo.
 
     Attributes:
-        motion: The human's motion.
-        trajectory: The robot's.
+        motion: The human motion.
+        trajectory: The robot's trajectory.
         files: Files written.
     """
 
@@ -51,7 +49,7 @@ class DemoResult:
     files: tuple[Path, ...]
 
     def summary(self) -> dict[str, Any]:
-        """Numbers by name; the name bears the unit."""
+        """Summary numbers by name, with units in the names."""
         trajectory = self.trajectory
         points = 1e3 * trajectory.point_error
         return {
@@ -76,14 +74,14 @@ def run_demo(
 ) -> DemoResult:
     """Map the demo's motion and write trajectory and pictures.
 
-    Writes `trajectory.npz`, `hands.png`, `errors.png` and `joints.png`: all of them, or none if
-    something fails.
+    Writes `trajectory.npz`, `hands.png`, `errors.png` and `joints.png`: all of them, or none on
+    failure.
 
     Args:
-        directory: Folder to write to; made if it does not exist, and files of the same names in it
-            are replaced.
-        samples: Number of samples, 60 a second.
-        progress: Called with the number of samples mapped after each one.
+        directory: Folder to write to; created if it does not exist. Files of the same names are
+            replaced.
+        samples: Number of samples, at 60 Hz.
+        progress: Called after each sample with the number of samples done.
 
     Returns:
         The result.
@@ -96,9 +94,10 @@ def run_demo(
     directory = Path(directory)
     motion = arc_motion(samples)
     with output_folder(directory) as folder:
-        trajectory = map_motion(
-            HandMapper(motion.human, load_hand("three_finger"), dt=1.0 / RATE), motion, progress
+        mapper = HandMapper(
+            motion.human, load_hand("three_finger"), MappingOptions(), dt=1.0 / RATE
         )
+        trajectory = map_motion(mapper, motion, progress)
         _save(folder / "trajectory.npz", motion, trajectory)
         hands_figure(motion, trajectory).savefig(folder / "hands.png")
         errors_figure(trajectory).savefig(folder / "errors.png")
@@ -108,28 +107,25 @@ def run_demo(
 
 
 def arc_motion(samples: int) -> HumanMotion:
-    """The human's motion.
-
-    The paper's wrist arc, the hand closing and opening along the first synergy on the way.
+    """Human motion: the paper's wrist arc, while the hand closes and opens along the first synergy.
 
     The paper gives "a cosine arc whose length was 470 mm in the x direction and whose height in the
-    z direction was 150 mm". It is read here as half a wave over the way along x, highest in its
-    middle: `z = 150 mm * cos(pi * (x / 470 mm - 1/2))`. The wrist starts and stops smoothly (`x` is
-    a minimum-jerk function of time) and does not turn. The joints are `q = q_m + S z`, with `z_1`
-    going from open (1.0) to closed (-0.4) in the middle and back, as a cosine; both stay inside the
-    joint limits.
+    z direction was 150 mm". This is read as half a wave, highest in the middle:
+    `z = 150 mm * cos(pi * (x / 470 mm - 1/2))`. `x` is a minimum-jerk function of time, and the
+    wrist does not rotate. The joints are `q = q_m + S z`. `z_1` is a cosine from open (1.0) to
+    closed (-0.4) and back, inside the joint limits.
 
     Args:
-        samples: Number of samples T, 60 a second.
+        samples: Number of samples T, at 60 Hz.
 
     Returns:
-        The motion of the human hand, its reference points the five fingertips.
+        The motion of the human hand, with the five fingertips as reference points.
 
     Raises:
-        InvalidInputError: If there are fewer than three samples.
+        InvalidInputError: If `samples` is not an integer >= 3.
     """
-    if samples < 3:
-        raise InvalidInputError(f"samples: expected at least 3, got {samples}", value=samples)
+    if not isinstance(samples, int | np.integer) or samples < 3:
+        raise InvalidInputError(argument="samples", expected="an integer >= 3", value=samples)
     human = load_hand("human", points="fingertips")
     progress = np.linspace(0.0, 1.0, samples)
     way = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
@@ -150,7 +146,7 @@ def arc_motion(samples: int) -> HumanMotion:
 
 
 def human_points(motion: HumanMotion) -> np.ndarray:
-    """The human's reference points in its world [m], shape (T, m, 3)."""
+    """Reference points of the human in its world [m], shape (T, m, 3)."""
     local = [motion.human.points(q) for q in motion.q]
     return np.array(
         [transform_points(wrist, points) for wrist, points in zip(motion.wrist, local, strict=True)]
@@ -158,7 +154,7 @@ def human_points(motion: HumanMotion) -> np.ndarray:
 
 
 def _save(path: Path, motion: HumanMotion, trajectory: Trajectory) -> None:
-    """The trajectory's columns and the human's."""
+    """Write the columns of the trajectory and of the human motion."""
     human = {
         "human_joint_names": np.array(motion.human.joint_names),
         "human_q": motion.q,

@@ -1,4 +1,4 @@
-"""The demo's pictures: both hands on their way, the errors, and the joints against their limits."""
+"""The demo's pictures: both hands, errors over time, and joints within their limits."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 @styled
 def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
-    """Both hands at the start, in the middle and at the end of the way, with their reference points and the points' paths.
+    """Draw both hands at start, middle and end, with their reference points and the points' paths.
 
-    Both are seen by the same camera, each in its own world.
+    One camera shows both, each in its own world.
 
     Args:
-        motion: The human's motion.
-        trajectory: The robot's.
+        motion: The human motion.
+        trajectory: The robot's trajectory.
 
     Returns:
         The picture, 1600 x 672 pixels.
@@ -53,12 +53,12 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
         _placed(robot, trajectory.q, trajectory.wrist, instants),
     ]
     corners = np.concatenate([hand.vertices.reshape(-1, 3) for hand in hands])
-    # The floor below the hands must be in the picture too, for their shadows.
+    # Include the floor below the hands, which shows their shadows.
     floor = corners * [1.0, 1.0, 0.0]
     camera = Camera.framing(
         np.concatenate([corners, floor]), size, azimuth=-83.0, elevation=27.0, margin=0.03
     )
-    # The titles stand above the arc: the scene moves down to make room for them.
+    # Move the scene down to make room for the titles.
     camera = replace(camera, centre=(camera.centre[0], camera.centre[1] + 34.0))
     titles = (
         (
@@ -99,7 +99,7 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
 
 @styled
 def errors_figure(trajectory: Trajectory) -> Figure:
-    """Distance of points and wrist from their targets, and CPU time of each step, over time."""
+    """Draw the errors of points and wrist, and the CPU time of each step, over time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 5.6), layout="constrained")
@@ -130,7 +130,7 @@ def errors_figure(trajectory: Trajectory) -> Figure:
 
 @styled
 def joints_figure(trajectory: Trajectory) -> Figure:
-    """Each joint of the robot over time, between its limits."""
+    """Draw each joint of the robot over time, with its limits."""
     from matplotlib.figure import Figure
 
     robot = trajectory.robot
@@ -163,6 +163,6 @@ def _joint_axes(axes: Axes, trajectory: Trajectory, joint: int) -> None:
 
 
 def _placed(hand: Hand, q: np.ndarray, wrist: np.ndarray, instants: list[int]) -> Triangles:
-    """A hand at several instants at once."""
+    """Triangles of a hand at several instants."""
     shape = load_shape(hand)
     return merged([shape.triangles(q[i], wrist[i]) for i in instants])

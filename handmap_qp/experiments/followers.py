@@ -1,17 +1,15 @@
-"""Ways in which the robot follows its targets: eq.
+"""Inverse kinematics of the robot in the experiments: eq. (8) and four alternatives.
 
-(8) as the paper has it, or clipped, damped, as the QP, or not at all.
-
-| fingers | what |
+| fingers | inverse kinematics |
 |---|---|
-| `pseudoinverse` | eq. (8) with `xi = 0`: the wrist goes where T_rb takes it, `dq = J# (p_f -
-p_rb)`; limits are not looked at | | `clipped` | the same, every step clipped into the joints'
-position limits | | `damped` | `PseudoinverseIk`: wrist and fingers together, the QP's own cost
-without its limits, clipped into them afterwards | | `qp` | `PointIk`: the same cost within the
-limits | | `frozen` | the wrist alone |
+| `pseudoinverse` | eq. (8) with `xi = 0`: wrist by T_rb, `dq = J# (p_f - p_rb)`, limits ignored |
+| `clipped` | the same, each step clipped into the position limits of the joints |
+| `damped` | `PseudoinverseIk`: the cost of the QP without its limits, clipped afterwards |
+| `qp` | `PointIk`: the same cost within the limits |
+| `frozen` | the wrist moves by T_rb, the fingers do not move |
 
-In `damped` and `qp` the null-space term is off too (`rest_weight = 0`), and so are speed limits, as
-a step has no duration.
+`damped` and `qp` solve for wrist and fingers together. In both, the rest term is off
+(`rest_weight = 0`), and there are no speed limits, because a step has no duration.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
 
-Fingers = Literal["pseudoinverse", "clipped", "damped", "qp", "frozen"]
+FingerMode = Literal["pseudoinverse", "clipped", "damped", "qp", "frozen"]
 
 IK = IkOptions(
     rest_weight=0.0,
@@ -35,16 +33,13 @@ IK = IkOptions(
     step_tolerance=1e-7,
     has_velocity_limits=False,
 )
-"""Settings of the QP in the experiment.
-
-Steps are solved to the end, and nothing pulls the joints anywhere.
-"""
+"""Options of the QP in the experiment: iterated to convergence, without a rest term."""
 
 _STEP_TIME = 1.0
 
 
 class Follower(Protocol):
-    """A robot on its way."""
+    """A robot that follows targets step by step."""
 
     @property
     def q(self) -> np.ndarray:
@@ -62,25 +57,25 @@ class Follower(Protocol):
         ...
 
     def follow(self, targets: np.ndarray, wrist_target: np.ndarray) -> None:
-        """Go one step.
+        """Move by one step.
 
         Args:
-            targets: Where the reference points shall be [m], shape (m, 3).
-            wrist_target: Where the wrist shall be, shape (4, 4).
+            targets: Targets of the reference points [m], shape (m, 3).
+            wrist_target: Target pose of the wrist, shape (4, 4).
         """
         ...
 
 
 def make_follower(
-    fingers: Fingers, hand: Hand, q: np.ndarray, wrist: np.ndarray | None
+    fingers: FingerMode, hand: Hand, q: np.ndarray, wrist: np.ndarray | None
 ) -> Follower:
-    """A robot at its start.
+    """Return a robot at its start configuration.
 
     Args:
-        fingers: How it follows.
-        hand: The hand, its reference points those to be moved.
+        fingers: The inverse kinematics; see the table of this module.
+        hand: The hand, with the reference points to be moved.
         q: Joint angles at the start [rad], shape (n,).
-        wrist: Wrist pose there, shape (4, 4); the identity if omitted.
+        wrist: Pose of the wrist at the start, shape (4, 4); None is the identity.
 
     Returns:
         The follower.
@@ -94,17 +89,17 @@ def make_follower(
 
 
 class PseudoinverseFollower:
-    """The paper's eq. (8), once a step: the rigid part to the wrist, the rest to the fingers."""
+    """Eq. (8) of the paper, once per step: T_rb moves the wrist, the fingers do the rest."""
 
-    def __init__(self, hand: Hand, q: np.ndarray, wrist: np.ndarray, fingers: Fingers) -> None:
+    def __init__(self, hand: Hand, q: np.ndarray, wrist: np.ndarray, fingers: FingerMode) -> None:
         self.q, self.wrist, self.points = q, wrist, hand.points(q, wrist)
         self._hand, self._fingers = hand, fingers
 
     def follow(self, targets: np.ndarray, wrist_target: np.ndarray) -> None:
-        """Go one step."""
+        """Move by one step."""
         hand, q = self._hand, self.q
         if self._fingers != "frozen":
-            # The Jacobian after the rigid part, where the finger motion starts.
+            # Use the Jacobian after T_rb, where the finger motion starts.
             displacement = (targets - hand.points(q, wrist_target)).ravel()
             q = q + np.linalg.pinv(hand.point_jacobian(q, wrist_target)) @ displacement
         if self._fingers == "clipped":
@@ -113,7 +108,7 @@ class PseudoinverseFollower:
 
 
 class IkFollower:
-    """One of the library's solvers, wrist and fingers together."""
+    """A solver of the library, for wrist and fingers together."""
 
     def __init__(self, solver: PointIk | PseudoinverseIk, q: np.ndarray, wrist: np.ndarray) -> None:
         self._solver = solver
@@ -135,5 +130,5 @@ class IkFollower:
         return self._solver.configuration.points.copy()
 
     def follow(self, targets: np.ndarray, wrist_target: np.ndarray) -> None:
-        """Go one step."""
+        """Move by one step."""
         self._solver.solve(targets, wrist_target, _STEP_TIME)

@@ -1,8 +1,9 @@
-"""Where a held object goes while hand and fingers move, and how contact forces change (Sec. IV).
+"""Motion of a held object, and changes of the contact forces (Sec. IV).
 
-The wrist carries the object, and the fingers move it in the hand: either as the rigid body that
-follows the contacts best, or by the quasi-static model of the paper's [22], where contacts, joints
-and synergies yield. In both, the contacts of a step are those of its start, carried by the wrist.
+The wrist carries the object, and the fingers move it in the hand. There are two models of the
+latter: the rigid motion that fits the motion of the contacts best (least squares), and the
+quasi-static model of the paper's [22] with compliant contacts, joints and synergies. In both, the
+contacts of a step are those at its start, carried by the wrist.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from handmap_qp.transform import affine, inverse_pose, transform_points
 class Stiffnesses:
     """Stiffnesses of the quasi-static model.
 
-    The reference numbers are for unit stiffness in millimetres: 1 N/mm at the contacts, 1 N mm/rad
-    at the joints, 1 N mm a unit of a synergy. In SI those are 1e3, 1e-3 and 1e-3.
+    The reference numbers use unit stiffness in millimetres: 1 N/mm at the contacts, 1 N mm/rad at
+    the joints, 1 N mm per unit of a synergy. In SI units these are 1e3, 1e-3 and 1e-3.
 
     Attributes:
-        contact: Of every contact, the same in all directions [N/m].
-        joint: Of every joint [N m/rad].
-        synergy: Of every synergy of the human's [N m per unit].
+        contact: Stiffness of each contact, isotropic [N/m].
+        joint: Stiffness of each joint [N m/rad].
+        synergy: Stiffness of each synergy of the human [N m per unit].
     """
 
     contact: float = 1e3
@@ -39,16 +40,15 @@ class Stiffnesses:
 
 
 UNIT = Stiffnesses()
-"""Unit stiffness, lengths in millimetres."""
+"""Unit stiffness with lengths in millimetres, as in the reference numbers."""
 
 
 def object_poses(run: Run, stiffnesses: Stiffnesses | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The object on its way, in the human's hand and in the robot's.
+    """Poses of the object over a run, in the human's and in the robot's hand.
 
     Args:
         run: The run.
-        stiffnesses: Of the quasi-static model; the rigid motion that follows the contacts best if
-            omitted.
+        stiffnesses: Stiffnesses of the quasi-static model; the rigid model if omitted.
 
     Returns:
         Two arrays of poses, shape (N + 1, 4, 4) each.
@@ -61,9 +61,14 @@ def object_poses(run: Run, stiffnesses: Stiffnesses | None = None) -> tuple[np.n
 
 
 def object_error(run: Run, stiffnesses: Stiffnesses | None = None) -> float:
-    """Distance between the object's centres at the end, the paper's "trajectory error" [m].
+    """Final distance between the object's centres, the paper's "trajectory error".
 
-    Arguments as of `object_poses`.
+    Args:
+        run: The run.
+        stiffnesses: As for `object_poses`.
+
+    Returns:
+        The distance [m].
     """
     human, robot = object_poses(run, stiffnesses)
     return float(np.linalg.norm(human[-1, :3, 3] - robot[-1, :3, 3]))
@@ -71,17 +76,15 @@ def object_error(run: Run, stiffnesses: Stiffnesses | None = None) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InHandStep:
-    """What the first step's synergy activation alone does, the human's wrist standing still (Fig.
-
-    6 of the paper).
+    """Effect of the synergy alone in the first step, without wrist motion (Fig. 6 of the paper).
 
     Attributes:
         human_motion: Displacement of the object's centre in the human's hand [m], shape (3,).
-        robot_motion: In the robot's, by wrist and fingers together [m], shape (3,).
-        robot_wrist_part: What of it the wrist does, carried by T_rb [m], shape (3,).
-        human_forces: Change of the forces on the object at the human's contacts [N], shape (n_c,
-            3).
-        robot_forces: The same at the robot's [N].
+        robot_motion: Displacement in the robot's hand, by wrist and fingers [m], shape (3,).
+        robot_wrist_part: Part of `robot_motion` that is due to T_rb on the wrist [m], shape (3,).
+        human_forces: Change of the forces of the human's contacts on the object [N], shape
+            (n_c, 3).
+        robot_forces: Change of the forces of the robot's contacts [N], likewise.
     """
 
     human_motion: np.ndarray
@@ -99,14 +102,13 @@ class InHandStep:
 def in_hand_step(
     scene: Scene, setting: Setting, stiffnesses: Stiffnesses = UNIT, *, is_rigid: bool = False
 ) -> InHandStep:
-    """The first step of an experiment without the wrist's motion.
+    """Compute the first step of an experiment without wrist motion.
 
     Args:
         scene: Both hands at the start.
-        setting: The choices; the step is the first of `setting.steps`.
-        stiffnesses: Of the quasi-static model, which always gives the forces.
-        is_rigid: Whether the motion is the rigid one that follows the contacts best instead of the
-            quasi-static one.
+        setting: The options; the step is the first of `setting.steps`.
+        stiffnesses: Stiffnesses of the quasi-static model, which gives the forces in any case.
+        is_rigid: Whether the rigid model gives the motion, instead of the quasi-static one.
 
     Returns:
         Displacements and force changes of that step.
@@ -153,10 +155,14 @@ def _carry(
     synergies: np.ndarray | None,
     activation: np.ndarray,
 ) -> np.ndarray:
-    """The object's poses.
+    """Poses of the object over a motion of a hand, shape (N + 1, 4, 4).
 
-    `activation` is by how much each step changes the references of the synergies, or else of the
-    joints.
+    Args:
+        grasp: The grasp at the start.
+        motion: The motion of the hand.
+        stiffnesses: Stiffnesses of the quasi-static model; None for the rigid model.
+        synergies: S, shape (n, n_z); None if the joints are activated directly.
+        activation: Change of the references of synergies or joints per step, shape (N, n_z or n).
     """
     hand, poses = _contact_hand(grasp), [grasp.object_pose]
     for k in range(len(motion.q) - 1):
@@ -190,10 +196,7 @@ def _answer(
     stiffnesses: Stiffnesses,
     synergy_stiffness: float,
 ) -> QuasiStatic:
-    """The quasi-static answer of a grasp, per unit of each synergy.
-
-    Without synergies, per radian of each joint's reference.
-    """
+    """Quasi-static response of a grasp per unit of each synergy, or per radian of each joint."""
     return quasistatic(
         hand.point_jacobian(q, wrist),
         grasp_matrix(hand.points(q, wrist), centre),
@@ -204,7 +207,7 @@ def _answer(
     )
 
 
-# A grasp is a value and compares by identity; sweeps ask for the same one again and again.
+# Grasps compare by identity, and sweeps use the same ones many times.
 @lru_cache(maxsize=8)
 def _contact_hand(grasp: Grasp) -> Hand:
     return grasp.hand.with_points(grasp.point_specs)

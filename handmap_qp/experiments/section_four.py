@@ -1,11 +1,9 @@
-"""The paper's numerical experiment (Sec. IV) as numbers.
+"""The paper's numerical experiment (Sec. IV): two hands on one cube, a wrist arc and a synergy.
 
-Two hands round one cube, the human's wrist on an arc, a synergy on top.
-
-Every step goes the paper's way (Fig. 3): T from the human's reference points at the step's start
-and end (eqs. 5-6), split about a pivot (eqs. 2-3), imposed on the robot's points (eq. 7), the wrist
-carried by T_rb and the fingers by eq. (8). What the paper leaves open is a field of `Setting`.
-Where the object goes is another matter: see `handmap_qp.experiments.held_object`.
+Each step follows Fig. 3 of the paper. T is estimated from the human's reference points at the start
+and end of the step (eqs. 5-6), decomposed about a pivot (eqs. 2-3) and imposed on the robot's
+points (eq. 7). T_rb moves the wrist, and eq. (8) the fingers. Choices that the paper leaves open
+are fields of `Setting`. For the motion of the object see `handmap_qp.experiments.held_object`.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from xml.etree import ElementTree as ET
 import msgspec
 import numpy as np
 
-from handmap_qp.experiments.followers import Fingers, make_follower
+from handmap_qp.experiments.followers import FingerMode, make_follower
 from handmap_qp.grasp import Contact, Grasp
 from handmap_qp.grasp.paper_cube import read_cube_figures, reference_grasp
 from handmap_qp.hands.hand import Hand
@@ -46,11 +44,11 @@ class Scene:
     """Two hands that hold the same object, in one world.
 
     Attributes:
-        human: The hand that leads.
-        robot: The hand that follows.
-        human_points: The same hand with the reference points that give T; the contacts in the
-            paper.
-        robot_points: The other one with those on which T is imposed.
+        human: Grasp of the human hand.
+        robot: Grasp of the robot hand.
+        human_points: The human hand with the reference points from which T is estimated (in the
+            paper, the contacts).
+        robot_points: The robot hand with the reference points on which T is imposed.
     """
 
     human: Grasp
@@ -60,7 +58,7 @@ class Scene:
 
     @classmethod
     def at_contacts(cls, human: Grasp, robot: Grasp) -> Self:
-        """The scene whose reference points are the contacts, as in the paper."""
+        """Return the scene with the contacts as reference points, as in the paper."""
         return cls(
             human,
             robot,
@@ -69,7 +67,7 @@ class Scene:
         )
 
     def moved(self, offset: np.ndarray) -> Self:
-        """The same scene elsewhere: everything shifted by `offset` [m], shape (3,)."""
+        """Return the scene translated by `offset` [m], shape (3,)."""
         motion = affine(np.eye(3), np.asarray(offset, dtype=float))
         return type(self)(
             self.human.moved(motion), self.robot.moved(motion), self.human_points, self.robot_points
@@ -78,21 +76,20 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The choices of one run.
+    """Options of one run.
 
     Attributes:
-        synergy: Which synergy is activated, counted from 1.
-        gamma: How much of a unit of it the human's joints have changed by at the end.
+        synergy: Number of the activated synergy, from 1.
+        gamma: Activation of the synergy at the end, in its units.
         steps: Number of steps.
-        pivot: The point about which rotation and deformation act: the human points' `centroid`, one
-            point for both hands (the reference numbers); each hand's `own` centroid (`HandMapper`'s
-            default); the human's `palm`; or the world's `origin`, the paper's literal reading.
-        start: What T starts from: the `previous` step (Fig. 3 of the paper), or the `initial`
-            configuration.
-        fingers: How the fingers follow; see `handmap_qp.experiments.followers`. Where they are
-            `frozen`, T_rb is the rigid motion that fits the human's points best (Kabsch), which
-            leaves nothing to the fingers that a rigid hand could do.
-        ridge: Of eq. (6); 0 is the paper's.
+        pivot: Point about which rotation and deformation act: `centroid`, of the human's points for
+            both hands (reference numbers); `own`, each hand's centroid (default of `HandMapper`);
+            `palm`, of the human; `origin`, of the world (the paper read literally).
+        start: Configuration from which T is estimated: the `previous` step (Fig. 3 of the paper),
+            or the `first` one.
+        fingers: Inverse kinematics of the fingers; see `handmap_qp.experiments.followers`. With
+            `frozen`, T_rb is the best rigid fit of the human's points (Kabsch).
+        ridge: Ridge of eq. (6); 0 is the paper's.
     """
 
     synergy: int = 1
@@ -100,7 +97,7 @@ class Setting:
     steps: int = 50
     pivot: Pivot = "centroid"
     start: Start = "previous"
-    fingers: Fingers = "pseudoinverse"
+    fingers: FingerMode = "pseudoinverse"
     ridge: float = 0.0
 
 
@@ -125,12 +122,12 @@ class Run:
 
     Attributes:
         scene: Both hands at the start.
-        setting: The choices.
-        human: The human's motion.
-        robot: The robot's.
-        targets: Where each step wants the robot's points [m], shape (N, n_r, 3).
-        final_targets: Where T from the first to the last configuration takes the robot's first
-            points, `T s` [m], shape (n_r, 3).
+        setting: The options.
+        human: Motion of the human.
+        robot: Motion of the robot.
+        targets: Targets of the robot's points at each step [m], shape (N, n_r, 3).
+        final_targets: `T s`: the robot's initial points moved by the T from the first to the last
+            configuration [m], shape (n_r, 3).
         stretches: Stretch factors of each step's T, shape (N, 3).
     """
 
@@ -144,15 +141,12 @@ class Run:
 
     @property
     def point_rms(self) -> float:
-        """RMS distance of the robot's last points from `T s`.
-
-        What the mapping asked for, all in all [m].
-        """
+        """RMS distance of the robot's final points from `T s` [m]."""
         return rms(self.robot.points[-1] - self.final_targets)
 
     @property
     def limit_excess(self) -> float:
-        """How far the robot's joints were outside their limits at most [rad]."""
+        """Largest violation of the robot's joint limits [rad]."""
         hand = self.scene.robot_points
         return max(
             0.0,
@@ -164,11 +158,11 @@ class Run:
 
 @cache
 def paper_scene(geometry: Geometry = "toolbox") -> Scene:
-    """The paper's pair of grasps.
+    """Return the scene of the paper's two grasps.
 
-    The toolbox's planner set the fingers of the three-fingered hand 50/3 mm farther out than the
-    hand has them. Numbers computed with the toolbox are of that hand, at the joint angles it gave;
-    with `ours`, the hand as it is reaches the same contacts from the same palm, at other angles.
+    The toolbox's planner mounted the fingers of the three-fingered hand 50/3 mm too far out, and
+    numbers computed with the toolbox belong to that hand and its joint angles (`toolbox`). The
+    correct hand reaches the same contacts from the same palm pose at other joint angles (`ours`).
 
     Args:
         geometry: `toolbox` or `ours`.
@@ -180,7 +174,7 @@ def paper_scene(geometry: Geometry = "toolbox") -> Scene:
     if geometry == "ours":
         return Scene.at_contacts(reference_grasp("human").grasp, robot.grasp)
     hand = toolbox_hand(robot.grasp.hand)
-    # A contact's normal is fixed in the world, and the links stand otherwise here.
+    # Normals are the same in the world, but the links have other orientations.
     links = hand.link_poses(
         [contact.link for contact in robot.grasp.contacts],
         robot.published_q,
@@ -204,15 +198,13 @@ def paper_scene(geometry: Geometry = "toolbox") -> Scene:
 
 
 def toolbox_hand(hand: Hand) -> Hand:
-    """The three-fingered hand with its fingers where the toolbox's planner set them.
-
-    50/3 mm outwards in the palm's plane.
+    """Return the three-fingered hand of the toolbox's planner: fingers 50/3 mm farther out.
 
     Args:
         hand: The three-fingered hand.
 
     Returns:
-        The hand that the reference numbers of Sec. IV belong to.
+        The hand of the reference numbers of Sec. IV.
     """
     shift = float(read_cube_figures("three_finger")["published"]["finger_shift"])
     robot = parse_urdf(hand.urdf_text)
@@ -232,10 +224,10 @@ def toolbox_hand(hand: Hand) -> Hand:
 
 
 def limited_hand(hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Hand:
-    """A hand with other joint limits and another rest posture.
+    """Return a hand with other joint limits and another rest posture.
 
     Args:
-        hand: The hand; its reference points stay.
+        hand: The hand; its reference points are kept.
         rest: Rest posture, inside the limits [rad], shape (n,).
         lower: Lower limits [rad], shape (n,).
         upper: Upper limits [rad], shape (n,).
@@ -261,28 +253,25 @@ def limited_hand(hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndar
 
 
 def wrist_arc(steps: int) -> np.ndarray:
-    """Where the wrist is relative to its start.
+    """Displacement of the wrist along the paper's arc, in equal steps of x.
 
-    The paper's arc, read as `z = 150 mm cos(pi (x / 470 mm - 1/2))`, x in even steps.
+    The arc is read as `z = 150 mm cos(pi (x / 470 mm - 1/2))`.
 
     Args:
         steps: Number of steps N.
 
     Returns:
-        Offsets [m], shape (N + 1, 3).
+        Displacements since the start [m], shape (N + 1, 3).
     """
     share = np.linspace(0.0, 1.0, steps + 1)
-    # The same curve as a sine, which is exactly zero at the start.
+    # The same curve as a sine, so that it is exactly zero at the start.
     return np.column_stack(
         [ARC_LENGTH * share, np.zeros(steps + 1), ARC_HEIGHT * np.sin(np.pi * share)]
     )
 
 
 def human_motion(scene: Scene, setting: Setting) -> HandMotion:
-    """The human's motion: `q = q_i + gamma S dsigma` (Sec.
-
-    IV), its wrist on the arc without turning.
-    """
+    """Human motion of Sec. IV: `q = q_i + gamma S dsigma`, the wrist on the arc, not rotating."""
     grasp, hand = scene.human, scene.human_points
     share = np.linspace(0.0, 1.0, setting.steps + 1)[:, None]
     q = grasp.q + setting.gamma * share * load_synergies().matrix[:, setting.synergy - 1]
@@ -296,19 +285,19 @@ def human_motion(scene: Scene, setting: Setting) -> HandMotion:
 
 
 def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = None) -> Run:
-    """Map a motion of the human's step by step.
+    """Map a human motion step by step.
 
     Args:
         scene: Both hands at the start.
-        setting: The choices.
-        human: The human's motion; the arc with the synergy if omitted.
+        setting: The options.
+        human: The human motion; that of `human_motion` if omitted.
 
     Returns:
-        What both hands did.
+        The motions of both hands.
 
     Raises:
-        DegeneratePointsError: If the human's reference points do not determine T: with ridge = 0,
-            three of them never do.
+        DegeneratePointsError: If the human's reference points do not determine T. Without a ridge,
+            three points never do.
     """
     human = human or human_motion(scene, setting)
     follower = make_follower(
@@ -339,7 +328,7 @@ def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = No
 
 
 def rms(offsets: np.ndarray) -> float:
-    """RMS length of vectors, shape (n, 3)."""
+    """RMS length of vectors of shape (n, 3)."""
     return float(np.sqrt(np.mean(np.sum(np.square(offsets), axis=-1))))
 
 
@@ -351,7 +340,7 @@ def _step_motion(
     end: int,
     robot_points: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """T and T_rb between two samples, for the robot's points, and the stretch factors."""
+    """T and T_rb between two samples, as imposed on the robot's points, and the stretches."""
     before, after = human.points[start], human.points[end]
     motion = estimate_motion(before, after, ridge=setting.ridge).motion
     pivot = {

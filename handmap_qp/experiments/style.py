@@ -1,4 +1,4 @@
-"""The look that all pictures share, and the object and its edges drawn into pictures of hands."""
+"""Common style of the pictures; boxes, box edges and arrows in pictures of hands."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ STYLE = {
     "figure.dpi": DPI,
     "savefig.dpi": DPI,
     "figure.facecolor": "white",
-    # The same numbers give the same file.
+    # A fixed salt: the same numbers must give the same file.
     "svg.hashsalt": "handmap",
 }
 CUBE_COLOUR = (0.93, 0.80, 0.55)
-"""Of the object that is held."""
+"""Colour of the held object."""
 
 _Arguments = ParamSpec("_Arguments")
-# Corners of the unit cube, its faces as seen from outside, and its edges.
+# Corners of the unit cube, its faces (counter-clockwise from outside) and its edges.
 _CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 _EDGES = [
@@ -61,7 +61,7 @@ _EDGES = [
 
 
 def styled(draw: Callable[_Arguments, Figure]) -> Callable[_Arguments, Figure]:
-    """Draw under the pictures' common style, without changing anybody else's."""
+    """Decorate a drawing function to use `STYLE`, without changing matplotlib's settings."""
 
     @wraps(draw)
     def drawn(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> Figure:
@@ -72,22 +72,22 @@ def styled(draw: Callable[_Arguments, Figure]) -> Callable[_Arguments, Figure]:
 
 
 def words(name: str) -> str:
-    """A name in code as words."""
+    """Replace the underscores of a name by spaces."""
     return name.replace("_", " ")
 
 
 def box_triangles(
     pose: np.ndarray, size: Any, colour: tuple[float, float, float] = CUBE_COLOUR
 ) -> Triangles:
-    """A box as triangles, to be drawn with hands.
+    """Return the triangles of a box.
 
     Args:
-        pose: Its pose, shape (4, 4).
-        size: Its sides [m], shape (3,).
-        colour: Red, green and blue in 0..1.
+        pose: Pose of the box, shape (4, 4).
+        size: Lengths of its sides [m], shape (3,).
+        colour: Red, green and blue in [0, 1].
 
     Returns:
-        Its triangles.
+        The triangles, with outward normals.
     """
     corners = transform_points(pose, _CORNERS * np.asarray(size))
     faces = [triangle for a, b, c, d in _FACES for triangle in ((a, b, c), (a, c, d))]
@@ -100,9 +100,14 @@ def box_triangles(
 
 
 def draw_box_edges(axes: Axes, camera: Camera, pose: np.ndarray, size: Any, **line: Any) -> None:
-    """The edges of a box as lines in an axes whose coordinates are the camera's pixels.
+    """Draw the edges of a box in axes with the camera's pixels as coordinates; hidden ones dotted.
 
-    Those behind it are thinner.
+    Args:
+        axes: The axes; see `blank_axes`.
+        camera: The camera.
+        pose: Pose of the box, shape (4, 4).
+        size: Lengths of its sides [m], shape (3,).
+        line: Further arguments of `Axes.plot`.
     """
     corners = transform_points(pose, _CORNERS * np.asarray(size))
     depth = transform_points(camera.world_to_camera, corners)[:, 2]
@@ -121,7 +126,7 @@ def draw_box_edges(axes: Axes, camera: Camera, pose: np.ndarray, size: Any, **li
 
 
 def blank_axes(axes: Axes, camera: Camera) -> None:
-    """Make an axes' coordinates the camera's pixels, with nothing drawn."""
+    """Set the coordinates of empty axes to the camera's pixels."""
     width, height = camera.size
     axes.set_xlim(0.0, width)
     axes.set_ylim(height, 0.0)
@@ -138,7 +143,7 @@ def draw_arrow(
     *,
     width: float = 1.8,
 ) -> None:
-    """An arrow in space, in an axes whose coordinates are the camera's pixels."""
+    """Draw a vector in space as an arrow, in axes with the camera's pixels as coordinates."""
     tail, head = camera.project(np.array([start, start + vector]))
     style = {
         "arrowstyle": "-|>",

@@ -62,7 +62,7 @@ def test_the_human_closes_and_opens_within_its_limits() -> None:
 
 
 def test_too_few_samples_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="at least 3"):
+    with pytest.raises(InvalidInputError, match=r"samples: expected an integer >= 3"):
         arc_motion(2)
 
 

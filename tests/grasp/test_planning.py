@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from strategies import generators, motion_of, poses, rotations
 
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
-from handmap_qp.experiments.grasp_figures import contact_histogram_figure
+from handmap_qp.experiments.contact_histogram import contact_histogram_figure
 from handmap_qp.grasp import Grasp
 from handmap_qp.grasp.closing import MARGIN, HandCloser, close_hand
 from handmap_qp.grasp.measures import (

@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.experiments import beyond, drawings, figures, figures_beyond, report
-from handmap_qp.experiments.artwork import Artwork, markdown_table
+from handmap_qp.experiments import (
+    beyond_figures,
+    beyond_runs,
+    paper_drawings,
+    paper_figures,
+    report,
+)
 from handmap_qp.experiments.cli import Figures
+from handmap_qp.experiments.figure_record import FigureRecord, markdown_table
 from handmap_qp.experiments.held_object import object_error
 from handmap_qp.experiments.report import BEYOND_FIGURES, PAPER_FIGURES, FiguresResult, run_figures
 from handmap_qp.experiments.section_four import Setting, paper_scene, run_experiment
@@ -23,27 +29,27 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("trimesh")
 
 NAMES = PAPER_FIGURES + BEYOND_FIGURES
-TABLES = ("claims.csv", "numbers.csv", "report.md")
+TABLES = ("claims.csv", "final_errors.csv", "report.md")
 
 
 @pytest.fixture(scope="module")
 def quick() -> Iterator[None]:
     """Fewer runs and coarser pictures, by the same code."""
-    draw = drawings.draw_hands
+    draw = paper_drawings.draw_hands
 
     def draw_coarsely(*arguments: Any, **named: Any) -> None:
         draw(*arguments, **{**named, "supersampling": 1})
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (figures, figures_beyond):
+        for module in (paper_figures, beyond_figures):
             patch.setattr(module, "GAMMAS", (0.1, 0.5, 1.0))
-        for module in (drawings, figures_beyond):
+        for module in (paper_drawings, beyond_figures):
             patch.setattr(module, "draw_hands", draw_coarsely)
-        patch.setattr(figures, "STEPS", (5, 20, 50, 200))
-        patch.setattr(beyond, "PLANS", 12)
-        patch.setattr(beyond, "MARGINS", (0.0, 4.0))
-        patch.setattr(beyond, "DISTANCES", (0.1, 1.0))
-        patch.setattr(beyond, "COUNTS", (3, 4, 6))
+        patch.setattr(paper_figures, "STEPS", (5, 20, 50, 200))
+        patch.setattr(beyond_runs, "PLANS", 12)
+        patch.setattr(beyond_runs, "MARGINS", (0.0, 4.0))
+        patch.setattr(beyond_runs, "DISTANCES", (0.1, 1.0))
+        patch.setattr(beyond_runs, "COUNTS", (3, 4, 6))
         yield
 
 
@@ -95,7 +101,7 @@ def test_pictures_show_something(folder: Path, name: str) -> None:
 def test_contacts_are_blue_and_red(folder: Path) -> None:
     from matplotlib.image import imread
 
-    image = imread(folder / "figure_4.png")[..., :3]
+    image = imread(folder / "figure_4_grasps.png")[..., :3]
     human, robot, cube = np.split(image[:, : 3 * (image.shape[1] // 3)], 3, axis=1)
     assert (human[..., 2] - human[..., 0] > 0.2).sum() > 300
     # The fingertips are orange; the marks inside them are red.
@@ -148,11 +154,11 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
     """No planning and empty pictures, where the test is about files."""
     from matplotlib.figure import Figure
 
-    def make(name: str, *_: object) -> Artwork:
-        return Artwork(name, name, Figure(), [{"x": 1.0}], "Text.")
+    def make(name: str, *_: object) -> FigureRecord:
+        return FigureRecord(name, name, Figure(), [{"x": 1.0}], "Text.")
 
     monkeypatch.setattr(report, "_make", make)
-    monkeypatch.setattr(beyond, "plan", lambda *_: [])
+    monkeypatch.setattr(beyond_runs, "plan", lambda *_: [])
     for table in ("claim_rows", "number_rows"):
         monkeypatch.setattr(
             report, table, lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}]

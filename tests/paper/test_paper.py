@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandMapper
-from handmap_qp.experiments import figures
+from handmap_qp.experiments import paper_figures
 from handmap_qp.experiments.followers import IK
 from handmap_qp.experiments.held_object import (
     UNIT,
@@ -284,7 +284,7 @@ def test_gamma_matters_more_than_the_step(scene: Scene, model: str) -> None:
     for synergy in SYNERGIES:
         by_gamma = [
             object_error(run(scene, synergy, gamma=g, steps=20), MODELS[model])
-            for g in figures.GAMMAS
+            for g in paper_figures.GAMMAS
         ]
         assert (np.diff(by_gamma) > 0.0).all()
         by_steps = [

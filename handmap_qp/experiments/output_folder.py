@@ -1,4 +1,4 @@
-"""Files that are written all together or not at all."""
+"""Write several files atomically: all of them, or none."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ from handmap_qp.errors import InvalidInputError
 
 @contextmanager
 def output_folder(directory: Path) -> Iterator[Path]:
-    """A new folder beside `directory` to write into.
-
-    What is in it takes its place there if the block succeeds.
+    """Yield a temporary folder, and move its files into `directory` if the block succeeds.
 
     Args:
-        directory: Where the files shall be at the end; made if it does not exist, and files of the
-            same names in it are replaced.
+        directory: Final folder of the files; created if it does not exist. Files of the same names
+            are replaced.
 
     Yields:
         The folder to write to.
 
     Raises:
-        InvalidInputError: If it cannot be written.
+        InvalidInputError: If `directory` cannot be written.
     """
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
         if directory.exists() and not (directory.is_dir() and os.access(directory, os.W_OK)):
             raise InvalidInputError(
-                f"{directory}: expected a folder that can be written, or a new name",
-                value=directory,
+                argument="directory",
+                expected="a folder that can be written, or a new name",
+                got=str(directory),
             )
         temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=directory.parent))
         try:
@@ -45,5 +44,7 @@ def output_folder(directory: Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise InvalidInputError(
-            f"{directory}: cannot be written: {error.strerror or error}", value=directory
+            argument="directory",
+            problem=f"{directory} cannot be written: {error.strerror or error}",
+            value=directory,
         ) from error

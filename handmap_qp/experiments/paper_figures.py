@@ -1,4 +1,4 @@
-"""The paper's figures 4 to 7, redone: each function gives one `Artwork`."""
+"""The paper's figures 4 to 7: each function returns one `FigureRecord`."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from handmap_qp.experiments.artwork import Artwork, Row
-from handmap_qp.experiments.drawings import (
-    draw_first_step,
-    draw_grasps,
-    draw_sensitivity,
-    draw_ways,
-)
+from handmap_qp.experiments.figure_record import FigureRecord, Row
 from handmap_qp.experiments.held_object import (
     UNIT,
     Stiffnesses,
     in_hand_step,
     object_error,
     object_poses,
+)
+from handmap_qp.experiments.paper_drawings import (
+    draw_first_step,
+    draw_grasps,
+    draw_sensitivity,
+    draw_ways,
 )
 from handmap_qp.experiments.section_four import (
     Setting,
@@ -37,14 +37,11 @@ SYNERGIES = (1, 2, 3)
 GAMMA_STEPS = 20
 """Number of steps of the gamma sweep."""
 MODELS: dict[str, Stiffnesses | None] = {"rigid": None, "quasi-static": UNIT}
-"""How the fingers move the object.
-
-The rigid motion that follows the contacts best, or soft synergies at unit stiffness.
-"""
+"""Models of the object's motion in the hand, with the stiffnesses of the quasi-static one."""
 
 
-def figure_4() -> Artwork:
-    """Both hands on the cube, and the contact points."""
+def figure_4_grasps() -> FigureRecord:
+    """Draw both hands on the cube, and the contact points."""
     scene = paper_scene("ours")
     rows = [
         {"hand": hand, "contact": i, "finger": contact.finger, **_xyz(1e3 * point, suffix="_mm")}
@@ -53,18 +50,21 @@ def figure_4() -> Artwork:
     ]
     counts = len(scene.human.contacts), len(scene.robot.contacts)
     text = (
-        f"The human hand holds the 50 mm cube with {counts[0]} contacts and the three-fingered hand with {counts[1]}: the "
-        "reference grasps that come with the package, of the toolbox that the paper used. The contacts lie on the bones' axes, as "
-        "that toolbox takes fingers for lines; our fingers have thickness and are drawn reaching into the cube."
+        f"The human hand holds the 50 mm cube with {counts[0]} contacts and the three-fingered "
+        f"hand with {counts[1]}. These are "
+        "the reference grasps of the package, computed with the paper's toolbox. That toolbox "
+        "models fingers as lines, so the "
+        "contacts lie on the bones' axes, and our fingers, which have thickness, penetrate the "
+        "cube."
     )
     facts = {"human_contacts": counts[0], "robot_contacts": counts[1]}
-    return Artwork(
-        "figure_4", "Figure 4: both hands on the cube", draw_grasps(scene), rows, text, facts
+    return FigureRecord(
+        "figure_4_grasps", "Figure 4: both hands on the cube", draw_grasps(scene), rows, text, facts
     )
 
 
-def figure_5(steps: int = 50) -> Artwork:
-    """The ways of the object's centre in both hands, first synergy, gamma = 1."""
+def figure_5_object_paths(steps: int = 50) -> FigureRecord:
+    """Draw the paths of the object's centre in both hands: first synergy, gamma = 1."""
     setting = Setting(steps=steps)
     done = {name: run_experiment(paper_scene(name), setting) for name in ("ours", "toolbox")}
     ways = {
@@ -90,24 +90,32 @@ def figure_5(steps: int = 50) -> Artwork:
         for model in MODELS
     }
     text = (
-        f"The object's centre travels {length:.0f} mm in the human's hand. At the end the robot's is {ends['rigid']:.1f} mm "
-        f"away from it where the object follows the contacts as a rigid body, and {ends['quasi-static']:.1f} mm by the "
-        "quasi-static model at unit stiffness, in which the human's object hardly moves in the yielding hand, while T_rb "
-        "carries the robot's wrist all the same."
+        f"The object's centre travels {length:.0f} mm in the human's hand. At the end the robot's "
+        f"is {ends['rigid']:.1f} mm "
+        "away from it if the object follows the contacts as a rigid body, and "
+        f"{ends['quasi-static']:.1f} mm by the "
+        "quasi-static model at unit stiffness. In that model the object hardly moves in the "
+        "compliant human hand, whereas "
+        "T_rb still moves the robot's wrist."
     )
     facts = {
         "way": length,
         "end_rigid": ends["rigid"],
         "end_quasistatic": ends["quasi-static"],
-        "misfit": _misfits(),
+        "residual_rms": _residual_rms(),
     }
-    return Artwork(
-        "figure_5", "Figure 5: the object's way", draw_ways(done["ours"], ways), rows, text, facts
+    return FigureRecord(
+        "figure_5_object_paths",
+        "Figure 5: the object's way",
+        draw_ways(done["ours"], ways),
+        rows,
+        text,
+        facts,
     )
 
 
-def figure_6(steps: int = 50) -> Artwork:
-    """Direction of the object's motion by the synergy alone, and force variations, in the first step."""
+def figure_6_first_step(steps: int = 50) -> FigureRecord:
+    """Draw the object's motion by the synergy alone, and the force changes, in the first step."""
     scene = paper_scene("ours")
     found = {
         model: [
@@ -131,7 +139,7 @@ def figure_6(steps: int = 50) -> Artwork:
                         **_xyz(1e3 * motion),
                     }
                 )
-            # Forces come from the quasi-static model whatever moves the object.
+            # The quasi-static model gives the forces for both models of the motion.
             forces = (
                 (("human", step.human_forces), ("robot", step.robot_forces))
                 if model == "quasi-static"
@@ -158,12 +166,17 @@ def figure_6(steps: int = 50) -> Artwork:
         for one in found["quasi-static"]
     ]
     text = (
-        "Without the wrist's own motion, the first step of synergies 1 to 3 moves the object's centre in directions that are "
-        f"{listed(angles['rigid'], 0)} degrees apart in the two hands where the object follows the contacts as a rigid body, and "
-        f"{listed(angles['quasi-static'], 0)} degrees by the quasi-static model. The lengths do not agree as well: at unit "
-        f"stiffness the robot's object moves {listed(sizes)} times as far as the human's, because T_rb carries it with the wrist, "
-        "which does not yield. Force changes are in balance on each hand; with 7 contacts on one and 3 on the other they cannot be "
-        "compared one by one, as the paper says."
+        "Without the wrist's own motion, the first step of synergies 1 to 3 moves the object's "
+        "centre in directions that are "
+        f"{listed(angles['rigid'], 0)} degrees apart in the two hands if the object follows the "
+        "contacts as a rigid body, and "
+        f"{listed(angles['quasi-static'], 0)} degrees by the quasi-static model. The lengths agree "
+        "less: at unit "
+        f"stiffness the robot's object moves {listed(sizes)} times as far as the human's, because "
+        "T_rb moves it with the wrist, "
+        "which is not compliant. Force changes are in equilibrium on each hand. With 7 contacts on "
+        "one hand and 3 on the other "
+        "they cannot be compared one by one, as the paper says."
     )
     changes = [
         forces for one in found["quasi-static"] for forces in (one.human_forces, one.robot_forces)
@@ -176,13 +189,18 @@ def figure_6(steps: int = 50) -> Artwork:
         "angles_quasistatic": angles["quasi-static"],
         "force_balance": balance,
     }
-    return Artwork(
-        "figure_6", "Figure 6: the first step", draw_first_step(scene, found), rows, text, facts
+    return FigureRecord(
+        "figure_6_first_step",
+        "Figure 6: the first step",
+        draw_first_step(scene, found),
+        rows,
+        text,
+        facts,
     )
 
 
-def figure_7() -> Artwork:
-    """The object-centre error against gamma and against the number of steps."""
+def figure_7_sensitivity() -> FigureRecord:
+    """Draw the object-centre error by gamma and by number of steps."""
     cases = [
         ("gamma", Setting(synergy=s, gamma=g, steps=GAMMA_STEPS)) for s in SYNERGIES for g in GAMMAS
     ]
@@ -212,9 +230,11 @@ def figure_7() -> Artwork:
     )
     text = (
         f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "
-        f"{listed([v[-1] for v in by_gamma])} mm (the object follows the contacts as a rigid body). From 5 to 200 steps it "
-        f"varies by {listed(change, 0)} % of its value at 200. Solid lines: the robot hand as the toolbox's planner had it, its "
-        "fingers 50/3 mm farther out; dashed: the hand as it is."
+        f"{listed([v[-1] for v in by_gamma])} mm (the object follows the contacts as a rigid "
+        "body). From 5 to 200 steps it "
+        f"varies by {listed(change, 0)} % of its value at 200. Solid lines: the robot hand of the "
+        "toolbox's planner, with "
+        "fingers 50/3 mm farther out. Dashed lines: the correct hand."
     )
     facts = {
         "by_gamma": by_gamma,
@@ -232,8 +252,8 @@ def figure_7() -> Artwork:
             for s in SYNERGIES
         ],
     }
-    return Artwork(
-        "figure_7",
+    return FigureRecord(
+        "figure_7_sensitivity",
         "Figure 7: sensitivity to gamma and to the step",
         draw_sensitivity(rows),
         rows,
@@ -243,13 +263,13 @@ def figure_7() -> Artwork:
 
 
 def listed(values: Iterable[float], digits: int = 1) -> str:
-    """Numbers in a sentence: `1.0, 2.0 and 3.0`."""
+    """Format numbers for a sentence: `1.0, 2.0 and 3.0`."""
     words = [f"{value:.{digits}f}" for value in values]
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
 
 
-def _misfits() -> list[float]:
-    """RMS distance of the human's contacts from where T takes them, over the whole way at gamma = 1, by synergy [mm]."""
+def _residual_rms() -> list[float]:
+    """RMS residual of the human's contacts to T over the path at gamma = 1 [mm], by synergy."""
     scene = paper_scene("ours")
     ways = [human_motion(scene, Setting(synergy=synergy)).points for synergy in SYNERGIES]
     return [1e3 * rms(estimate_motion(points[0], points[-1]).residual_vectors) for points in ways]
@@ -262,7 +282,7 @@ def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:
 
 
 def _column(rows: list[Row], sweep: str, synergy: int, name: str, at_least: int = 0) -> list[float]:
-    """One curve of the sensitivities, of the toolbox's geometry."""
+    """One curve of the sensitivities, with the toolbox's geometry."""
     wanted = ("toolbox", sweep, synergy)
     return [
         row[name]

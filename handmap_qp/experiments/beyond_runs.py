@@ -1,8 +1,6 @@
-"""What the paper names as open, as numbers.
+"""Runs beyond the paper, on its open questions; `beyond_figures` draws them.
 
-The runs behind the figures of `handmap_qp.experiments.figures_beyond`.
-
-Each function gives the rows of one table. The object follows the contacts as a rigid body, and
+Each function returns the rows of one table. The object follows the contacts as a rigid body, and
 lengths are in millimetres.
 """
 
@@ -15,8 +13,8 @@ from itertools import combinations, product
 import numpy as np
 
 from handmap_qp.errors import DegeneratePointsError
-from handmap_qp.experiments.artwork import Row
-from handmap_qp.experiments.followers import Fingers
+from handmap_qp.experiments.figure_record import Row
+from handmap_qp.experiments.followers import FingerMode
 from handmap_qp.experiments.held_object import object_error
 from handmap_qp.experiments.section_four import (
     Pivot,
@@ -34,29 +32,26 @@ from handmap_qp.hands.library import load_hand
 SYNERGIES = (1, 2, 3)
 STEPS = 20
 COUNTS = (3, 4, 5, 6, 7)
-"""How many of the seven human contacts are chosen."""
+"""Numbers of human contacts in a subset of the seven."""
 RIDGE = 0.1
-"""Ridge of eq. (6) where fewer than four points, or points near a plane, are to give T.
-
-The library's default.
-"""
+"""Ridge of eq. (6) for fewer than four points, or points near a plane; the library's default."""
 PLANS = 240
-"""Grasps planned for each hand."""
+"""Number of grasps planned for each hand."""
 SEED = 1
 PAIRS = 30
-"""Pairs of planned grasps that are run."""
+"""Number of pairs of planned grasps."""
 MARGINS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
-"""How far joints may go either way from where they start [deg]."""
+"""Joint limits on either side of the start posture [deg]."""
 DISTANCES = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Distances of the scene from the world's origin [m]."""
 _OPPOSITION = {"allegro_right": "joint_12.0"}
-"""The joint that opposes the thumb to the fingers, which closing leaves where it starts."""
+"""Joint of the thumb's opposition, by hand; closing does not move it."""
 HUMAN_SETS = ("contacts", "fingertips", "fingertips_middle", "joints")
 ROBOT_SETS = ("contacts", "fingertips", "fingertips_middle")
 
 
 def limit_rows() -> list[Row]:
-    """The fingers' ways of following, within joint limits closer and closer round the start."""
+    """Compare inverse kinematics within symmetric joint limits about the start posture."""
     base = paper_scene("ours")
     rows: list[Row] = []
     for synergy in SYNERGIES:
@@ -73,13 +68,13 @@ def limit_rows() -> list[Row]:
 
 
 def own_limit_rows() -> list[Row]:
-    """The same within the toolbox's own limits, 0 to 90 degrees in every joint, and within those of our hand."""
+    """Compare inverse kinematics within the toolbox's limits (0 to 90 degrees) and our hand's."""
     rows: list[Row] = []
     for name in ("toolbox", "ours"):
         base = paper_scene("ours")
         hand = base.robot_points
         if name == "toolbox":
-            # Where the grasp starts a little outside, it may stay there.
+            # The grasp may start slightly outside; widen the limits to include it.
             lower, upper = np.minimum(0.0, base.robot.q), np.maximum(0.5 * np.pi, base.robot.q)
             hand = limited_hand(hand, base.robot.q, lower, upper)
         for synergy, fingers in product(SYNERGIES, ("pseudoinverse", "clipped", "damped", "qp")):
@@ -92,8 +87,8 @@ def own_limit_rows() -> list[Row]:
 
 
 def point_rows(gammas: Sequence[float]) -> list[Row]:
-    """Points and object, with fingers that follow and with frozen ones."""
-    cases: list[tuple[Fingers, int, float]] = list(
+    """Compare errors of points and object with moving and with frozen fingers."""
+    cases: list[tuple[FingerMode, int, float]] = list(
         product(("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas)
     )
     return [
@@ -112,14 +107,14 @@ def point_rows(gammas: Sequence[float]) -> list[Row]:
 
 
 def subset_rows() -> list[Row]:
-    """Every choice of three or more of the seven human contacts as reference points."""
+    """Use each subset of three or more of the seven human contacts as reference points."""
     base = paper_scene("ours")
     rows: list[Row] = []
     for count in COUNTS:
         for chosen in combinations(base.human.point_specs, count):
             scene = replace(base, human_points=base.human.hand.with_points(chosen))
             for ridge, synergy in product((0.0, RIDGE), SYNERGIES):
-                # Three points never determine T without a ridge, and four in a plane neither.
+                # Without a ridge, three points or four in a plane do not determine T.
                 try:
                     measures = _measures(
                         run_experiment(scene, Setting(synergy=synergy, steps=STEPS, ridge=ridge))
@@ -133,10 +128,7 @@ def subset_rows() -> list[Row]:
 
 
 def placement_rows() -> list[Row]:
-    """Where the reference points are, on both hands.
-
-    The object is held at the contacts all the same.
-    """
+    """Vary the sets of reference points of both hands; the contacts remain the same."""
     base = paper_scene("ours")
     human, robot = load_hand("human"), load_hand("three_finger")
     rows: list[Row] = []
@@ -167,19 +159,21 @@ Plans = dict[str, list[PlannedGrasp]]
 
 
 def plan(hand: str, progress: Callable[[int], None] | None = None) -> list[PlannedGrasp]:
-    """Grasps of the reference cube, as found by the planner; best first.
+    """Plan grasps of the reference cube.
 
     Args:
         hand: Name of the hand.
-        progress: Called with the number of grasps made after each one.
+        progress: Called after each grasp with the number of grasps done.
+
+    Returns:
+        The grasps, best first.
     """
     cube, model = paper_scene("ours").human, load_hand(hand)
     if cube.shape is None:
         raise TypeError("the reference grasp has no shape")
     preshape = default_preshape(model)
     if hand in _OPPOSITION:
-        # With its thumb at rest, and from as far as the planner starts, this large hand never gets
-        # all round so small a cube.
+        # With the thumb at rest and the default clearance, this large hand never encloses the cube.
         joint, start = model.joint_names.index(_OPPOSITION[hand]), preshape.start.copy()
         start[joint] = model.upper_limits[joint]
         preshape = replace(preshape, start=start, clearance=0.0)
@@ -195,10 +189,10 @@ def plan(hand: str, progress: Callable[[int], None] | None = None) -> list[Plann
 
 
 def start_rows(plans: Plans) -> list[Row]:
-    """Pairs of planned grasps, each the start of its own experiment.
+    """Run the experiment from pairs of planned grasps.
 
-    The n-th force-closed human grasp in the order of trials is paired with the n-th of the robot's,
-    so pairs are random.
+    The n-th human grasp with force closure, in the order of trials, is paired with the robot's
+    n-th, so pairs are random.
     """
     pools = {
         name: [one for one in sorted(plans[name], key=lambda one: one.trial) if one.quality > 0.0]
@@ -223,14 +217,14 @@ def start_rows(plans: Plans) -> list[Row]:
 
 
 def allegro_scene(plans: Plans) -> Scene:
-    """The human's reference grasp, and the best planned one of the Allegro hand on the same cube."""
+    """Return the scene of the human's reference grasp and the Allegro hand's best planned one."""
     return Scene.at_contacts(paper_scene("ours").human, plans["allegro_right"][0].grasp)
 
 
 def allegro_rows(plans: Plans, gammas: Sequence[float]) -> list[Row]:
-    """The Allegro hand in place of the three-fingered one."""
+    """Compare the Allegro hand with the three-fingered one."""
     scenes = {"three_finger": paper_scene("ours"), "allegro_right": allegro_scene(plans)}
-    cases: list[tuple[str, Fingers, int, float]] = list(
+    cases: list[tuple[str, FingerMode, int, float]] = list(
         product(scenes, ("pseudoinverse", "qp", "frozen"), SYNERGIES, gammas)
     )
     return [
@@ -251,9 +245,9 @@ def allegro_rows(plans: Plans, gammas: Sequence[float]) -> list[Row]:
 
 
 def origin_rows() -> list[Row]:
-    """The whole scene farther and farther from the world's origin, in 14 directions.
+    """Move the scene away from the world's origin.
 
-    In three where it should not matter.
+    14 directions for the pivot `origin`; three for the other pivots, which must not depend on it.
     """
     axes = np.vstack(
         [np.eye(3), -np.eye(3), np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)]
@@ -277,7 +271,7 @@ def origin_rows() -> list[Row]:
 
 
 def nudged_rows() -> list[Row]:
-    """The scene a metre along x from the origin, T_def about the origin, and the same a tenth of a millimetre farther."""
+    """Place the scene 1 m from the origin along x, and 0.1 mm farther, with the pivot `origin`."""
     rows: list[Row] = []
     for nudge, synergy in product((0.0, 1e-4), SYNERGIES):
         scene = paper_scene("ours").moved(np.array([1.0 + nudge, 0.0, 0.0]))
@@ -289,11 +283,7 @@ def nudged_rows() -> list[Row]:
 
 
 def _measures(run: Run) -> Row:
-    """What every table has.
-
-    Object, points, the farthest joint outside its limits, the wrist off T_rb, and T's largest
-    stretch.
-    """
+    """Columns of all tables: errors of object and points, limit violation, largest stretch."""
     return {
         "object_error_mm": 1e3 * object_error(run),
         "point_rms_mm": 1e3 * run.point_rms,

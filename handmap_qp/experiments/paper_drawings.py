@@ -1,4 +1,4 @@
-"""The pictures of the paper's figures 4 to 7, from numbers that `handmap_qp.experiments.figures` has found."""
+"""Drawing functions of the paper's figures 4 to 7; `paper_figures` computes their numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from handmap_qp.drawing.hands import (
     tube,
 )
 from handmap_qp.drawing.raster import Camera, Triangles, merged
-from handmap_qp.experiments.artwork import Row
+from handmap_qp.experiments.figure_record import Row
 from handmap_qp.experiments.held_object import InHandStep, object_poses
 from handmap_qp.experiments.section_four import Run, Scene
 from handmap_qp.experiments.style import (
@@ -43,7 +43,7 @@ _BALL = 0.0032
 
 @styled
 def draw_grasps(scene: Scene) -> Figure:
-    """Both hands on the cube, and the contacts on its faces."""
+    """Draw both hands on the cube, and the contacts on its faces."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 3.9))
@@ -90,12 +90,12 @@ def draw_grasps(scene: Scene) -> Figure:
 
 @styled
 def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) -> Figure:
-    """Both hands on their way with the object's centres, and how far these are apart.
+    """Draw both hands on the arc with the paths of the object's centres, and their distance.
 
     Args:
         run: The run to draw.
-        ways: By geometry and object model: the centre in the human's hand and in the robot's, shape
-            (N + 1, 3) each.
+        ways: Paths of the centre in the human's and in the robot's hand [m], shape (N + 1, 3) each,
+            by geometry and object model.
 
     Returns:
         The picture.
@@ -132,9 +132,7 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
     for (geometry, model), (human, robot) in ways.items():
         colour = COLOURS[2] if model == "rigid" else COLOURS[3]
         style = "-" if geometry == "ours" else (0, (4, 2))
-        label = (
-            f"{model}, {'the hand as it is' if geometry == 'ours' else 'fingers as in the toolbox'}"
-        )
+        label = f"{model}, {'correct hand' if geometry == 'ours' else 'fingers as in the toolbox'}"
         axes.plot(
             way,
             1e3 * np.linalg.norm(human - robot, axis=1),
@@ -143,7 +141,7 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
             label=label,
         )
     axes.set_title("c) Distance between the two centres")
-    axes.set_xlabel("share of the way")
+    axes.set_xlabel("share of the path")
     axes.set_ylabel("mm")
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(bottom=0.0)
@@ -153,11 +151,11 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
 
 @styled
 def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> Figure:
-    """The object's motion and the force changes in the first step, one column a synergy.
+    """Draw the object's motion and the force changes in the first step, one column per synergy.
 
     Args:
         scene: Both hands at the start.
-        found: By object model, one entry a synergy.
+        found: One entry per synergy, by object model.
 
     Returns:
         The picture.
@@ -224,14 +222,17 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
                     title,
                     f"longest arrows: human {most[0]:.3g} mN, robot {most[1]:.3g} mN",
                 )
-    note = "Blue: human; red: robot. Motions are all drawn at one length, forces of each hand to the scale of its largest."
+    note = (
+        "Blue: human; red: robot. All motions have the same length; "
+        "the forces of each hand are scaled by its largest one."
+    )
     figure.text(0.013, 0.012, note, fontsize=8, color=PALE)
     return figure
 
 
 @styled
 def draw_sensitivity(rows: Sequence[Row]) -> Figure:
-    """Object-centre error against gamma and against the number of steps, one column an object model."""
+    """Draw the object-centre error by gamma and by number of steps, one column per model."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.6, 6.0), layout="constrained")
@@ -279,13 +280,13 @@ def grasp_triangles(
     wrist_pose: np.ndarray | None = None,
     object_pose: np.ndarray | None = None,
 ) -> Triangles:
-    """A hand and the box that it holds, as triangles.
+    """Return the triangles of a hand and the box that it holds.
 
     Args:
         grasp: The grasp.
         q: Joint angles [rad], shape (n,).
-        wrist_pose: The wrist, shape (4, 4); the grasp's own if omitted.
-        object_pose: The box, shape (4, 4); the grasp's own if omitted.
+        wrist_pose: Pose of the wrist, shape (4, 4); the grasp's if omitted.
+        object_pose: Pose of the box, shape (4, 4); the grasp's if omitted.
 
     Returns:
         Triangles in the world.
@@ -310,7 +311,7 @@ def _box_size(grasp: Grasp) -> tuple[float, float, float]:
 
 
 def heading(axes: Axes, camera: Camera, title: str, subtitle: str) -> None:
-    """A title and a line below it at the upper left of a picture, in the camera's pixels."""
+    """Write a title and a line below it at the upper left, in the camera's pixels."""
     width, height = camera.size
     axes.text(0.04 * width, 0.0, title, fontsize=11, fontweight="bold", va="bottom")
     axes.text(0.04 * width, 0.012 * height, subtitle, fontsize=8, color=PALE, va="top")

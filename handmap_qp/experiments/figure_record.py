@@ -1,4 +1,4 @@
-"""A figure with what goes with it: the numbers behind it, and a paragraph on what they show."""
+"""A figure, its numbers and a paragraph about them, ready to be written to files."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Artwork:
-    """A figure ready to be written.
+class FigureRecord:
+    """A figure with its numbers and text.
 
     Attributes:
-        name: Stem of its files.
-        title: Its heading in the report.
-        figure: The picture.
-        rows: The numbers behind it; every row has the same columns, whose names bear the units.
-        text: What the numbers show, as Markdown.
-        facts: Numbers that the table of claims picks up, by name.
+        name: Stem of its file names.
+        title: Heading in the report.
+        figure: The figure.
+        rows: Its numbers; all rows have the same columns, with units in their names.
+        text: Description of the result, as Markdown.
+        facts: Numbers for the table of claims, by name.
     """
 
     name: str
@@ -41,13 +41,13 @@ class Artwork:
 
         with require_matplotlib().rc_context(STYLE):
             self.figure.savefig(folder / f"{self.name}.png")
-            # Without a date the same numbers give the same file.
+            # No date: the same numbers must give the same file.
             self.figure.savefig(folder / f"{self.name}.svg", metadata={"Date": None})
         self.write_csv(folder / f"{self.name}.csv", self.rows)
 
     @staticmethod
     def write_csv(path: Path, rows: Sequence[Row]) -> None:
-        """Write rows that have the same columns."""
+        """Write rows with the same columns to a CSV file."""
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
             writer.writeheader()
@@ -55,7 +55,7 @@ class Artwork:
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
-    """Rows as a Markdown table; numbers with four significant digits."""
+    """Format rows as a Markdown table; numbers have four significant digits."""
     lines = [list(rows[0]), *([_short(value) for value in row.values()] for row in rows)]
     rule = ["---:" if isinstance(value, int | float) else "---" for value in rows[0].values()]
     return "\n".join("| " + " | ".join(line) + " |" for line in [lines[0], rule, *lines[1:]])

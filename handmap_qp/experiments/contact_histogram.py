@@ -1,4 +1,4 @@
-"""Pictures of planned grasps: with how many contacts a hand holds an object."""
+"""Histogram of the number of contacts in planned grasps."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ def contact_histogram_figure(
     counts: Mapping[str, Mapping[int, int]],
     published: Mapping[str, Mapping[int, int]] | None = None,
 ) -> Figure:
-    """How many of each hand's grasps have so many contacts.
+    """Draw the share of grasps by number of contacts, one panel per hand.
 
     Args:
-        counts: By name of the hand, grasps by number of contacts (`contact_counts`).
-        published: The same to compare with (`ReferenceGrasp.published_counts`), for any of these
+        counts: Numbers of grasps by number of contacts (`contact_counts`), by name of the hand.
+        published: The same for comparison (`ReferenceGrasp.published_counts`), for any of these
             hands; drawn as outlines.
 
     Returns:
-        The picture, one field per hand, in shares of each hand's grasps.
+        The figure.
 
     Raises:
-        InvalidInputError: If there is no hand, or a hand without grasps.
+        InvalidInputError: If there is no hand, or a hand has no grasps.
         MissingExtraError: If matplotlib is not installed.
     """
     from matplotlib.figure import Figure
 
     if not counts or not all(sum(one.values()) for one in counts.values()):
         raise InvalidInputError(
-            "counts: expected at least one hand, and grasps of each", value=counts
+            argument="counts", expected="at least one hand, and grasps of each", value=counts
         )
     references = published or {}
     ranges = [sorted({*one, *references.get(name, {})}) for name, one in counts.items()]
-    # Equal bars in all fields: a field is as wide as the numbers that it has to show.
+    # Bars of equal width: a panel is as wide as its range of numbers.
     widths = [max(numbers[-1] - numbers[0] + 2.0, 4.0) for numbers in ranges]
     figure = Figure(figsize=(1.6 + 0.6 * sum(widths), 3.4), layout="constrained")
     fields = figure.subplots(1, len(counts), sharey=True, squeeze=False, width_ratios=widths)[0]
@@ -87,7 +87,7 @@ def _draw(
         )
     for number, share in shares.items():
         outline = theirs.get(number, 0.0)
-        # The label stands on its own bar, but not across an outline just above it.
+        # Place the label on its bar, or above an outline that it would overlap.
         top = outline if share < outline < share + 10.0 else share
         axes.annotate(
             f"{share:.0f} %",
