@@ -214,8 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        # The reader of stdout has closed it (`| head`): end quietly, also when Python flushes stdout
-        # at exit.
+        # The reader closed stdout (`| head`): end quietly, also when Python flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("handmap: interrupted, nothing was written", file=sys.stderr)
@@ -287,7 +286,7 @@ def _any_command() -> Any:
 
 
 def _wrapped(page: str) -> str:
-    """Wrap the lines of a help page that tyro leaves longer than the terminal: the description."""
+    """Wrap the lines of a help page that tyro leaves too long: the description."""
     width = max(40, shutil.get_terminal_size().columns)
     lines = (
         line

@@ -1,11 +1,9 @@
-"""Pictures of hands from the shapes in their URDFs.
+"""Pictures of hands from their URDFs: `load_shape`, `HandShape.triangles`, `draw_hands`.
 
-`load_shape`, `HandShape.triangles`, `draw_hands`.
-
-The visual shapes (boxes, cylinders, spheres, meshes) are read once, made into triangles in link
-coordinates, and placed by the hand's own forward kinematics. The picture is rendered by
-`handmap_qp.drawing.raster` and laid into a matplotlib axes whose coordinates are pixels, so that
-anything can be drawn over it at `camera.project(points)`.
+Visual shapes (boxes, cylinders, spheres, meshes) are read once as triangles in link coordinates,
+and placed by the hand's forward kinematics. `handmap_qp.drawing.raster` renders the picture into
+a matplotlib axes whose coordinates are pixels, so that `camera.project(points)` gives the position
+of anything drawn over it.
 """
 
 from __future__ import annotations
@@ -31,14 +29,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HUMAN_COLOUR = (0.13, 0.40, 0.85)
-"""Of the human's reference points (the paper's Fig. 4: blue)."""
+"""Colour of the human's reference points (blue, as in the paper's Fig. 4)."""
 ROBOT_COLOUR = (0.84, 0.16, 0.16)
-"""Of the robot's reference points (red)."""
+"""Colour of the robot's reference points (red)."""
 
 _GREY = (0.62, 0.64, 0.67)
-# Per mesh file.
+# Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
-# Faces that meet at a flatter angle than this are one smooth surface.
+# Faces that meet at a smaller angle than this are shaded as one smooth surface.
 _SMOOTH_ANGLE = np.radians(40.0)
 
 
@@ -57,12 +55,12 @@ class LinkShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandShape:
-    """The visual shapes of a hand, ready to be placed.
+    """The visual shapes of a hand.
 
     Attributes:
         hand: The hand.
         links: One entry per link that has shapes.
-        missing: Mesh files that the URDF names and that could not be read.
+        missing: Mesh files named by the URDF that could not be read.
     """
 
     hand: Hand
@@ -70,12 +68,12 @@ class HandShape:
     missing: tuple[str, ...] = ()
 
     def triangles(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> Triangles:
-        """The hand's surface in one posture.
+        """Return the hand's surface in one posture.
 
         Args:
             q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted. Refused by a
-                fixed hand.
+            wrist_pose: Wrist pose in the world, shape (4, 4); the identity if omitted. Must be
+                omitted for a fixed hand.
 
         Returns:
             Triangles in the world: `vertices` [m], `colours` and `normals`.
@@ -94,15 +92,14 @@ class HandShape:
 
 
 def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) -> HandShape:
-    """Read the visual shapes of a hand from its URDF; of one without any, the collision shapes.
+    """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
 
-    Meshes are looked for where the URDF says, relative to its own file; `package://` names are
-    resolved in installed packages of robot descriptions. One that cannot be read is left out and
-    named in `HandShape.missing`.
+    Mesh paths are resolved as in `handmap_qp.hands.urdf.files.find_mesh`. A mesh that cannot be
+    read is left out and named in `HandShape.missing`.
 
     Args:
         hand: The hand.
-        colour: Red, green and blue in 0..1 for all of it; the URDF's own colours if omitted.
+        colour: Red, green and blue in 0..1 for the whole hand; the URDF's colours if omitted.
 
     Returns:
         The shapes.
@@ -124,8 +121,7 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
     for link in robot.links:
         parts = []
         for visual in link.visuals if has_visuals else link.collisions:
-            # Where a material is defined inside a visual, others may name it without repeating its
-            # colour.
+            # A material defined inside a visual may be referred to by name elsewhere.
             material = visual.material if isinstance(visual, Visual) else None
             if material is not None and material.color is not None:
                 palette[material.name] = material.color
@@ -145,7 +141,7 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
 
 
 def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]) -> Triangles:
-    """Small spheres, to mark points.
+    """Return small spheres that mark points.
 
     Args:
         centres: Points [m], shape (n, 3).
@@ -170,19 +166,19 @@ def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, f
 def tube(
     path: npt.ArrayLike, radius: float, colour: tuple[float, float, float], *, sides: int = 10
 ) -> Triangles:
-    """A thin tube along a path.
+    """Return a thin tube along a path.
 
     Args:
         path: Points of the path [m], shape (n, 3), n >= 2.
         radius: Radius [m].
         colour: Red, green and blue in 0..1.
-        sides: Corners of its cross-section.
+        sides: Number of corners of its cross-section.
 
     Returns:
         Its triangles.
 
     Raises:
-        InvalidInputError: If the path has no length.
+        InvalidInputError: If the path has no two different points.
     """
     points = np.asarray(path, dtype=float)
     is_new = (
@@ -192,10 +188,12 @@ def tube(
     )
     points = points[is_new]
     if len(points) < 2:
-        raise InvalidInputError("path: expected at least two different points")
+        raise InvalidInputError(
+            argument="path", expected="at least two different points", value=path
+        )
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
-    # The first normal is carried along and kept at right angles, so the tube does not twist.
+    # Propagate the first normal and project it at right angles to each tangent: no twist.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     rings = np.empty((len(points), sides, 3))
     angles = 2.0 * np.pi * np.arange(sides) / sides
@@ -227,18 +225,17 @@ def draw_hands(
     ground: float | None = None,
     supersampling: int = 2,
 ) -> None:
-    """Draw a picture of hands into an axes, whose coordinates become the camera's pixels.
+    """Draw hands into an axes, whose coordinates become the camera's pixels.
 
-    All that belongs into one picture is drawn at once, so that hands hide one another as they
-    should.
+    Draw everything in one call, so that hands occlude one another correctly.
 
     Args:
         axes: The axes; its frame and ticks are removed.
-        triangles: Everything solid, put together with `merged`.
-        camera: Where from; see `Camera.framing`.
-        marks: What shines through: `spheres` and `tube`s.
+        triangles: All solid parts, combined with `merged`.
+        camera: The camera; see `Camera.framing`.
+        marks: `spheres` and `tube`s that stay visible behind solid parts.
         ground: Height of a floor for soft shadows [m]; none if omitted.
-        supersampling: Samples per pixel along each side; more is smoother.
+        supersampling: Samples per pixel along each side.
 
     Raises:
         MissingExtraError: If matplotlib is not installed.
@@ -276,10 +273,7 @@ def _trimesh() -> Any:
 
 
 def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
-    """Vertices (v, 3) and faces (f, 3) of a URDF geometry in its own coordinates.
-
-    None for a mesh that cannot be read.
-    """
+    """Return vertices (v, 3) and faces (f, 3) of a URDF geometry; None for an unreadable mesh."""
     if geometry.box is not None:
         solid = trimesh.creation.box(extents=geometry.box.size)
     elif geometry.sphere is not None:
@@ -293,7 +287,7 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
     else:
         try:
             solid = trimesh.load_mesh(mesh_file(geometry.mesh.filename, spec))
-        # Whatever a mesh reader dislikes, a picture without one part beats no picture.
+        # Mesh readers raise many types; draw the hand without this part.
         except Exception:
             return None
         if not isinstance(solid, trimesh.Trimesh) or len(solid.faces) == 0:
@@ -309,10 +303,7 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
 
 
 def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of a mesh, outsides only.
-
-    One that is not closed has no outside, and is given faces on both sides.
-    """
+    """Return vertices and faces of a mesh, outward faces only; both sides if it is not closed."""
     vertices, faces = _simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     vertices = vertices * scale
     if not (mesh.is_watertight and mesh.is_winding_consistent):
@@ -324,15 +315,12 @@ def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mesh_file(name: str, spec: HandSpec) -> Path:
-    """Where a mesh that a hand's URDF names lies on disk; see `find_mesh`."""
+    """Return the path of a mesh of a hand's URDF; see `find_mesh`."""
     return find_mesh(name, urdf_path(spec).parent)
 
 
 def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A mesh of few enough triangles.
-
-    Vertices that share a cell of a grid become one, and the grid is as fine as it may be.
-    """
+    """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
     cells, coarse, cell_of = 96, faces, np.arange(len(vertices))
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
@@ -356,17 +344,16 @@ def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
 def _triangles(
     vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, colour: tuple[float, float, float]
 ) -> Triangles:
-    """A solid in link coordinates, with normals that are smooth except at edges."""
+    """Return a solid in link coordinates, with normals that are smooth except at edges."""
     corners = transform_points(origin, vertices)[faces]
     return Triangles(corners, np.tile(colour, (len(faces), 1)), _corner_normals(corners, faces))
 
 
 def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """At each corner the mean normal of the faces around its vertex that belong to the same smooth surface, shape (n, 3, 3)."""
+    """Return at each corner the mean normal of adjacent faces of the smooth surface, (n, 3, 3)."""
     crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = crossed / np.maximum(np.linalg.norm(crossed, axis=1, keepdims=True), 1e-15)
-    # Weighting by the angle at the corner makes the mean independent of how the surface was cut
-    # into triangles.
+    # Weights by the corner's angle make the mean independent of the triangulation.
     sides = corners[:, [1, 2, 0]] - corners
     sides /= np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-15)
     angles = np.arccos(
@@ -392,7 +379,7 @@ def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _colour(material: Any, palette: dict[str | None, Any]) -> tuple[float, float, float]:
-    """Colour of a URDF material: its own, or that of the material it names; grey without one."""
+    """Return the colour of a URDF material, its own or by name; grey without one."""
     if material is None or material.name not in palette:
         return _GREY
     red, green, blue = (float(value) for value in palette[material.name].rgba[:3])

@@ -1,9 +1,8 @@
-"""A small software renderer: triangles in, a shaded picture with transparency out, in numpy alone.
+"""A small software renderer in numpy: triangles in, a shaded picture with transparency out.
 
-A z-buffer settles which surface is in front pixel by pixel, which painter's sorting cannot do for
-hands whose fingers cross. Every pixel is then lit once: two lights, light from the sky, a soft
-highlight, and darker creases where surfaces meet. The picture is rendered finer than asked for and
-averaged down, which smooths all edges.
+A z-buffer resolves occlusion per pixel; painter's sorting fails for fingers that cross. Each pixel
+is shaded once: two directional lights, ambient light from the sky, a soft highlight, and ambient
+occlusion in creases. The picture is supersampled and averaged, which smooths all edges.
 """
 
 from __future__ import annotations
@@ -17,18 +16,18 @@ from scipy.ndimage import gaussian_filter
 from handmap_qp.transform import affine, transform_points
 
 _NEAR = 1e-3
-# Bits of the z-buffer's key: nearness above, the triangle's number below.
+# The z-buffer's key: nearness in the high bits, triangle index in the low bits.
 _NEARNESS_STEPS = 2**31 - 1
 _INDEX_BITS = 32
-# Pixels looked at in one go; bounds the memory of a picture to about 200 MB.
+# Pixels per chunk; bounds the memory of a picture to about 200 MB.
 _CHUNK = 1_500_000
 
-# Directions towards the lights in camera axes (x right, y down, z forward): the key over the left
-# shoulder, the fill at the right.
+# Directions towards the lights in camera axes (x right, y down, z forward): key light from the
+# upper left, fill light from the right.
 _KEY_DIRECTION = np.array([-0.45, -0.75, -0.5])
 _FILL_DIRECTION = np.array([0.8, -0.05, -0.45])
 _KEY, _FILL, _SKY, _GROUND, _HIGHLIGHT = 0.72, 0.16, 0.30, 0.12, 0.10
-# Nothing real is darker than this, and shape would be lost in it.
+# Minimum albedo, so that black parts still show their shape.
 _DARKEST = 0.03
 _CREASE_RADIUS = 0.007
 _CREASE_DEPTH = 0.55
@@ -53,14 +52,12 @@ class Triangles(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A pinhole camera. Its axes: x right, y down, z forward.
-
-    Pixel (0, 0) is the picture's upper left corner.
+    """A pinhole camera with axes x right, y down, z forward; pixel (0, 0) is the upper left corner.
 
     Attributes:
-        world_to_camera: Takes world coordinates to camera coordinates, shape (4, 4).
-        focal_length: Pixels per unit of tangent.
-        centre: Pixel that the camera's axis goes through (x, y).
+        world_to_camera: Change of coordinates from world to camera, shape (4, 4).
+        focal_length: Focal length [pixel].
+        centre: Principal point (x, y) [pixel].
         size: Width and height of the picture [pixel].
     """
 
@@ -80,17 +77,17 @@ class Camera:
         margin: float = 0.04,
         distance: float = 5.0,
     ) -> Camera:
-        """The camera that fills a picture with given points.
+        """Return the camera that fills a picture with given points.
 
         Args:
-            points: What must be in the picture [m], shape (n, 3).
+            points: Points that must be in the picture [m], shape (n, 3).
             size: Width and height of the picture [pixel].
-            azimuth: Where the camera stands, as seen from the points: angle about the world's z
-                axis, from x [deg].
-            elevation: How far it stands above them [deg]; between -90 and 90, both excluded.
-            margin: Room left on every side, as a fraction of the smaller of width and height.
-            distance: Distance from the points' middle, in units of their radius; a large one makes
-                a long lens.
+            azimuth: Direction from the points to the camera: angle about the world's z axis, from x
+                [deg].
+            elevation: Angle of that direction above the horizontal plane [deg], in (-90, 90).
+            margin: Margin on every side, as a fraction of the smaller of width and height.
+            distance: Distance from the points' centre, in units of their radius; larger values give
+                less perspective.
 
         Returns:
             The camera.
@@ -113,7 +110,7 @@ class Camera:
         return cls(world_to_camera, focal_length, (float(centre[0]), float(centre[1])), size)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Where points appear.
+        """Project points into the picture.
 
         Args:
             points: Points in the world [m], shape (..., 3).
@@ -127,7 +124,7 @@ class Camera:
         return seen
 
     def magnified(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels along each side."""
+        """Return the same view with `factor` times as many pixels along each side."""
         x, y = self.centre
         size = (factor * self.size[0], factor * self.size[1])
         return Camera(
@@ -136,10 +133,10 @@ class Camera:
 
 
 class _Surface(NamedTuple):
-    """What the z-buffer keeps: the k covered pixels and the triangle in front at each.
+    """Result of the z-buffer: the k covered pixels and the triangle in front at each.
 
-    `planes` (n, 3, 3) are the barycentric coordinates of every triangle as linear functions of the
-    pixel: x, y, constant.
+    `planes` (n, 3, 3) holds the barycentric coordinates of each triangle as linear functions of the
+    pixel (coefficients of x, y, and the constant).
     """
 
     pixels: np.ndarray
@@ -149,7 +146,7 @@ class _Surface(NamedTuple):
 
 
 def merged(parts: list[Triangles]) -> Triangles:
-    """Several sets of triangles as one."""
+    """Concatenate several sets of triangles."""
     if not parts:
         return Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
     return Triangles(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
@@ -166,11 +163,10 @@ def render(
     """Render a picture.
 
     Args:
-        triangles: The solid things in it.
-        camera: Where from.
-        marks: Things that shine through the solid ones where they are behind them, such as
-            reference points.
-        ground: Height of a floor that catches soft shadows [m]; no shadows if omitted.
+        triangles: Solid parts.
+        camera: The camera.
+        marks: Parts that stay visible behind solid ones, such as reference points.
+        ground: Height of a floor that receives soft shadows [m]; no shadows if omitted.
         supersampling: Samples per pixel along each side.
 
     Returns:
@@ -190,22 +186,21 @@ def render(
     if ground is not None:
         shadow = _shadow(triangles.vertices, camera, ground)
         picture[..., 3] += shadow * (1.0 - picture[..., 3])
-    # Colours were summed premultiplied by opacity (black where nothing is): undo that, then encode
-    # for a screen.
+    # Colours were averaged premultiplied by opacity: divide by it, then apply gamma.
     light = picture[..., :3] / np.maximum(picture[..., 3:], 1e-6)
     picture[..., :3] = np.clip(light, 0.0, 1.0) ** (1.0 / 2.2)
     return picture
 
 
 def _rasterise(vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = False) -> _Surface:
-    """The triangle in front at every pixel's centre; those seen from behind are left out."""
+    """Find the triangle in front at every pixel's centre; cull those seen from behind."""
     width, height = camera.size
     corners = camera.project(vertices)
     planes, area = _planes(corners)
     nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(corners[..., 2], _NEAR), planes)
     is_seen = (corners[..., 2] > _NEAR).all(axis=1) & np.isfinite(planes).all(axis=(1, 2))
     is_seen &= is_two_sided | (area > 0.0)
-    # The z-buffer holds nearness and triangle in one integer, so that one maximum settles both.
+    # Nearness and triangle index share one integer, so that one maximum updates both.
     nearest, farthest = (
         1.0 / max(corners[..., 2].min(initial=1.0), _NEAR),
         1.0 / max(corners[..., 2].max(initial=1.0), _NEAR),
@@ -235,25 +230,24 @@ def _rasterise(vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = Fal
 
 
 def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric coordinates as linear functions of the pixel (n, 3, 3), and twice the areas (n,), > 0 when seen from in front."""
+    """Return barycentric coordinates as linear functions of the pixel, and twice the areas.
+
+    Shapes (n, 3, 3) and (n,); the area is positive if the triangle is seen from the front.
+    """
     x, y = corners[..., 0], corners[..., 1]
     after, before = [1, 2, 0], [2, 0, 1]
     constant = x[:, after] * y[:, before] - x[:, before] * y[:, after]
     area = constant.sum(axis=1)
     planes = np.stack([y[:, after] - y[:, before], x[:, before] - x[:, after], constant], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        # y points down in the picture: a triangle wound counter-clockwise in space has a negative
-        # area there.
+        # y points down, so a counter-clockwise triangle has a negative area in the picture.
         return planes / area[:, None, None], -area
 
 
 def _spans(
     corners: np.ndarray, planes: np.ndarray, is_seen: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The pixels whose centres lie inside triangles, row by row.
-
-    Triangle, row, first column and number of columns of each span.
-    """
+    """Return the spans of pixels inside triangles: triangle, row, first column, length."""
     width, height = size
     seen = np.flatnonzero(is_seen)
     y = corners[seen, :, 1]
@@ -271,7 +265,7 @@ def _spans(
         low = np.where(slope > 0.0, np.maximum(low, edge), low)
         high = np.where(slope < 0.0, np.minimum(high, edge), high)
         high = np.where((slope == 0.0) & (across * (row + 0.5) + constant < 0.0), -1.0, high)
-    # A pixel on the edge between two triangles may go to either, but must not be lost between them.
+    # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
     first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
     count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
     keep = count > 0
@@ -279,14 +273,14 @@ def _spans(
 
 
 def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Linear functions of the picture, (k, 3), at pixel centres, shape (k,)."""
+    """Evaluate linear functions of the pixel (k, 3) at pixel centres, shape (k,)."""
     return planes[:, 0] * (x + 0.5) + planes[:, 1] * (y + 0.5) + planes[:, 2]
 
 
 def _shaded(
     triangles: Triangles, surface: _Surface, camera: Camera, *, has_creases: bool
 ) -> np.ndarray:
-    """Linear light and opacity at every pixel, shape (height, width, 4)."""
+    """Return linear light and opacity at every pixel, shape (height, width, 4)."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
     pixels, triangle = surface.pixels, surface.triangle
@@ -311,7 +305,7 @@ def _shaded(
     )
     up = normals @ rotation[:, 2]
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + up)
-    # Light wraps a little round the terminator, as it does on skin.
+    # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0) + _FILL * np.maximum(
         normals @ fill, 0.0
     )
@@ -329,10 +323,10 @@ def _shaded(
 
 
 def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """How much the surface around hides each pixel from the sky, 0..1, shape (height, width).
+    """Estimate ambient occlusion at each pixel, 0..1, shape (height, width).
 
-    A pixel that lies behind the mean of two opposite neighbours lies in a hollow; on a plane,
-    however tilted, it does not.
+    A pixel is in a hollow if it is behind the mean depth of two opposite neighbours. On a plane of
+    any tilt it is not.
     """
     is_solid = np.isfinite(depth)
     if not is_solid.any():
@@ -349,14 +343,14 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
         dx, dy = round(radius * reach * np.cos(angle)), round(radius * reach * np.sin(angle))
         one, other = _shifted(depth, dx, dy), _shifted(depth, -dx, -dy)
         bump = flat - 0.5 * (one + other)
-        # Beside the outline of something far in front, its depth says nothing about this surface.
+        # Ignore large steps: they are outlines of parts in front, not hollows.
         bump = np.where(np.isfinite(bump), bump, 0.0) / (radius * _CREASE_RADIUS)
         hollow += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
     return gaussian_filter(np.clip(1.8 * hollow / len(offsets), 0.0, 1.0), 0.15 * reach)
 
 
 def _shifted(depth: np.ndarray, dx: int, dy: int) -> np.ndarray:
-    """The picture moved by whole pixels, its border repeated."""
+    """Shift the picture by whole pixels, repeating its border."""
     height, width = depth.shape
     rows, columns = (
         np.clip(np.arange(height) + dy, 0, height - 1),
@@ -366,7 +360,7 @@ def _shifted(depth: np.ndarray, dx: int, dy: int) -> np.ndarray:
 
 
 def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
-    """Opacity of the soft shadow on a floor, under a light from above and slightly from the left, shape (height, width)."""
+    """Return the opacity of a soft shadow on a floor, light from above, shape (height, width)."""
     fallen = vertices.copy()
     fallen[..., 2] = ground
     surface = _rasterise(fallen, camera, is_two_sided=True)
@@ -380,7 +374,7 @@ def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
 
 
 def _averaged(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Means over blocks of `factor` x `factor` pixels."""
+    """Average blocks of `factor` x `factor` pixels."""
     height, width, channels = picture.shape
     return picture.reshape(height // factor, factor, width // factor, factor, channels).mean(
         axis=(1, 3)

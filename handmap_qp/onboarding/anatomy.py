@@ -158,7 +158,7 @@ def _find_thumb(
 
 
 def _dissimilarity(flexion: FingerFlexion, names: list[list[str]]) -> np.ndarray:
-    """Score each finger: its difference from the others minus theirs from each other, shape (F,)."""
+    """Score each finger: difference from the others minus theirs from each other, shape (F,)."""
     directions, count = flexion.directions, len(flexion.bases)
     differences = np.zeros((count, count))
     for i in range(count):

@@ -1,7 +1,4 @@
-"""Whether a `hand.yaml` says what its URDF shows.
-
-`check_hand`, with findings that say what to change.
-"""
+"""Check that a `hand.yaml` agrees with its URDF: `check_hand` reports findings and advice."""
 
 from __future__ import annotations
 
@@ -32,24 +29,24 @@ from handmap_qp.transform import transform_points
 
 Level = Literal["error", "warning", "advice", "fine"]
 
-# The detection contradicts a description only where it is sure of itself.
+# Least confidence of the detection for a warning.
 _SURE = 0.65
-# A robot's fingertip this far from where it should be is out of reach [m].
+# A point this far from its target is out of reach [m].
 _OUT_OF_REACH = 0.02
-# A reference point may stand off its link by this much: a sensor's frame, say [m].
+# Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
 _OFF_THE_LINK = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing found out about a description.
+    """One finding about a description.
 
     Attributes:
-        level: `error`: it cannot be used; `warning`: it will not do what it says; `advice`: it
-            could be better; `fine`.
-        where: The key of the `hand.yaml`.
+        level: `error`: cannot be used; `warning`: probably wrong; `advice`: could be better;
+            `fine`: no problem.
+        where: Key of the `hand.yaml`.
         what: What was found.
-        change: What to change; empty for nothing.
+        change: What to change; empty if nothing.
     """
 
     level: Level
@@ -60,15 +57,15 @@ class Finding:
 
 @dataclass(eq=False)
 class Report:
-    """What was found out about a hand.
+    """All findings about a hand.
 
     Attributes:
-        name: What was checked.
-        hand: The hand; None where it cannot be built.
+        name: Name of the hand.
+        hand: The hand; None if it cannot be built.
         findings: All findings.
-        reach: How fingertips move.
-        size: How large the hand is; None where that was not measured.
-        motion: How it follows a standard motion; empty where that was not tried.
+        reach: How each finger's farthest-reaching point moves.
+        size: Size of the hand; None if not measured.
+        motion: How it follows a standard motion; empty if not tried.
     """
 
     name: str
@@ -96,7 +93,7 @@ class Report:
                 )
 
     def tables(self) -> dict[str, list[dict[str, Any]]]:
-        """Everything as tables for people: rows by title."""
+        """Return everything as tables to print: rows by title."""
         size = self.size
         findings = [
             {"": f.level, "key": f.where, "found": f.what, "change": f.change}
@@ -110,31 +107,34 @@ class Report:
                 "point": row.point,
                 "span mm": 1e3 * row.span,
                 "moves in": f"{row.directions} of 3 directions",
-                "least motion, mm per rad or m": 1e3 * row.slowest,
+                "slowest direction, mm per rad or m": 1e3 * row.slowest,
                 "manipulability": f"{row.manipulability:.2e}",
             }
             for row in self.reach
         ]
         if size is not None:
             rows = {
-                "length, palm to fingertip": f"{1e3 * size.length:.0f} mm, {size.ratio:.2f} human hands",
-                "fingertips at rest, from their middle": f"{1e3 * size.cloud:.0f} mm, a person's {1e3 * size.human_cloud:.0f} mm",
-                "suggested scale": f"1 (a translation stays as long as it is), or {size.ratio:.2f} in proportion to the hand",
+                "length, palm to fingertip": f"{1e3 * size.length:.0f} mm, "
+                f"{size.ratio:.2f} of a human hand",
+                "RMS distance of fingertips from their mean": f"{1e3 * size.cloud:.0f} mm; "
+                f"a person's: {1e3 * size.human_cloud:.0f} mm",
+                "suggested scale": "1 (translations as the human's), or "
+                f"{size.ratio:.2f} (in proportion to the hand)",
             }
             tables["Size"] = [{"what": what, "value": value} for what, value in rows.items()]
         tables["A standard motion"] = [
             {
-                "human": row.name,
-                "farthest point": row.worst_point,
-                "from its target mm": 1e3 * row.error,
-                "joints at a limit": ", ".join(row.limited),
+                "posture": row.name,
+                "worst point": row.worst_point,
+                "error mm": 1e3 * row.error,
+                "joints at a position limit": ", ".join(row.limited),
             }
             for row in self.motion
         ]
         return {title: rows for title, rows in tables.items() if rows}
 
     def document(self, picture: Path | None) -> dict[str, Any]:
-        """Everything as JSON holds it."""
+        """Return everything as values for JSON."""
         tables = self.tables()
         tables["findings"] = [
             {"level": f.level, "key": f.where, "found": f.what, "change": f.change}
@@ -152,10 +152,10 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         has_motion: Whether to map a standard motion to it.
 
     Returns:
-        What was found; an error among the findings if the hand cannot be built.
+        All findings; the only one is an error if the hand cannot be built.
     """
     with warnings.catch_warnings():
-        # They come back as findings.
+        # Warnings of the loader are among `hand.notes`, which become findings.
         warnings.simplefilter("ignore")
         return _check(hand, has_motion)
 
@@ -195,7 +195,7 @@ def _check(hand: str | Path, has_motion: bool) -> Report:
 
 
 def _best_of_each_finger(rows: tuple[FingerReach, ...]) -> tuple[FingerReach, ...]:
-    """Of every finger the point that gets farthest."""
+    """Return the point of each finger with the largest span."""
     best: dict[str, FingerReach] = {}
     for row in rows:
         if row.finger not in best or row.span > best[row.finger].span:
@@ -204,7 +204,7 @@ def _best_of_each_finger(rows: tuple[FingerReach, ...]) -> tuple[FingerReach, ..
 
 
 def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
-    """Every joint of the URDF with its role; limits of those that are set."""
+    """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
     rest = hand.all_joints(hand.rest)
     rows = []
     for i, (joint, role) in enumerate(zip(hand.all_joint_names, hand.all_joint_roles, strict=True)):
@@ -232,7 +232,7 @@ def _check_joints(report: Report, hand: Hand) -> None:
             report.add(
                 "advice",
                 f"rest.{joint}",
-                "rests at its limit, so it can move one way only",
+                "rests at its limit, so it can move in one direction only",
                 "move it inwards",
             )
         if width[i] < 0.002:
@@ -261,7 +261,8 @@ def _check_followers(report: Report, hand: Hand) -> None:
     for i, joint in enumerate(hand.joint_names):
         at = plain.joints[plain.getJointId(joint)].idx_q
         lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
-        if hand.lower_limits[i] > lower + 1e-9 or hand.upper_limits[i] < upper - 1e-9:
+        narrowing = max(hand.lower_limits[i] - lower, upper - hand.upper_limits[i])
+        if narrowing > 0.005 * (upper - lower):
             now = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
             report.add(
                 "fine",
@@ -311,7 +312,7 @@ def _check_points(report: Report, hand: Hand) -> None:
 
 
 def _check_places(report: Report, hand: Hand) -> None:
-    """Reference points far outside the shapes of the bodies that they are on."""
+    """Find reference points far outside the shape of their body."""
     try:
         robot = Robot(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
     except HandError:
@@ -337,16 +338,16 @@ def _check_places(report: Report, hand: Hand) -> None:
 
 
 def _check_anatomy(report: Report, hand: Hand) -> None:
-    """Compare with what would be found in the URDF."""
+    """Compare the description with a detection from the URDF."""
     try:
         found = detect_text(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
     except HandError as error:
-        report.add("advice", "palm", f"nothing to compare with: {error}")
+        report.add("advice", "palm", f"not compared with the URDF: {error.problem}")
         return
     clues = {clue.what: clue for clue in found.clues}
     own, theirs = hand.link_poses([hand.spec.palm.link, found.spec.palm.link], hand.rest)[:, :3, :3]
     for name in ("distal", "dorsal"):
-        # The direction found, in the coordinates of the link that the description uses.
+        # The detected direction in the frame of the described palm link.
         other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
         angle = float(
             np.degrees(
@@ -355,7 +356,7 @@ def _check_anatomy(report: Report, hand: Hand) -> None:
         )
         if angle > 40.0 and clues[name].confidence > _SURE:
             better = ", ".join(f"{value:.3f}" for value in other)
-            what = f"is {angle:.0f} degrees from what the fingers say: {clues[name].how}"
+            what = f"is {angle:.0f} degrees from the detected one: {clues[name].how}"
             report.add("warning", f"palm.{name}", what, f"try [{better}]")
     if found.spec.side != hand.side and clues["side"].confidence > _SURE:
         report.add(
@@ -369,18 +370,18 @@ def _check_anatomy(report: Report, hand: Hand) -> None:
 
 
 def _check_fingers(report: Report, hand: Hand, found: Detection) -> None:
-    """Compare the finger that each point is said to be of with the chain that moves it."""
+    """Compare the finger named by each point with the chain that moves it."""
     for point in hand.reference_points:
         joint = hand.model.frames[hand.model.getFrameId(point.link)].parentJoint
         mover = hand.model.names[joint]
         owner = next((finger for finger, chain in found.chains.items() if mover in chain), None)
         if owner is not None and point.finger is not None and owner != point.finger:
-            what = f"is on the finger that stands where the {owner} does, and says {point.finger}"
+            what = f"is on the finger at the position of the {owner}, but names {point.finger}"
             report.add(
                 "warning",
                 f"points.{point.name}",
                 what,
-                f"finger: {owner}, and a name and partner to go with it",
+                f"finger: {owner}, with a matching name and partner",
             )
 
 
@@ -398,15 +399,15 @@ def _check_collisions(report: Report, hand: Hand) -> None:
             "warning",
             "rest",
             f"at rest {shown} overlap",
-            "open the hand or spread its fingers a little more",
+            "open the hand or spread its fingers more",
         )
     else:
-        report.add("fine", "rest", "no two links overlap at rest, but those that meet in a joint")
+        report.add("fine", "rest", "no links overlap at rest, except neighbours at a joint")
 
 
 def _check_size(report: Report, size: Size) -> None:
     if not 0.3 < size.ratio < 4.0:
-        what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} human hands"
+        what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} of a human hand"
         report.add(
             "warning", "palm.xyz", what, "check the URDF's unit (metres) and the palm's origin"
         )
@@ -420,6 +421,9 @@ def _check_motion(report: Report, hand: Hand) -> None:
         return
     for part in report.motion:
         if part.error > _OUT_OF_REACH:
-            stops = f", {', '.join(part.limited[:3])} at a limit" if part.limited else ""
-            what = f"{part.name}: {part.worst_point} stays {1e3 * part.error:.0f} mm from its target{stops}"
+            stops = f", {', '.join(part.limited[:3])} at a position limit" if part.limited else ""
+            what = (
+                f"{part.name}: {part.worst_point} stays {1e3 * part.error:.0f} mm "
+                f"from its target{stops}"
+            )
             report.add("advice", "reach", what)

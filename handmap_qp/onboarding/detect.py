@@ -202,7 +202,7 @@ def _ordered_joints(robot: Robot, structure: Structure, anatomy: Anatomy) -> tup
 
 
 def _rest(robot: Robot, flexion: FingerFlexion, anatomy: Anatomy) -> np.ndarray:
-    """Return the half-open posture; joints that do not flex are near zero or, on the thumb, centred."""
+    """Return the half-open posture; joints that do not flex are near zero, or centred (thumb)."""
     travel = flexion.q_closed - flexion.q_open
     slides = np.array([robot.kinds[name] == "prismatic" for name in robot.active])
     step = np.where(slides, 0.5 * travel, np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST))
@@ -248,7 +248,7 @@ def _points(
 
 
 def _middle_link(robot: Robot, chain: Chain) -> str | None:
-    """Return the link whose joint is nearest to the finger's middle along it; None if none is near."""
+    """Return the link whose joint is nearest to the finger's middle; None if none is near."""
     robot.place(robot.zero)
     places = [robot.pose(link)[:3, 3] for link in chain.links]
     places.append(transform_points(robot.pose(chain.tip.link), chain.tip.xyz))
@@ -263,7 +263,7 @@ def _middle_link(robot: Robot, chain: Chain) -> str | None:
 def _palm_origin(
     robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy
 ) -> tuple[np.ndarray, Clue]:
-    """Estimate the wrist position: behind the knuckles, at the proximal end of the palm's surface."""
+    """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
     robot.place(robot.zero)
     fingers = [i for i, finger in enumerate(anatomy.fingers) if finger != "thumb"] or [0]
     knuckles = flexion.bases[fingers].mean(axis=0)

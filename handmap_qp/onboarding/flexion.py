@@ -1,9 +1,9 @@
 """How fingers flex: straight posture, direction of flexion, and fingertip motion.
 
 A joint *curls* a finger if it changes the distance from the finger's base to its tip. The finger is
-straight where that distance is largest, and flexes towards the end of the joint's range where it is
-smallest. A base joint rotates the finger as a whole: it flexes the finger if it moves the tip in the
-direction of the curling joints, and spreads it otherwise. Fingers without curling joints (jaws)
+straight where that distance is largest, and flexes towards the end of the joint's range where it
+is smallest. A base joint rotates the finger as a whole: it flexes the finger if it moves the tip in
+the direction of the curling joints, and spreads it otherwise. Fingers without curling joints (jaws)
 flex towards the other tips.
 """
 
@@ -216,7 +216,7 @@ def _settle_even(
 
 
 def _nearness(fingers: FingertipKinematics, q: np.ndarray, j: int) -> float:
-    """Return how much closer a joint's upper limit brings its tips to the others than its lower [m]."""
+    """Return how much a joint's motion from lower to upper limit brings tips together [m]."""
     robot = fingers.robot
     distances = []
     for value in (robot.lower[j], robot.upper[j]):

@@ -1,7 +1,4 @@
-"""What a hand can do, in numbers.
-
-How its fingers reach, its size beside a person's, self-collisions, a standard motion.
-"""
+"""Measure a hand: reach of its fingers, size, self-collisions, and a standard motion."""
 
 from __future__ import annotations
 
@@ -18,9 +15,9 @@ from handmap_qp.mapping.mapper import HandMapper
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
-# Singular values of a fingertip's Jacobian below this are no direction that it can move in [m/rad].
+# Least singular value of a fingertip's Jacobian that counts as a direction of motion [m/rad].
 _LEAST_MOTION = 0.003
-# Parts of a compact joint, which overlap when it bends [m].
+# Links of a compact joint are shorter than this and overlap when it bends [m].
 _SHORT = 0.025
 _SAMPLES = 200
 _DT = 1.0 / 60.0
@@ -32,11 +29,11 @@ class FingerReach:
 
     Attributes:
         point: Name of the reference point.
-        finger: The finger that it belongs to.
-        span: Largest distance between two places that it reaches [m].
-        directions: In how many directions it can move at rest, 0 to 3.
-        slowest: The least of its motions at rest that is one [m/rad].
-        manipulability: Yoshikawa's measure at rest, the product of those motions
+        finger: Its finger.
+        span: Largest distance between two positions that it reaches [m].
+        directions: Number of directions in which it can move at rest, 0 to 3.
+        slowest: Smallest singular value of its Jacobian among these directions [m/rad].
+        manipulability: Yoshikawa's measure at rest, the product of these singular values
             [(m/rad)^directions].
     """
 
@@ -50,13 +47,13 @@ class FingerReach:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How large a hand is.
+    """Size of a hand.
 
     Attributes:
-        length: From the palm's origin to the farthest fingertip, fingers straight or at rest,
-            whichever is longer [m].
-        cloud: Root mean square distance of the fingertips from their middle at rest [m].
-        human_cloud: The same of a person's hand of usual length [m].
+        length: Distance from the palm's origin to the farthest fingertip, with the fingers straight
+            or at rest, whichever is longer [m].
+        cloud: RMS distance of the fingertips from their mean at rest [m].
+        human_cloud: The same for a human hand of length `HUMAN_LENGTH` [m].
     """
 
     length: float
@@ -65,7 +62,7 @@ class Size:
 
     @property
     def ratio(self) -> float:
-        """Size of the hand in human hands, by length."""
+        """Length of the hand divided by a human hand's."""
         return self.length / HUMAN_LENGTH
 
 
@@ -76,8 +73,8 @@ class MotionPart:
     Attributes:
         name: What the human hand does.
         error: Largest distance of a point from its target at the end of the part [m].
-        worst_point: The point that has it.
-        limited: Joints at a limit there.
+        worst_point: The point with that error.
+        limited: Joints at a position limit at the end of the part.
     """
 
     name: str
@@ -87,13 +84,13 @@ class MotionPart:
 
 
 def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
-    """Reach and manipulability of every reference point in use that belongs to a finger.
+    """Measure reach and manipulability of every reference point on a finger.
 
     Args:
-        hand: The hand; the arm that it may be on does not count.
+        hand: The hand; an arm stays at rest.
 
     Returns:
-        One row a point.
+        One entry per point.
     """
     fingers = np.array([not _moves_wrist(hand, v) for v in hand.v_indices])
     generator = np.random.default_rng(0)
@@ -129,10 +126,10 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
 
 
 def measure_size(hand: Hand) -> Size:
-    """The size of a hand beside a person's.
+    """Measure the size of a hand relative to a person's.
 
     Args:
-        hand: The hand, its reference points the fingertips.
+        hand: The hand, with fingertips as reference points.
     """
     human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
     postures = (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits))
@@ -146,14 +143,16 @@ def measure_size(hand: Hand) -> Size:
 
 
 def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
-    """Pairs of links whose collision shapes overlap in one posture, without those that meet in a joint or overlap in most postures.
+    """Return the pairs of links whose collision shapes overlap in one posture.
+
+    Pairs that meet in a joint, or that overlap in most postures, are left out.
 
     Args:
         hand: The hand.
         q: Joint angles [rad], shape (n,).
 
     Returns:
-        Names of links, two and two.
+        Pairs of link names.
 
     Raises:
         HandmapError: If the shapes cannot be read.
@@ -182,7 +181,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         hand.lower_limits + generator.random(len(q)) * (hand.upper_limits - hand.lower_limits)
         for _ in range(8)
     ]
-    # Shapes that overlap nearly everywhere were drawn so; no joint parts them.
+    # Shapes that overlap in most postures overlap by design: ignore them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
     frames = [(shapes[pair.first].parentFrame, shapes[pair.second].parentFrame) for pair in pairs]
@@ -192,15 +191,13 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
 
 
 def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
-    """Map a standard motion of a person's hand.
-
-    Flat, spread, fist, pointing, and pinches, from rest and back each time.
+    """Map a standard motion of a human hand: from rest to each of `standard_postures`.
 
     Args:
         hand: The robot hand.
 
     Returns:
-        One row a part.
+        One entry per posture.
     """
     human = load_hand("human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH)
     rigid = "wrist" if hand.has_moving_wrist else "none"
@@ -208,7 +205,7 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
     for name, posture in standard_postures(human).items():
         mapper = HandMapper(human, hand, rigid_from=rigid, dt=_DT)
         mapper.map_step(human.rest, np.eye(4))
-        # Three quarters of a second to get there, and a quarter to settle.
+        # 0.75 s of motion, then 0.25 s to settle.
         shares = np.concatenate([0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)])
         step = None
         for share in shares:
@@ -227,7 +224,7 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
-    """Postures of the human hand that most tasks are made of, inside its limits [rad], shape (20,) each."""
+    """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
     names = human.joint_names
 
     def posture(**flexions: float) -> np.ndarray:
@@ -256,7 +253,7 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
 
 
 def _moves_wrist(hand: Hand, v: int) -> bool:
-    """Whether a joint of the model is one of an arm's."""
+    """Return whether a velocity index of the model belongs to a joint of an arm."""
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     return any(
         hand.model.joints[joint].idx_v == v for joint in hand.model.supports[wrist] if joint > 0
@@ -268,9 +265,9 @@ def _spread(points: np.ndarray) -> float:
 
 
 def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
-    """Whether two joints carry the same body or neighbours.
+    """Return whether two joints carry the same body or neighbouring bodies.
 
-    Bodies between them that are short or have no shape do not count.
+    Short bodies and bodies without a shape between them are skipped.
     """
     if one == other:
         return True

@@ -1,7 +1,4 @@
-"""A picture of a hand with its fingers, palm axes and reference points labelled.
-
-What a description says, at a look.
-"""
+"""Draw a hand with its palm axes and reference points labelled, to check a description."""
 
 from __future__ import annotations
 
@@ -24,6 +21,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import transform_points
 
 _PANEL = (760, 820)
+# From the end of an axis to its label [pixel].
+_AXIS_GAP = 14.0
 _FINGER_COLOURS = {
     "thumb": (0.84, 0.16, 0.16),
     "index": (0.95, 0.55, 0.05),
@@ -34,15 +33,12 @@ _FINGER_COLOURS = {
 _OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
 _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
-# Where the two cameras stand: behind the back of the hand, and before the palm on the thumb's side.
-_VIEWS = (("the back of the hand", 90.0, 12.0), ("the palm, from the thumb's side", 0.0, 12.0))
+# Title, azimuth and elevation of the two views [deg]; `draw_hand` sets the second azimuth by side.
+_VIEWS = (("back of the hand", 90.0, 12.0), ("palm, from the thumb's side", 0.0, 12.0))
 
 
 def picture_path(hand: str) -> Path | None:
-    """Where the picture of a `hand.yaml` goes: beside it, under its name.
-
-    None for a hand given by name.
-    """
+    """Return the path of a `hand.yaml`'s picture, beside it; None for a hand given by name."""
     path = Path(hand)
     if path.suffix in (".yaml", ".yml"):
         return path.with_suffix(".png")
@@ -54,7 +50,7 @@ def draw_hand(hand: Hand, path: Path) -> None:
 
     Args:
         hand: The hand.
-        path: Picture to write; its suffix says what kind.
+        path: Picture to write; its suffix sets the format.
 
     Raises:
         InvalidInputError: If the file cannot be written.
@@ -83,17 +79,18 @@ def draw_hand(hand: Hand, path: Path) -> None:
     try:
         figure.savefig(path, facecolor="white")
     except (OSError, ValueError) as error:
-        raise InvalidInputError(f"--picture {path}: cannot be written: {error}") from error
+        raise InvalidInputError(
+            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+        ) from error
 
 
 class _Scene:
-    """A hand at rest, its palm's distal axis up and its back towards +y."""
+    """A hand at rest, with its palm's distal axis up and its back towards +y."""
 
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
         palm = hand.frame_pose("palm", hand.rest)
-        # x across stays, y distal goes up, z dorsal goes back: seen from +y is seen from the back
-        # of the hand.
+        # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
         upright = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
         self._to_picture = np.eye(4)
         self._to_picture[:3, :3] = upright @ palm[:3, :3].T
@@ -108,24 +105,34 @@ class _Scene:
     def draw(self, axes: Any, azimuth: float, elevation: float) -> None:
         """Draw one view into a matplotlib axes."""
         around = [self.triangles.vertices.reshape(-1, 3), self.points, self.axes, np.zeros((1, 3))]
-        # Room on both sides for the labels.
+        # The margin leaves room for labels on both sides.
         camera = Camera.framing(
             np.concatenate(around), _PANEL, azimuth=azimuth, elevation=elevation, margin=0.13
         )
         draw_hands(axes, self.triangles, camera, marks=self.marks, supersampling=2)
+        origin = camera.project(np.zeros(3))[:2]
         for tip, name, colour in zip(self.axes, _AXES, _AXIS_COLOURS, strict=True):
-            x, y, _ = camera.project(1.25 * tip)
-            axes.text(x, y, name, color=colour, fontsize=10, ha="center", va="center", bbox=_box())
+            x, y, _ = camera.project(tip)
+            right, down = x - origin[0], y - origin[1]
+            # Write beyond the end of the axis, so that the end stays visible.
+            is_upright = abs(down) > abs(right)
+            horizontal = "center" if is_upright else "left" if right > 0.0 else "right"
+            vertical = ("top" if down > 0.0 else "bottom") if is_upright else "center"
+            x += 0.0 if is_upright else np.copysign(_AXIS_GAP, right)
+            y += np.copysign(_AXIS_GAP, down) if is_upright else 0.0
+            axes.text(
+                x, y, name, color=colour, fontsize=10, ha=horizontal, va=vertical, bbox=_box()
+            )
         self._label(axes, camera.project(self.points)[:, :2])
 
     def _label(self, axes: Any, places: np.ndarray) -> None:
-        """Names of the points at the panel's edges, each joined to its point."""
-        middle = float(np.median(places[:, 0]))
+        """Write the points' names at the panel's edges, each with a line to its point."""
+        middle = 0.5 * float(places[:, 0].min() + places[:, 0].max())
         names = [point.name for point in self.hand.reference_points]
         for is_right in (False, True):
             chosen = [i for i in range(len(places)) if (places[i, 0] > middle) == is_right]
-            # Of points at one height the farthest from the edge is named on top, so that its line
-            # passes over the others.
+            # Among points at the same height, label the farthest from the edge on top, so that its
+            # line passes above the others.
             towards = 1.0 if is_right else -1.0
             chosen.sort(
                 key=lambda i, towards=towards: (round(places[i, 1] / 20.0), towards * places[i, 0])
@@ -168,10 +175,7 @@ class _Scene:
         return merged(parts)
 
     def _solid(self) -> Triangles:
-        """The hand's surface without its arm.
-
-        Sticks from joint to joint where no shape can be read.
-        """
+        """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
         hand, model = self.hand, self.hand.model
         shape = load_shape(hand)
         wrist = model.frames[hand.wrist_frame_id].parentJoint
@@ -215,7 +219,7 @@ class _Scene:
 
 
 def _spaced(heights: np.ndarray, gap: float, top: float, bottom: float) -> np.ndarray:
-    """Heights in ascending order moved apart to at least `gap`, inside the panel as far as they fit."""
+    """Move ascending heights apart to at least `gap`, inside the panel if they fit."""
     placed = np.clip(heights, top, bottom)
     for _ in range(200):
         for i in range(1, len(placed)):

@@ -1,10 +1,7 @@
-"""A URDF as onboarding sees it.
+"""A URDF for onboarding: links, bodies, active joints, forward kinematics and surface points.
 
-Links, bodies, joints that are set, forward kinematics, and points on its surface.
-
-A *body* is a set of links joined by fixed joints. What a URDF leaves out (limits, speeds) is
-replaced by an assumption that is kept, so that it can be written into the `hand.yaml` where its
-owner sees it.
+A *body* is a set of links joined by fixed joints. Limits and speeds that the URDF lacks are assumed
+and recorded, so that they can be written to the `hand.yaml` for its owner to correct.
 """
 
 from __future__ import annotations
@@ -30,42 +27,43 @@ from handmap_qp.hands.urdf.files import find_mesh
 from handmap_qp.hands.urdf.tree import MOVABLE, cut_subtree, edges, link_names, root_links
 from handmap_qp.transform import transform_points
 
-# What joints are taken to reach and to do where a URDF does not say.
+# Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
     "revolute": (-math.pi / 2, math.pi / 2),
     "continuous": (-math.pi, math.pi),
     "prismatic": (0.0, 0.04),
 }
 _ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
+# Most surface points kept of one mesh.
 _MOST_POINTS = 3000
 
 
 class Robot:
-    """A part of a robot, ready to be looked at.
+    """A robot, or a part of one, prepared for detection.
 
     Args:
         text: The URDF.
-        file: Where it came from, for messages and meshes.
-        root: Link to begin at; the URDF's own root if omitted.
-        locked: Joints to hold still, and where [rad or m].
+        file: The URDF's file, for messages and mesh paths.
+        root: Link to start at; the URDF's own root if omitted.
+        locked: Joints to lock, with their positions [rad or m].
 
     Attributes:
-        file: Where it came from.
-        name: The robot's own name.
-        root: Link that it begins at.
-        is_whole: Whether that is the root of the URDF.
-        parent: By link: the joint it hangs from and that joint's parent link.
-        children: By link: joints that hang from it, each with its child link.
-        kinds: By joint: `revolute`, `prismatic` or `fixed`.
-        rules: Mimic rules, resolved.
-        active: Joints that are set; n of them, in the order of the file.
-        lower: Their lower limits, followers considered [rad or m], shape (n,).
+        file: The URDF's file.
+        name: The robot's name.
+        root: Link that it starts at.
+        is_whole: Whether `root` is the root of the URDF.
+        parent: Parent joint of each link, and that joint's parent link.
+        children: Child joints of each link, each with its child link.
+        kinds: Type of each joint: `revolute`, `prismatic` or `fixed`.
+        rules: Resolved mimic rules.
+        active: The n joints that are neither fixed nor mimic joints, in the order of the file.
+        lower: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
         upper: Their upper limits, shape (n,).
-        endless: Joints that turn without end in the file.
+        endless: Joints of type `continuous` in the file.
         assumed: Limits that the URDF lacks, by joint.
-        dropped_rules: Rules whose leader is not in this part of the robot; their joints count as
-            joints of their own.
-        notes: What was assumed, a sentence each.
+        dropped_rules: Mimic rules whose leader is not in this part of the robot; these joints are
+            treated as independent.
+        notes: Assumptions, one sentence each.
 
     Raises:
         HandError: If the URDF cannot be used, in one line.
@@ -87,7 +85,7 @@ class Robot:
             if root is not None:
                 cut_subtree(robot, root)
             if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
-                raise HandError(f"nothing that moves hangs from the link {root!r}", value=root)
+                raise HandError(f"no movable joint hangs from the link {root!r}", value=root)
             self.name = robot.get("name", "") or file.stem
             self.notes: list[str] = []
             self.endless = {
@@ -102,7 +100,7 @@ class Robot:
             )
             self.rules = read_mimic_rules(robot)
         except HandError as error:
-            raise HandError(str(error), file=file, value=error.value) from error
+            raise HandError(error.problem, file=file, key=error.key, value=error.value) from error
         (self.root,) = root_links(robot)
         self.links = link_names(robot)
         self.kinds = {
@@ -145,16 +143,15 @@ class Robot:
         self.place(self.zero)
 
     # -- structure
-    # ----------------------------------------------------------------------------------------------------
 
     def body(self, link: str) -> str:
-        """The first link of the body that a link belongs to."""
+        """Return the first link of a link's body."""
         while link in self.parent and self.kinds[self.parent[link][0]] == "fixed":
             link = self.parent[link][1]
         return link
 
     def body_links(self, body: str) -> list[str]:
-        """All links of a body, from its first one outwards."""
+        """Return all links of a body, from its first one outwards."""
         found = [body]
         for link in found:
             found.extend(
@@ -163,7 +160,7 @@ class Robot:
         return found
 
     def branches(self, body: str) -> list[tuple[str, str]]:
-        """Joints that move against a body, each with its child link."""
+        """Return the movable joints attached to a body, each with its child link."""
         return [
             pair
             for link in self.body_links(body)
@@ -172,12 +169,12 @@ class Robot:
         ]
 
     def leaves(self, body: str) -> list[str]:
-        """Bodies at or outwards from a body that nothing more hangs from."""
+        """Return the last bodies of all branches of a body; the body itself if it has none."""
         below = self.branches(body)
         return [leaf for _, child in below for leaf in self.leaves(child)] if below else [body]
 
     def chain(self, link: str, above: str) -> list[tuple[str, str]]:
-        """Movable joints with their child links on the way from a link (left out) out to another."""
+        """Return the movable joints, with child links, from below `above` out to `link`."""
         passed = []
         while link != above and link in self.parent:
             joint, parent = self.parent[link]
@@ -187,39 +184,34 @@ class Robot:
         return passed[::-1]
 
     def drivers(self, joint: str) -> str:
-        """The joint that is set to move a joint: itself, or its leader."""
+        """Return the active joint that moves a joint: itself, or its mimic leader."""
         return next((rule.leader for rule in self.rules if rule.follower == joint), joint)
 
     # -- kinematics
-    # ---------------------------------------------------------------------------------------------------
 
     @cached_property
     def zero(self) -> np.ndarray:
-        """Zero, or what is nearest to it inside the limits [rad or m], shape (n,)."""
+        """Zero clipped to the limits [rad or m], shape (n,)."""
         return np.clip(0.0, self.lower, self.upper)
 
     def place(self, q: np.ndarray) -> None:
-        """Put the joints that are set at `q`, shape (n,), and the followers where they belong."""
+        """Place the active joints at `q`, shape (n,), and their mimic joints accordingly."""
         pin.framesForwardKinematics(self.model, self._data, self._matrix @ q + self._offset)
 
     def pose(self, link: str) -> np.ndarray:
-        """Pose of a link as last placed, in the frame of `root`, shape (4, 4)."""
+        """Return a link's pose in the frame of `root` at the last `place`, shape (4, 4)."""
         return self._data.oMf[self._frames[link]].homogeneous
 
     def pose_in(self, link: str, other: str) -> np.ndarray:
-        """Pose of a link in another one's frame, shape (4, 4)."""
+        """Return a link's pose in another link's frame at the last `place`, shape (4, 4)."""
         frames = self._data.oMf
         return frames[self._frames[other]].actInv(frames[self._frames[link]]).homogeneous
 
     # -- surface
-    # ------------------------------------------------------------------------------------------------------
 
     @cached_property
     def surfaces(self) -> dict[str, np.ndarray]:
-        """Points on the surface of every link that has one, in its own coordinates [m].
-
-        Of visuals, or else of collisions.
-        """
+        """Surface points of each link in its own frame [m], of visuals or else of collisions."""
         from yourdfpy import URDF
 
         try:
@@ -230,7 +222,8 @@ class Robot:
                 ).robot
         except Exception as error:
             self.notes.append(
-                f"the shapes of the links cannot be read, and are left out ({type(error).__name__}: {error})"
+                "the links' shapes cannot be read and are ignored "
+                f"({type(error).__name__}: {error})"
             )
             return {}
         surfaces = {}
@@ -243,7 +236,7 @@ class Robot:
         return surfaces
 
     def body_surface(self, body: str) -> np.ndarray:
-        """Points on the surface of a body, in its first link's coordinates [m], shape (k, 3), as last placed."""
+        """Return surface points of a body in its first link's frame [m], shape (k, 3)."""
         clouds = [
             transform_points(self.pose_in(link, body), self.surfaces[link])
             for link in self.body_links(body)
@@ -252,7 +245,7 @@ class Robot:
         return np.concatenate(clouds) if clouds else np.zeros((0, 3))
 
     def _cloud(self, shape: Any) -> np.ndarray | None:
-        """Points on one shape, in its link's coordinates; None for a mesh that cannot be read."""
+        """Return points on one shape in its link's frame; None if its mesh cannot be read."""
         import trimesh
 
         geometry = shape.geometry
@@ -275,7 +268,7 @@ class Robot:
                     warnings.simplefilter("ignore")
                     mesh = trimesh.load_mesh(find_mesh(geometry.mesh.filename, self.file.parent))
                     solid = mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
-            # Whatever a mesh reader dislikes, there are other ways to tell where a finger ends.
+            # Mesh readers raise many types; the end of a finger can be found without its mesh.
             except Exception:
                 self.notes.append(f"the mesh {geometry.mesh.filename} cannot be read")
                 return None
@@ -289,8 +282,7 @@ class Robot:
             return None
         return points if shape.origin is None else transform_points(shape.origin, points)
 
-    # -- what a URDF leaves out
-    # ---------------------------------------------------------------------------------------
+    # -- assumptions
 
     def _drop_rules(self, robot: ET.Element) -> dict[str, MimicSpec | None]:
         joints = {joint.get("name"): joint for joint in robot.iterfind("joint")}
@@ -302,7 +294,8 @@ class Robot:
             leader = joints.get(mimic.get("joint"))
             if leader is None or leader.get("type") not in MOVABLE:
                 self.notes.append(
-                    f"{name} mimics {mimic.get('joint')}, which does not move here: taken for a joint of its own"
+                    f"{name} mimics {mimic.get('joint')}, which does not move here: "
+                    "treated as an independent joint"
                 )
                 joint.remove(mimic)
                 dropped[name] = None
@@ -335,7 +328,7 @@ class Robot:
                 or not (math.isfinite(lower) and math.isfinite(upper))
             ):
                 changes["lower"], changes["upper"] = _ASSUMED_RANGE[kind]
-                what = "turns without end" if kind == "continuous" else "has no limits in the URDF"
+                what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
                 self.notes.append(
                     f"{name} {what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed"
                 )
@@ -357,7 +350,7 @@ class Robot:
         return assumed
 
     def _immovable(self, robot: ET.Element) -> dict[str, float]:
-        """Joints whose limits leave them no room, and where they are."""
+        """Return joints whose limits are equal, with their positions."""
         still = {}
         for joint in robot.iterfind("joint"):
             limit, name = joint.find("limit"), joint.get("name", "")
@@ -368,7 +361,7 @@ class Robot:
             )
             if is_set and limit is not None and _number(limit, "lower") == _number(limit, "upper"):
                 still[name] = _number(limit, "lower")
-                self.notes.append(f"{name} has limits that leave it no room: it is locked")
+                self.notes.append(f"{name} has equal limits: it is locked")
         return still
 
 

@@ -1,9 +1,8 @@
-"""Which body is the palm and which chains are fingers, from how the robot branches and how far its branches reach.
+"""Find the palm and the fingers, from the branches of a robot and their lengths.
 
-A branch of a body is *finger-like* if nothing on it gets farther than a hand's breadth or two from
-where it begins. The palm is the body that at least two finger-like branches hang from; where bodies
-inside such branches qualify too (a metacarpal that carries two fingers), the innermost common one
-wins.
+A branch of a body is *finger-like* if it is shorter than `LONGEST_FINGER`. The palm is the body
+with at least two finger-like branches. Bodies inside such branches that qualify too, such as a
+metacarpal with two fingers, are not the palm.
 """
 
 from __future__ import annotations
@@ -18,23 +17,22 @@ from handmap_qp.onboarding.robot import Robot
 from handmap_qp.transform import transform_points
 
 LONGEST_FINGER = 0.3
-"""What is longer than this is a leg or an arm [m]."""
-# A link that moves its own end by less than this is a motor's or a sensor's, not a finger's [m].
+"""A longer branch is a leg or an arm [m]."""
+# A chain that moves its end by less than this is a motor or a sensor, not a finger [m].
 _LEAST_TRAVEL = 0.004
-# Where a finger's last link has an end frame nearer than this to its joint, the frame marks
-# something else [m].
+# An end frame closer than this to the last joint is not a fingertip [m].
 _LEAST_TIP = 0.005
-# Ends of links that stay this near to a place on another finger are the ends of a linkage [m].
+# A chain whose end stays within this of a point on another finger is part of a linkage [m].
 _LINKAGE_SLACK = 0.004
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tip:
-    """Where a finger ends.
+    """The end of a finger.
 
     Attributes:
         link: Link that carries it.
-        xyz: Place in the link's coordinates [m], shape (3,).
+        xyz: Position in the link's frame [m], shape (3,).
         how: How it was found.
         confidence: From 0 to 1.
     """
@@ -47,12 +45,12 @@ class Tip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """A finger as a chain.
+    """The kinematic chain of a finger.
 
     Attributes:
         joints: Movable joints from the palm outwards.
-        links: The link that each of them moves.
-        tip: Where it ends.
+        links: Child link of each joint.
+        tip: Its end.
     """
 
     joints: tuple[str, ...]
@@ -62,16 +60,16 @@ class Chain:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """What of a robot is a hand.
+    """Palm and fingers of a robot.
 
     Attributes:
-        palm: Link of the palm's body that all fingers hang from.
+        palm: Link of the palm's body from which all fingers branch.
         chains: The fingers, in the order of the file.
         above: Movable joints between the robot's root and the palm.
-        idle: Movable joints outwards from the palm that move no finger.
+        idle: Movable joints beyond the palm that move no finger.
         how: How the palm was found.
         confidence: From 0 to 1.
-        notes: What was left out and why.
+        notes: Chains that were ignored, and why.
     """
 
     palm: str
@@ -87,13 +85,13 @@ def find_structure(robot: Robot) -> Structure:
     """Find the palm and the fingers.
 
     Args:
-        robot: The robot, or the part of it to look at.
+        robot: The robot, or a part of it.
 
     Returns:
         Palm and fingers.
 
     Raises:
-        HandError: If there is no hand or more than one, saying where to begin.
+        HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
     bodies = [body for body in robot.links if robot.body(body) == body]
     candidates = {body: found for body in bodies if len(found := _fingerlike(robot, body)) >= 2}
@@ -106,8 +104,9 @@ def find_structure(robot: Robot) -> Structure:
     palms = [body for body in candidates if body not in inner]
     if len(palms) > 1:
         raise HandError(
-            f"there are {len(palms)} places that could be palms: {', '.join(_gate(robot, body) for body in palms[:8])}; "
-            "name the one to take with --root",
+            f"there are {len(palms)} possible palms: "
+            f"{', '.join(_common_palm_link(robot, body) for body in palms[:8])}; "
+            "choose one with --root",
             file=robot.file,
             value=palms,
         )
@@ -124,21 +123,21 @@ def find_structure(robot: Robot) -> Structure:
     kept, notes = _drop_idle(robot, chains)
     kept = _drop_linkages(robot, _drop_forks(kept, notes), notes)
     if not kept:
-        raise HandError("no branch of the palm moves its own end", file=robot.file, value=palm)
+        raise HandError("no branch of the palm moves its end", file=robot.file, value=palm)
     link = _common_link(robot, palm, kept)
     return Structure(
         palm=link,
         chains=tuple(kept),
         above=tuple(joint for joint, _ in robot.chain(palm, robot.root)),
         idle=_idle(robot, palm, kept),
-        how=f"{len(kept)} chains of at most {LONGEST_FINGER:g} m branch from it, and from no other place",
+        how=f"the only link from which {len(kept)} chains of at most {LONGEST_FINGER:g} m branch",
         confidence=0.95 if len(kept) > 2 else 0.85,
         notes=tuple(notes),
     )
 
 
 def _fingerlike(robot: Robot, body: str) -> set[str]:
-    """Joints of a body whose branches could be fingers."""
+    """Return the joints of a body whose branches could be fingers."""
     found = set()
     for joint, child in robot.branches(body):
         chains = [robot.chain(leaf, body) for leaf in robot.leaves(child)]
@@ -149,7 +148,7 @@ def _fingerlike(robot: Robot, body: str) -> set[str]:
 
 
 def _reach(robot: Robot, chain: list[tuple[str, str]]) -> float:
-    """Length of a chain from its first joint to its last, and to the end of the last body where its links are long [m]."""
+    """Return the length of a chain from its first joint to its tip [m]."""
     links = [link for _, link in chain]
     steps = [
         np.linalg.norm(robot.pose_in(link, before)[:3, 3])
@@ -160,7 +159,7 @@ def _reach(robot: Robot, chain: list[tuple[str, str]]) -> float:
 
 
 def _hangs_in(robot: Robot, body: str, other: str, joints: set[str]) -> bool:
-    """Whether a body lies on one of another body's finger-like branches."""
+    """Return whether a body lies on one of another body's finger-like branches."""
     way = robot.chain(body, other)
     return (
         body != other
@@ -179,8 +178,8 @@ def _is_above(robot: Robot, above: str, link: str) -> bool:
     return False
 
 
-def _gate(robot: Robot, body: str) -> str:
-    """The link to name for a palm: the one that its finger-like branches have in common."""
+def _common_palm_link(robot: Robot, body: str) -> str:
+    """Return the link of a palm from which all its finger-like branches start."""
     chains = [
         _chain(robot, child, body)
         for joint, child in robot.branches(body)
@@ -214,11 +213,9 @@ def _one_finger(robot: Robot) -> Structure:
         chains=(chain,),
         above=(),
         idle=(),
-        how="one chain, and the link that it hangs from",
+        how="the link from which the only chain starts",
         confidence=0.5,
-        notes=(
-            "there is one finger only: which way is out of the back of the hand, and which side it is, is a guess",
-        ),
+        notes=("there is only one finger, so the dorsal direction and the side are guesses",),
     )
 
 
@@ -232,14 +229,12 @@ def _chain(robot: Robot, leaf: str, palm: str) -> Chain:
 
 
 def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
-    """Where a finger ends.
-
-    A frame at the end of its last body, or else the end of that body's surface.
+    """Find the end of a finger: an end frame of its last body, or else the end of its surface.
 
     Args:
         robot: The robot.
         leaf: First link of the finger's last body.
-        before: Link of the joint before; None if there is none.
+        before: Link of the previous joint; None if there is none.
 
     Returns:
         The tip.
@@ -259,8 +254,7 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
                 0.95,
             )
     if size > _LEAST_TIP:
-        # The middle of the outermost slice, so that it lies on the finger's axis and not on its
-        # skin.
+        # The centre of the outermost slice lies on the finger's axis, not on its skin.
         middle = cloud[np.linalg.norm(cloud, axis=1) > 0.95 * size].mean(axis=0)
         for _ in range(2):
             along = cloud @ (middle / np.linalg.norm(middle))
@@ -279,14 +273,18 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
         return Tip(
             leaf,
             0.8 * straight,
-            f"{leaf} has no surface and no end: as long as 0.8 of the link before it",
+            f"{leaf} has no surface and no end frame: 0.8 of the previous link's length",
             0.3,
         )
-    return Tip(leaf, np.zeros(3), f"{leaf} has no surface and no end: its own origin", 0.1)
+    return Tip(leaf, np.zeros(3), f"{leaf} has no surface and no end frame: its origin", 0.1)
 
 
 def tip_track(robot: Robot, chain: Chain, frame: str, samples: int = 5) -> np.ndarray:
-    """Where a chain's tip goes in a frame when all its joints go through their ranges together [m], shape (samples, 3)."""
+    """Return a tip's positions in a frame while the joints of its chain cross their ranges.
+
+    Returns:
+        Positions [m], shape (samples, 3).
+    """
     columns = [
         robot.active.index(robot.drivers(joint))
         for joint in chain.joints
@@ -303,14 +301,14 @@ def tip_track(robot: Robot, chain: Chain, frame: str, samples: int = 5) -> np.nd
 
 
 def _drop_idle(robot: Robot, chains: list[Chain]) -> tuple[list[Chain], list[str]]:
-    """Chains that move their own ends."""
+    """Return the chains that move their own ends, and notes on the others."""
     kept, notes = [], []
     for chain in chains:
         frame = robot.parent[chain.links[0]][1]
         track = tip_track(robot, chain, frame)
         if float(np.ptp(track, axis=0).max()) < _LEAST_TRAVEL:
             notes.append(
-                f"{', '.join(chain.joints)}: moves nothing that touches, so it is no finger"
+                f"{', '.join(chain.joints)}: does not move the end of its chain, so not a finger"
             )
         else:
             kept.append(chain)
@@ -318,10 +316,7 @@ def _drop_idle(robot: Robot, chains: list[Chain]) -> tuple[list[Chain], list[str
 
 
 def _drop_forks(chains: list[Chain], notes: list[str]) -> list[Chain]:
-    """Of chains that part beyond their middle, the one with most joints.
-
-    One finger with two ends.
-    """
+    """Keep the longest of chains that share most joints: one finger with two ends."""
     kept: list[Chain] = []
     for chain in sorted(chains, key=lambda one: -len(one.joints)):
         fork = next(
@@ -341,10 +336,7 @@ def _shared(chain: Chain, other: Chain) -> int:
 
 
 def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[Chain]:
-    """Chains that are no bars of a linkage.
-
-    Driven by another finger's motor, their end staying at one place of that finger.
-    """
+    """Drop bars of linkages: driven by another finger's joint, their end fixed on that finger."""
     kept = []
     for chain in chains:
         drivers = {robot.drivers(joint) for joint in chain.joints}
@@ -361,7 +353,8 @@ def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[
         ]
         if hosts:
             notes.append(
-                f"{', '.join(chain.joints)}: a bar of the linkage of the finger that ends at {hosts[0].links[-1]}"
+                f"{', '.join(chain.joints)}: a bar of the linkage of the finger "
+                f"that ends at {hosts[0].links[-1]}"
             )
         else:
             kept.append(chain)
@@ -369,14 +362,14 @@ def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[
 
 
 def _idle(robot: Robot, palm: str, chains: list[Chain]) -> tuple[str, ...]:
-    """Movable joints outwards from the palm that are set and move no finger."""
+    """Return the active joints beyond the palm that move no finger."""
     used = {robot.drivers(joint) for chain in chains for joint in chain.joints}
     below = {joint for leaf in robot.leaves(palm) for joint, _ in robot.chain(leaf, palm)}
     return tuple(joint for joint in robot.active if joint in below and joint not in used)
 
 
 def _common_link(robot: Robot, palm: str, chains: list[Chain]) -> str:
-    """The outermost link of a body that all chains hang from."""
+    """Return the outermost link of a body from which all chains branch."""
     ways = []
     for chain in chains:
         way = [robot.parent[chain.links[0]][1]]

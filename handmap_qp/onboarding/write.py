@@ -1,4 +1,4 @@
-"""A `hand.yaml` with comments: every key says what it is for, and how its value was found."""
+"""Write a `hand.yaml` with comments that explain each key and how its value was found."""
 
 from __future__ import annotations
 
@@ -22,36 +22,43 @@ def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> 
     Args:
         detection: What was found.
         path: The file; its folder is made if it does not exist.
-        overwrite: Whether a file that exists may be replaced.
+        overwrite: Whether to replace an existing file.
 
     Raises:
         InvalidInputError: If the file exists, or cannot be written.
     """
     if path.exists() and not overwrite:
-        raise InvalidInputError(f"--out {path}: exists already; give --overwrite to replace it")
+        raise InvalidInputError(
+            argument="--out",
+            problem=f"{path} exists already",
+            value=str(path),
+            advice="give --overwrite to replace it",
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(hand_text(detection, path.parent), encoding="utf-8")
     except OSError as error:
         raise InvalidInputError(
-            f"--out {path}: cannot be written: {error.strerror or error}"
+            argument="--out",
+            problem=f"cannot write {path}: {error.strerror or error}",
+            value=str(path),
         ) from error
 
 
 def hand_text(detection: Detection, folder: Path) -> str:
-    """The text of a `hand.yaml` that lies in a folder, which the URDF's path is made relative to."""
+    """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
     spec = detection.spec
     clues = {clue.what: clue for clue in detection.clues}
     lines = [
-        f"# {spec.name}: written by `handmap hands init`. Above a value stands how it was found and how sure that is;",
-        "# correct what is wrong, then look at it with `handmap hands check`.",
+        f"# {spec.name}: written by `handmap hands init`. Comments say how each value was found",
+        "# and how certain it is. Correct what is wrong, then run `handmap hands check`.",
         *(f"# Note: {line}" for note in detection.notes for line in _wrapped(note)),
         f"name: {_quoted(spec.name)}",
         f"urdf: {_quoted(_urdf_reference(Path(spec.urdf), folder))}",
     ]
     if spec.root is not None:
         lines += [
-            "# The hand is what hangs from this link; the rest of the robot is left away.",
+            "# The hand starts at this link; the rest of the robot is ignored.",
             f"root: {_quoted(spec.root)}",
         ]
     lines += [*_comment(clues["side"]), f"side: {spec.side}"]
@@ -60,17 +67,17 @@ def hand_text(detection: Detection, folder: Path) -> str:
     lines += _joints(detection)
     lines += _rest(spec, clues["rest"])
     if spec.locked:
-        lines += ["# Joints that hold still, and where [rad or m].", "locked:"]
+        lines += ["# Locked joints and their positions [rad or m].", "locked:"]
         lines += [f"  {_quoted(joint)}: {_number(value)}" for joint, value in spec.locked.items()]
     if spec.limits:
         lines += [
-            "# Assumed, since the URDF does not say: put the true values here [rad or m, and per second].",
+            "# Assumed limits that the URDF lacks; give the true values [rad or m, and per s].",
             "limits:",
         ]
         lines += [f"  {_quoted(joint)}: {_limit(limit)}" for joint, limit in spec.limits.items()]
     if spec.mimic:
         lines += [
-            "# Joints that mimic one outside this part of the robot, taken for joints of their own.",
+            "# Joints that mimic a joint outside this part of the robot: treated as independent.",
             "mimic:",
         ]
         lines += [f"  {_quoted(joint)}: null" for joint in spec.mimic]
@@ -84,9 +91,9 @@ def _palm(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
         *_comment(clues["palm"], "the palm"),
         "palm:",
         f"  link: {_quoted(palm.link)}",
-        *_comment(clues["palm origin"], "origin, where a wrist would be [m]", "  "),
+        *_comment(clues["palm origin"], "origin, at the wrist [m]", "  "),
         f"  xyz: {_vector(palm.xyz)}",
-        *_comment(clues["distal"], "distal, the direction of the stretched fingers", "  "),
+        *_comment(clues["distal"], "distal, the direction of the straight fingers", "  "),
         f"  distal: {_vector(palm.distal)}",
         *_comment(clues["dorsal"], "dorsal, out of the back of the hand", "  "),
         f"  dorsal: {_vector(palm.dorsal)}",
@@ -110,10 +117,10 @@ def _wrist(spec: HandSpec) -> list[str]:
 
 
 def _joints(detection: Detection) -> list[str]:
-    """Joints with the finger that they belong to, where its first one stands."""
+    """Return the joints; the first joint of each finger has its name as a comment."""
     spec, lines = (
         detection.spec,
-        ["# The order of every q. Followers of other joints (mimic) are none of these.", "joints:"],
+        ["# Active joints, in the order of every q; mimic joints are not among them.", "joints:"],
     )
     said = ""
     for joint in spec.joints:
@@ -138,7 +145,7 @@ def _rest(spec: HandSpec, clue: Clue) -> list[str]:
 
 def _points(spec: HandSpec, clues: dict[str, Clue]) -> list[str]:
     lines = [
-        "# Reference points: places on links [m]; `partner` is the human point whose misfit a point may take over.",
+        "# Reference points on links [m]; `partner` names the corresponding human point.",
         "points:",
     ]
     for point in spec.points:
@@ -174,10 +181,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _urdf_reference(urdf: Path, folder: Path) -> str:
-    """How a `hand.yaml` in `folder` names a URDF.
-
-    Inside an installed package, relative, or from the root of the disk.
-    """
+    """Return a URDF's path as written in `folder`: in a package, relative, or absolute."""
     file = urdf.resolve()
     parts = file.parts
     if "cmeel.prefix" in parts:
@@ -216,13 +220,13 @@ def _vector(values: tuple[float, float, float]) -> str:
 
 
 def _number(value: float) -> str:
-    """All digits, never in a form that YAML 1.1 takes for text (1e-05)."""
+    """Return all digits, never as `1e-05`, which YAML 1.1 reads as text."""
     text = repr(float(value))
     return text if "e" not in text else f"{value:.12f}".rstrip("0")
 
 
 def _quoted(text: str) -> str:
-    """A string as YAML, in quotes where YAML would take it for something else."""
+    """Return a YAML string, quoted if YAML would read it as another type."""
     plain = text.replace("_", "").replace(".", "").replace("/", "").replace("-", "")
     is_plain = (
         plain.isalnum()

@@ -224,9 +224,9 @@ def test_a_urdf_that_cannot_be_used_gets_one_clear_line(name: str, message: str)
 
 
 @pytest.mark.parametrize(("urdf", "root", "message"), [
-    (G1, None, "2 places that could be palms: left_hand_palm_link, right_hand_palm_link; name the one to take with --root"),
+    (G1, None, "2 possible palms: left_hand_palm_link, right_hand_palm_link; choose one with --root"),
     (G1, "moon", "no link 'moon'"),
-    (G1, "left_hand_index_1_link", "nothing that moves hangs from"),
+    (G1, "left_hand_index_1_link", "no movable joint hangs from"),
     (ROBOTS / "ur_description" / "urdf" / "ur5_robot.urdf", None, "no hand found from 'world' outwards: one chain of"),
     (DATA / "absent.urdf", None, "cannot be read"),
 ])  # fmt: skip
