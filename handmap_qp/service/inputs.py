@@ -11,6 +11,7 @@ from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Step
 from handmap_qp.service.opening import Hands
+from handmap_qp.service.refusals import with_field_errors
 
 InputKind = Literal["q", "landmarks", "points"]
 _KINDS: tuple[InputKind, ...] = ("q", "landmarks", "points")
@@ -84,7 +85,8 @@ def _map_landmarks(hands: Hands, landmarks: np.ndarray, dt: float) -> MappedSamp
 
     Only this function knows how landmarks reach the mapper.
     """
-    if hands.fitter is None:
+    fitter = hands.fitter
+    if fitter is None:
         raise RefusedError("invalid", "this session has no hand for landmarks", field="landmarks")
-    q, wrist, _ = hands.fitter.fit(landmarks)
+    q, wrist, _ = with_field_errors("landmarks", lambda: fitter.fit(landmarks))
     return MappedSample(hands.mapper.map_step(q, wrist, dt=dt), q, wrist)

@@ -47,13 +47,6 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
     if isinstance(error, RefusedError):
         return error
     own, message = "", str(error)
-    # TEMPORARY, until all raise sites name their argument.
-    if isinstance(error, InvalidInputError | InvalidOptionsError) and ": " in message:
-        head = message.partition(":")[0]
-        if isinstance(error, InvalidInputError):
-            error.argument = error.argument or (head if head in _FIELDS else "")
-        else:
-            error.option = error.option or (head if head in _OPTIONS else "")
     if isinstance(error, InvalidInputError):
         own = _field_of_argument(error.argument)
         message = message.removeprefix(f"{error.argument}: ") if own else message
