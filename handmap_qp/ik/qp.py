@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Literal
 
 import msgspec
@@ -42,7 +43,7 @@ _AT_BOUND = 1e-7
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
 
 
-class IkResult(msgspec.Struct, frozen=True, eq=False):
+class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
     """Where the iterations of one sample ended.
 
     Attributes:
@@ -72,12 +73,13 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     iterations: int
     last_step: float
 
-    @property
+    @cached_property
     def active(self) -> np.ndarray:
-        """-1 at a lower bound, +1 at an upper one, 0 between, shape (k,)."""
+        """-1 at a lower bound, +1 at an upper one, 0 between, shape (k,), read-only."""
         near = _AT_BOUND * np.minimum(self.upper - self.lower, 1.0)
-        return (self.upper - self.displacement <= near).astype(np.int8) - (
-            self.displacement - self.lower <= near
+        return frozen(
+            (self.upper - self.displacement <= near).astype(np.int8)
+            - (self.displacement - self.lower <= near)
         )
 
     @property
