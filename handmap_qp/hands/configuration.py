@@ -6,18 +6,17 @@ also offers what `mink.build_ik` reads from a configuration (`model.nv`, `nv`, `
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, StaleJacobianError
+from handmap_qp.hands.placements import moved_by, placement_views
 
-# Rows of -[p]x, flattened, are linear in p: p @ _CROSS == (-skew(p)).ravel().
-_CROSS = np.zeros((3, 9))
-_CROSS[0, [5, 7]] = 1.0, -1.0
-_CROSS[1, [2, 6]] = -1.0, 1.0
-_CROSS[2, [1, 3]] = 1.0, -1.0
+CROSS = np.zeros((3, 9))
+"""Rows of -[p]x, flattened, are linear in p: `p @ CROSS == (-skew(p)).ravel()`."""
+CROSS[0, [5, 7]] = 1.0, -1.0
+CROSS[1, [2, 6]] = -1.0, 1.0
+CROSS[2, [1, 3]] = 1.0, -1.0
 _IDENTITY_6 = np.eye(6)
 
 
@@ -41,6 +40,7 @@ class Configuration:
         points: Reference points in the world [m], shape (m, 3); a read-only view that follows
             every placement.
         wrist: Wrist frame, a `pinocchio.SE3` view that follows every placement.
+        joints: Placements of the model's joints in the world, views that follow every placement.
         support: 1 where a velocity coordinate of the model moves a point's row or the wrist's,
             shape (3 m + 6, model.nv); read-only.
     """
@@ -59,8 +59,9 @@ class Configuration:
         self._q = pin.neutral(model)
         self.q = self._q.view()
         self.q.setflags(write=False)
-        self.points = _translation_view(self.data, first_point, len(model.frames))
+        self.points = placement_views(self.data.oMf, first_point).translations
         self.wrist = self.data.oMf[wrist_frame]
+        self.joints = placement_views(self.data.oMi)
         self._has_jacobians = False
         self._joint_columns = self.data.J
         count = len(self.points)
@@ -75,7 +76,7 @@ class Configuration:
         frames = [*range(first_point, len(model.frames)), wrist_frame]
         joints = [model.frames[frame].parentJoint for frame in frames]
         self.support = np.repeat(
-            [_support(model, joint) for joint in joints], [3] * count + [6], axis=0
+            [moved_by(model, joint) for joint in joints], [3] * count + [6], axis=0
         )
         self.support.setflags(write=False)
         self.place_frames(self._q)
@@ -195,7 +196,7 @@ class Configuration:
         """
         if not self._has_jacobians:
             raise StaleJacobianError
-        np.dot(self.points, _CROSS, out=self._crosses)
+        np.dot(self.points, CROSS, out=self._crosses)
         self._angular[:] = self._crosses_3
         np.dot(error_jacobian, self.wrist.toActionMatrixInverse(), out=self._rows[-6:])
         return np.dot(self._rows, self._joint_columns, out=self._jacobian)
@@ -203,27 +204,3 @@ class Configuration:
     def _wrong(self, q: object) -> InvalidInputError:
         expected = f"a Pinocchio configuration of shape ({self.model.nq},)"
         return InvalidInputError(argument="q", expected=expected, value=q)
-
-
-def _support(model: pin.Model, joint: int) -> np.ndarray:
-    """Return 1 for every velocity coordinate that moves a joint's frame, shape (nv,)."""
-    moved = np.zeros(model.nv)
-    for ancestor in model.supports[joint]:
-        start = model.joints[ancestor].idx_v
-        moved[start : start + model.joints[ancestor].nv] = ancestor > 0
-    return moved
-
-
-def _translation_view(data: pin.Data, first: int, stop: int) -> np.ndarray:
-    """Translations of consecutive frames as one read-only array that shares Pinocchio's memory.
-
-    `data.oMf` is a vector of SE3, each twelve doubles in one block, so consecutive translations lie
-    a fixed stride apart. That is checked here, because Pinocchio does not document it.
-    """
-    placements = data.oMf
-    views = [placements[frame].translation for frame in range(first, stop)]
-    addresses = [view.__array_interface__["data"][0] for view in views]
-    stride = addresses[1] - addresses[0] if len(views) > 1 else 0
-    if any(after - before != stride for before, after in pairwise(addresses)):
-        raise RuntimeError("Pinocchio's frame placements are not evenly spaced in memory")
-    return np.lib.stride_tricks.as_strided(views[0], (len(views), 3), (stride, 8), writeable=False)

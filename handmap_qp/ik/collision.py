@@ -18,89 +18,107 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.placements import moved_by, placement_views
+from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 
 
 class CollisionLimit:
-    """Keeps pairs of links apart.
+    """Rows that keep pairs of collision shapes apart.
 
     Args:
-        hand: The hand; its spec names the pairs and the margin.
-        margin: Distance to keep [m], in place of the spec's.
+        hand: The hand.
+        pairs: The pairs to keep apart; those that the hand's description names if omitted.
+        margin: Distance to keep [m]; the description's if omitted.
         gain: Part of the free distance that one step may use, in (0, 1].
+        horizon: Pairs farther apart than this get no row [m]. Infinite by default: every pair has a
+            row, in an order that never changes.
 
     Attributes:
-        pairs: The links of each row; a link with several shapes has several rows.
+        pairs: The links of each pair; a link with several shapes has several.
         margin: Distance to keep [m].
 
     Raises:
-        InvalidOptionsError: If the spec names no pairs, or margin or gain are out of range.
+        InvalidOptionsError: If the hand names no pairs, or a number has no meaning.
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
 
-    def __init__(self, hand: Hand, *, margin: float | None = None, gain: float = 0.85) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        *,
+        pairs: ShapePairs | None = None,
+        margin: float | None = None,
+        gain: float = 0.85,
+        horizon: float = np.inf,
+    ) -> None:
         spec = hand.spec.collision
-        if spec is None:
+        if pairs is None and spec is None:
             raise InvalidOptionsError(
                 option="avoids_self_collision",
                 problem=f"{hand.name} names no links to keep apart",
                 advice="add collision.pairs to its hand.yaml",
             )
-        self.margin = spec.margin if margin is None else margin
+        self.margin = (spec.margin if spec else 0.0) if margin is None else margin
         if not 0.0 <= self.margin < np.inf:
             raise InvalidOptionsError(option="margin", expected="a distance >= 0", value=margin)
         if not 0.0 < gain <= 1.0:
             raise InvalidOptionsError(option="gain", expected="a number in (0, 1]", value=gain)
-        self._gain = gain
-        self._model = hand.model
-        self._geometry = read_collision_shapes(hand)
-        self.pairs = _add_pairs(hand, spec.pairs, self._geometry)
+        found = named_pairs(hand) if pairs is None else pairs
+        self.pairs = found.links
+        self._gain, self._horizon = gain, horizon
+        self._model, self._geometry = hand.model, found.geometry
         self._data = self._geometry.createData()
         for request in self._data.distanceRequests:
-            # Every search starts where the last one ended, so at the default of 1e-6 the same
-            # posture gave distances 1e-6 m apart.
+            # GJK is warm-started: at 1e-6 the result depends on the last query by as much.
             request.gjk_tolerance = request.epa_tolerance = 1e-9
-        count = len(self.pairs)
-        self._relative_support = np.array(
-            [
-                _support(hand.model, shapes[pair.second].parentJoint)
-                - _support(hand.model, shapes[pair.first].parentJoint)
-                for shapes in [self._geometry.geometryObjects]
-                for pair in self._geometry.collisionPairs
-            ]
-        )
-        self._wrenches = np.empty((count, 6))
-        self._distances = np.empty(count)
+        shapes, shape_pairs = self._geometry.geometryObjects, self._geometry.collisionPairs
+        self._first = np.array([pair.first for pair in shape_pairs], dtype=int)
+        self._second = np.array([pair.second for pair in shape_pairs], dtype=int)
+        supports = np.array([moved_by(hand.model, shape.parentJoint) for shape in shapes])
+        supports = supports.reshape(-1, hand.model.nv)
+        self._relative_support = supports[self._second] - supports[self._first]
+        self._all = np.arange(len(shape_pairs))
+        self._placed = placement_views(self._data.oMg)
+        for shape in shapes:
+            shape.geometry.computeLocalAABB()
+        self._centres = np.array([shape.geometry.aabb_center for shape in shapes]).reshape(-1, 3)
+        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
+        self._reaches = radii[self._first] + radii[self._second] + horizon
 
     def distances(self, configuration: Configuration) -> np.ndarray:
-        """Signed distances of all pairs [m], negative where shapes overlap, shape (k,).
+        """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
 
         Args:
-            configuration: Of the hand, placed where it is.
+            configuration: Of the hand, placed.
         """
-        self._measure(configuration)
-        return self._distances.copy()
+        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
+        return self._measure(self._all)[0]
 
     def rows(
         self, configuration: Configuration, margins: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rows `G dq <= h`, one a pair, in an order that never changes.
+        """Linearise the distances of the pairs within the horizon as rows `G dq <= h`.
 
         Args:
             configuration: Of the hand, placed with Jacobians.
-            margins: Distance that each pair keeps [m], shape (k,); `margin` for all if omitted.
+            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
 
         Returns:
-            G, shape (k, n) over the active coordinates; h [m], shape (k,), negative where a pair is
+            G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        self._measure(configuration)
-        G = configuration.contracted(
-            -(self._wrenches @ configuration.joint_jacobian()) * self._relative_support
-        )
-        return G, self._gain * (self._distances - (self.margin if margins is None else margins))
+        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
+        near = self._near()
+        distances, wrenches = self._measure(near)
+        if len(near) < len(self._all):
+            is_near = distances <= self._horizon
+            near, distances, wrenches = near[is_near], distances[is_near], wrenches[is_near]
+        kept = self.margin if margins is None else margins[near]
+        relative = self._relative_support[near]
+        G = configuration.contracted(-wrenches.dot(configuration.joint_jacobian()) * relative)
+        return G, self._gain * (distances - kept)
 
     def feasible_rows(
         self,
@@ -136,45 +154,23 @@ class CollisionLimit:
                 witness = parted
         return G, np.maximum(h, G @ witness)
 
-    def _measure(self, configuration: Configuration) -> None:
-        """Distances, and the wrenches (n, p x n) of a unit force along each normal."""
-        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
-        pin.computeDistances(self._geometry, self._data)
-        for i, result in enumerate(self._data.distanceResults):
-            self._distances[i] = result.min_distance
-            self._wrenches[i, :3] = result.normal
-            self._wrenches[i, 3:] = result.getNearestPoint1()
-        self._wrenches[:, 3:] = np.cross(self._wrenches[:, 3:], self._wrenches[:, :3])
+    def _near(self) -> np.ndarray:
+        """Return the pairs whose bounding balls are within the horizon, by index."""
+        if self._horizon == np.inf:
+            return self._all
+        rotations, translations = self._placed
+        centres = np.einsum("ijk,ik->ij", rotations, self._centres) + translations
+        offsets = centres[self._first] - centres[self._second]
+        lengths = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
+        return np.flatnonzero(lengths <= self._reaches)
 
-
-def _add_pairs(
-    hand: Hand, pairs: tuple[tuple[str, str], ...], geometry: pin.GeometryModel
-) -> tuple[tuple[str, str], ...]:
-    """Make pairs of links pairs of shapes, and return the links of each."""
-    shapes: dict[str, list[int]] = {}
-    for i, shape in enumerate(geometry.geometryObjects):
-        shapes.setdefault(hand.model.frames[shape.parentFrame].name, []).append(i)
-    links: list[tuple[str, str]] = []
-    for i, pair in enumerate(pairs):
-        for link in pair:
-            if link not in shapes:
-                what = (
-                    "has no collision shape"
-                    if hand.model.existFrame(link, pin.FrameType.BODY)
-                    else "is no link of the URDF"
-                )
-                raise hand.spec.error(f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link)
-        for first in shapes[pair[0]]:
-            for second in shapes[pair[1]]:
-                geometry.addCollisionPair(pin.CollisionPair(first, second))
-                links.append(pair)
-    return tuple(links)
-
-
-def _support(model: pin.Model, joint: int) -> np.ndarray:
-    """1 for every velocity coordinate that moves a joint's frame, shape (nv,)."""
-    moved = np.zeros(model.nv)
-    for ancestor in list(model.supports[joint])[1:]:
-        start = model.joints[ancestor].idx_v
-        moved[start : start + model.joints[ancestor].nv] = 1.0
-    return moved
+    def _measure(self, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances, and the wrenches (n, p x n) of a unit force along each normal."""
+        distances, wrenches = np.empty(len(pairs)), np.empty((len(pairs), 6))
+        for i, k in enumerate(pairs.tolist()):
+            result = pin.computeDistance(self._geometry, self._data, k)
+            distances[i] = result.min_distance
+            wrenches[i, :3] = result.normal
+            wrenches[i, 3:] = result.getNearestPoint1()
+        wrenches[:, 3:] = np.cross(wrenches[:, 3:], wrenches[:, :3])
+        return distances, wrenches

@@ -15,13 +15,15 @@ point. `handmap_qp.ik.mink_tasks.as_mink_task` makes the same task one of mink's
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.configuration import CROSS, Configuration
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.placements import moved_by
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.transform import as_floats
 
@@ -56,11 +58,52 @@ class Task(Protocol):
         ...
 
 
-class PointDistances:
-    """Keep pairs of reference points at given distances.
+class AttachedPoints:
+    """Points that are fixed to links of a hand, with their derivatives.
 
     Args:
-        pairs: Indices of reference points, p pairs.
+        hand: The hand.
+        places: Joint of the model that carries each point, and the point's offset in the joint's
+            frame [m].
+    """
+
+    def __init__(self, hand: Hand, places: Sequence[tuple[int, np.ndarray]]) -> None:
+        self._joints = np.array([joint for joint, _ in places], dtype=int)
+        self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
+        self._moved = np.array([moved_by(hand.model, joint) for joint in self._joints.tolist()])
+        self._moved = self._moved.reshape(-1, 1, hand.model.nv)
+
+    @classmethod
+    def reference_points(cls, hand: Hand) -> Self:
+        """Return the hand's reference points."""
+        frames = [hand.model.frames[i] for i in range(hand.first_point_frame, hand.model.nframes)]
+        return cls(hand, [(frame.parentJoint, frame.placement.translation) for frame in frames])
+
+    def __len__(self) -> int:
+        return len(self._joints)
+
+    def positions(self, hand: Configuration) -> np.ndarray:
+        """Return the points in the world [m], shape (n, 3)."""
+        rotations, translations = hand.joints
+        turned = np.einsum("ijk,ik->ij", rotations[self._joints], self._offsets)
+        return turned + translations[self._joints]
+
+    def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
+        """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
+        spatial, count = hand.joint_jacobian(), len(positions)
+        crosses = positions.dot(CROSS).reshape(count, 3, 3)
+        moving = (spatial[:3] + crosses.dot(spatial[3:])) * self._moved
+        if hand.expansion is None:
+            return moving
+        return hand.contracted(moving.reshape(3 * count, -1)).reshape(count, 3, -1)
+
+
+class PointDistances:
+    """Keep pairs of points at given distances.
+
+    Args:
+        points: The points, such as `AttachedPoints.reference_points(hand)`.
+        pairs: Indices of both points of each pair, shape (p, 2).
         distances: Wanted distance of each pair [m], shape (p,).
         weights: Weight of each pair per 10 mm of error, shape (p,); 1 if omitted.
         damping: Levenberg-Marquardt factor on the curvature that the linearisation neglects.
@@ -69,39 +112,59 @@ class PointDistances:
         InvalidInputError: On wrong shapes, numbers that are not finite, or negative ones.
     """
 
-    __slots__ = ("_damping", "_distances", "_first", "_second", "_weights", "pairs")
+    __slots__ = ("_damping", "_distances", "_first", "_points", "_second", "_weights")
 
     def __init__(
         self,
+        points: AttachedPoints,
         pairs: Sequence[tuple[int, int]],
         distances: npt.ArrayLike,
         weights: npt.ArrayLike = 1.0,
         *,
         damping: float = 1.5,
     ) -> None:
-        self.pairs = tuple((int(first), int(second)) for first, second in pairs)
-        if any(first == second or min(first, second) < 0 for first, second in self.pairs):
+        indices = as_floats(pairs, "pairs").reshape(-1, 2).astype(int)
+        is_known = ((indices >= 0) & (indices < len(points))).all()
+        if not is_known or (indices[:, 0] == indices[:, 1]).any():
             raise InvalidInputError(
-                argument="pairs", expected="two different points each", value=self.pairs
+                argument="pairs", expected=f"two different points below {len(points)}", value=pairs
             )
-        self._first, self._second = np.array(self.pairs, dtype=int).reshape(-1, 2).T
-        self._distances = _check_numbers(distances, len(self.pairs), "distances")
-        self._weights = _check_numbers(weights, len(self.pairs), "weights") / LENGTH_UNIT
+        self._points = points
+        self._first, self._second = indices.T
+        self._distances = _check_numbers(distances, len(indices), "distances")
+        self._weights = _check_numbers(weights, len(indices), "weights") / LENGTH_UNIT
         self._damping = float(_check_numbers(damping, 1, "damping")[0])
+
+    def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
+        """Return the same task with other targets, unchecked: for use sample by sample.
+
+        Pairs of weight zero are left out.
+
+        Args:
+            distances: Wanted distance of each pair [m], shape (p,).
+            weights: Weight of each pair per 10 mm of error, shape (p,).
+        """
+        kept = np.flatnonzero(weights)
+        task = object.__new__(PointDistances)
+        task._points, task._damping = self._points, self._damping
+        task._first, task._second = self._first[kept], self._second[kept]
+        task._distances, task._weights = distances[kept], weights[kept] / LENGTH_UNIT
+        return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a pair; see `Task.linearise`."""
-        offsets = hand.points[self._first] - hand.points[self._second]
+        positions = self._points.positions(hand)
+        offsets = positions[self._first] - positions[self._second]
         lengths = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
         # Points in one place have no direction: any will do to part them.
         directions = np.where(
             lengths[:, None] > _SHORTEST, offsets / np.maximum(lengths, _SHORTEST)[:, None], _UP
         )
-        jacobian = hand.point_jacobian().reshape(len(hand.points), 3, -1)
-        levers = self._weights[:, None, None] * (jacobian[self._first] - jacobian[self._second])
+        jacobians = self._points.jacobians(hand, positions)
+        levers = self._weights[:, None, None] * (jacobians[self._first] - jacobians[self._second])
         rows = np.einsum("ij,ijk->ik", directions, levers)
         residual = self._weights * (lengths - self._distances)
-        # Per column the norm of the whole lever, which has the row and what is across it.
+        # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
         return TaskRows(residual, rows, self._damping * np.abs(residual).dot(columns))
 
@@ -110,10 +173,11 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:
-    numbers = np.broadcast_to(as_floats(values, name), (count,)) if np.ndim(values) == 0 else None
-    array = np.array(as_floats(values, name)) if numbers is None else numbers.copy()
+    array = as_floats(values, name)
+    if array.ndim == 0:
+        array = np.full(count, float(array))
     if array.shape != (count,) or not (np.isfinite(array).all() and (array >= 0.0).all()):
         raise InvalidInputError(
             argument=name, expected=f"{count} finite numbers >= 0, or one for all", value=values
         )
-    return array
+    return array.copy()

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.fingers import THUMB
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.offline.finger_traces import THUMB, FingerTrace, HandTrace
+from handmap_qp.offline.finger_traces import FingerTrace, HandTrace
 from handmap_qp.offline.key_vectors import KeyVectors, compare_key_vectors
 from handmap_qp.offline.surface_gaps import SurfaceGaps
 

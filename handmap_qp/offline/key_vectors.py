@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from handmap_qp.hands.fingers import THUMB, FingerChain
 from handmap_qp.hands.hand import Hand
-from handmap_qp.offline.finger_traces import THUMB, FingerChain, HandTrace, trace_robot
+from handmap_qp.offline.finger_traces import HandTrace, trace_robot
 
 WORKSPACE_RADIUS = 0.005
 """A reachable point was used if the fingertip came this near [m]."""

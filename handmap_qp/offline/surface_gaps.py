@@ -8,8 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.offline.finger_traces import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -54,7 +55,7 @@ def measure_gaps(
     chains = chains or find_fingers(hand)
     geometry, groups = _pinch_pairs(hand, chains)
     pinching = _NearestPairs(hand, geometry)
-    colliding = _NearestPairs(hand, _body_pairs(hand))
+    colliding = _NearestPairs(hand, all_pairs(hand, chains).geometry)
     pinches = {finger: np.empty(len(q)) for finger in groups}
     nearest = np.empty(len(q))
     data, vector = hand.model.createData(), np.zeros(hand.model.nq)
@@ -69,34 +70,14 @@ def measure_gaps(
     return SurfaceGaps(pinches, nearest)
 
 
-def distal_shapes(hand: Hand, chain: FingerChain, geometry: pin.GeometryModel) -> list[int]:
-    """Indices of the shapes on a finger's last joint, or on the nearest one before it that has any.
-
-    Args:
-        hand: The hand.
-        chain: The finger.
-        geometry: Its collision shapes.
-
-    Returns:
-        Indices into `geometry.geometryObjects`; empty if the finger has no shapes.
-    """
-    for joint in reversed(chain.joints):
-        found = [
-            i for i, shape in enumerate(geometry.geometryObjects) if shape.parentJoint == joint
-        ]
-        if found:
-            return found
-    return []
-
-
 def _pinch_pairs(
     hand: Hand, chains: dict[str, FingerChain]
 ) -> tuple[pin.GeometryModel, dict[str, slice]]:
     """All pairs of distal shapes of the thumb and another finger, and which pairs are whose."""
     geometry, groups = read_collision_shapes(hand), {}
-    thumb = distal_shapes(hand, chains[THUMB], geometry) if THUMB in chains else []
+    thumb = distal_shapes(chains[THUMB], geometry) if THUMB in chains else []
     for finger, chain in chains.items():
-        others = distal_shapes(hand, chain, geometry)
+        others = distal_shapes(chain, geometry)
         if finger == THUMB or not thumb or not others:
             continue
         first = len(geometry.collisionPairs)
@@ -105,30 +86,6 @@ def _pinch_pairs(
                 geometry.addCollisionPair(pin.CollisionPair(one, other))
         groups[finger] = slice(first, len(geometry.collisionPairs))
     return geometry, groups
-
-
-def _body_pairs(hand: Hand) -> pin.GeometryModel:
-    """All pairs of shapes that may collide."""
-    geometry, parents = read_collision_shapes(hand), hand.model.parents
-    shapes = geometry.geometryObjects
-    for i, first in enumerate(shapes):
-        for j in range(i + 1, len(shapes)):
-            a, b = first.parentJoint, shapes[j].parentJoint
-            if a != b and parents[a] != b and parents[b] != a:
-                geometry.addCollisionPair(pin.CollisionPair(i, j))
-    data, geometry_data = hand.model.createData(), geometry.createData()
-    vector, overlaps = np.zeros(hand.model.nq), np.zeros(len(geometry.collisionPairs), dtype=bool)
-    for posture in (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits)):
-        hand.write_configuration(vector, posture, np.eye(4))
-        pin.forwardKinematics(hand.model, data, vector)
-        if len(overlaps):
-            overlaps |= _distances(hand, data, geometry, geometry_data) <= 0.0
-    pairs = list(geometry.collisionPairs)
-    geometry.removeAllCollisionPairs()
-    for pair, overlap in zip(pairs, overlaps, strict=True):
-        if not overlap:
-            geometry.addCollisionPair(pair)
-    return geometry
 
 
 class _NearestPairs:
@@ -165,12 +122,3 @@ class _NearestPairs:
             result = pin.computeDistance(self._geometry, self._data, int(first + i))
             most = min(most, result.min_distance)
         return most
-
-
-def _distances(
-    hand: Hand, data: pin.Data, geometry: pin.GeometryModel, geometry_data: pin.GeometryData
-) -> np.ndarray:
-    """Signed distances of all pairs [m]."""
-    pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data)
-    pin.computeDistances(geometry, geometry_data)
-    return np.array([result.min_distance for result in geometry_data.distanceResults])

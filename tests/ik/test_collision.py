@@ -236,7 +236,7 @@ def test_a_hand_without_pairs_says_what_to_add() -> None:
 
 
 @pytest.mark.parametrize(
-    ("link", "what"), [("moon", "no link"), ("finger1_tip", "no collision shape")]
+    ("link", "what"), [("moon", "not a link"), ("finger1_tip", "no collision shape")]
 )
 def test_a_link_that_cannot_collide_is_named(link: str, what: str) -> None:
     collision = CollisionSpec(

@@ -13,7 +13,7 @@ from handmap_qp import HandMapper, IkOptions, InvalidInputError, load_hand
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.ik.mink_problem import build_problem, solve_problem
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import PointDistances, TaskRows
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances, TaskRows
 
 SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, has_velocity_limits=False)
 SOME = [which for which in HANDS if which[0] in ("three_finger", "allegro_right", "ur5_allegro")]
@@ -35,7 +35,8 @@ class Height:
 @each_hand
 def test_the_rows_are_the_derivative_of_the_residual(which: Any) -> None:
     hand = hand_of(which)
-    task = PointDistances([(0, 1), (2, 0)], [0.02, 0.05], [8.0, 3.0])
+    points = AttachedPoints.reference_points(hand)
+    task = PointDistances(points, [(0, 1), (2, 0)], [0.02, 0.05], [8.0, 3.0])
     configuration = hand.configuration()
     for case in random_cases(hand, 5, seed=3, is_inside=True):
         configuration.place_with_jacobians(case.q)
@@ -61,7 +62,10 @@ def test_the_rows_are_the_derivative_of_the_residual(which: Any) -> None:
 def test_mink_takes_the_same_step_with_further_tasks(which: Any) -> None:
     hand = hand_of(which)
     options = IkOptions(max_iterations=1)
-    tasks = (PointDistances([(0, 1)], [0.01], [8.0]), Height(1, 0.1, 50.0))
+    tasks = (
+        PointDistances(AttachedPoints.reference_points(hand), [(0, 1)], [0.01], [8.0]),
+        Height(1, 0.1, 50.0),
+    )
     rest = 0.5 * (hand.lower_limits + hand.upper_limits)
     for case in random_cases(hand, 10, seed=4):
         ik = PointIk(hand, options)
@@ -94,7 +98,7 @@ def test_two_fingertips_meet_when_they_are_told_to() -> None:
     ik = PointIk(hand, SETTLE)
     ik.place(hand.configuration_vector(hand.rest))
     points, wrist = ik.configuration.points.copy(), ik.configuration.wrist.homogeneous
-    task = PointDistances([(0, 1)], [0.01], [100.0])
+    task = PointDistances(AttachedPoints.reference_points(hand), [(0, 1)], [0.01], [100.0])
     apart = np.linalg.norm(points[0] - points[1])
     ik.solve(points, wrist, 1.0, tasks=[task])
     together = np.linalg.norm(ik.configuration.points[0] - ik.configuration.points[1])
@@ -111,7 +115,8 @@ def test_the_end_is_a_minimum_of_the_cost_with_its_tasks() -> None:
     ik.place(hand.configuration_vector(hand.rest))
     points = ik.configuration.points + rng.normal(scale=0.003, size=ik.configuration.points.shape)
     wrist, rest = ik.configuration.wrist.homogeneous, hand.rest + 0.02
-    task = PointDistances([(0, 1), (0, 2)], [0.06, 0.07], [4.0, 2.0])
+    points_of = AttachedPoints.reference_points(hand)
+    task = PointDistances(points_of, [(0, 1), (0, 2)], [0.06, 0.07], [4.0, 2.0])
     ik.solve(points, wrist, 1.0, rest=rest, tasks=[task])
 
     def cost(q: np.ndarray) -> float:
@@ -149,10 +154,12 @@ def test_tasks_of_ones_own_reach_the_qp_through_the_mapper() -> None:
 
 def test_points_in_one_place_can_be_parted() -> None:
     hand = load_hand("three_finger")
-    twice = hand.with_points(("finger1_tip", "finger1_tip"))
-    configuration = twice.configuration()
-    configuration.place_with_jacobians(twice.configuration_vector(twice.rest))
-    rows = PointDistances([(0, 1)], [0.01]).linearise(configuration)
+    place = (hand.model.njoints - 1, np.array([0.01, 0.0, 0.0]))
+    configuration = hand.configuration()
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    rows = PointDistances(AttachedPoints(hand, [place] * 2), [(0, 1)], [0.01]).linearise(
+        configuration
+    )
     assert all(np.isfinite(part).all() for part in rows)
 
 
@@ -171,5 +178,5 @@ def test_points_in_one_place_can_be_parted() -> None:
 )
 def test_distances_without_a_meaning_are_rejected_by_name(arguments: Any, name: str) -> None:
     with pytest.raises(InvalidInputError) as raised:
-        PointDistances(*arguments)
+        PointDistances(AttachedPoints.reference_points(load_hand("three_finger")), *arguments)
     assert raised.value.argument == name

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
@@ -29,7 +30,6 @@ from handmap_qp.offline.fidelity import (
 from handmap_qp.offline.finger_traces import (
     FingerTrace,
     HandTrace,
-    find_fingers,
     trace_human,
     trace_robot,
 )

@@ -1,0 +1,117 @@
+"""The pads of a hand's fingertips: a ball inside each fingertip's surface, from its shapes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import FingerChain
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import distal_shapes
+
+# A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
+_DEEP = 0.004
+# The middle of a pad is looked for this far from the tip towards the last joint [m].
+_LONGEST = 0.015
+_STEP = 0.001
+# The middle is the first point on the way that is nearly as deep as the deepest one.
+_SHARE = 0.95
+# Radius of a pad without any shape, and the smallest one with a shape [m].
+_RADIUS, _SMALLEST = 0.006, 0.003
+
+
+class Pad(NamedTuple):
+    """A ball that touches a fingertip's surface from inside.
+
+    Attributes:
+        joint: Joint of the model that carries it.
+        offset: Its middle in the joint's frame [m], shape (3,).
+        radius: Its radius [m].
+    """
+
+    joint: int
+    offset: np.ndarray
+    radius: float
+
+
+def find_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]:
+    """Find the pad of every finger from the collision shapes of its last joint.
+
+    The depth of a point under a convex surface is the smallest of `support(n) - n p` over directions
+    n. The pad's middle lies on the line from the fingertip to the last joint.
+
+    Args:
+        hand: The hand.
+        chains: Its fingers.
+
+    Returns:
+        Pads by finger. A finger without shapes has a pad of 6 mm around its tip.
+
+    Raises:
+        HandError: If a shape cannot be read.
+    """
+    geometry = read_collision_shapes(hand)
+    return {finger: _pad(chain, geometry) for finger, chain in chains.items()}
+
+
+def _pad(chain: FingerChain, geometry: pin.GeometryModel) -> Pad:
+    joint, tip = chain.tip
+    shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
+    supports = [_supports(shape) for shape in shapes if shape.parentJoint == joint]
+    if not supports:
+        return Pad(joint, tip, _RADIUS)
+
+    def depth(point: np.ndarray) -> float:
+        return max(float((support - _DIRECTIONS @ point).min()) for support in supports)
+
+    if depth(tip) > _DEEP:
+        return Pad(joint, tip, depth(tip))
+    length = np.linalg.norm(tip)
+    inwards = -tip / length if length > 1e-6 else np.zeros(3)
+    points = [tip + distance * inwards for distance in np.arange(0.0, _LONGEST + _STEP, _STEP)]
+    depths = np.array([depth(point) for point in points])
+    chosen = int(np.argmax(depths >= _SHARE * depths.max()))
+    return Pad(joint, points[chosen], max(float(depths.max()), _SMALLEST))
+
+
+def _supports(shape: pin.GeometryObject) -> np.ndarray:
+    """Return the largest `n p` over a convex shape's points for every direction n; joint's frame."""
+    points, radius = _corners(shape.geometry)
+    placed = points @ shape.placement.rotation.T + shape.placement.translation
+    return (_DIRECTIONS @ placed.T).max(axis=1) + radius
+
+
+def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
+    """Return points and a radius so that the shape is the hull of balls around the points."""
+    if isinstance(geometry, coal.Box):
+        return _CUBE * geometry.halfSide, 0.0
+    if isinstance(geometry, coal.Sphere):
+        return np.zeros((1, 3)), geometry.radius
+    if isinstance(geometry, coal.Capsule):
+        half = geometry.halfLength
+        return np.array([[0.0, 0.0, half], [0.0, 0.0, -half]]), geometry.radius
+    if isinstance(geometry, coal.Cylinder):
+        rim = geometry.radius * _CIRCLE
+        half = np.full((len(rim), 1), geometry.halfLength)
+        return np.vstack([np.hstack([rim, half]), np.hstack([rim, -half])]), 0.0
+    return np.array([geometry.point(i) for i in range(geometry.num_points)]), 0.0
+
+
+_CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+_CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+
+
+def _sphere(count: int) -> np.ndarray:
+    """Spread unit vectors evenly over the sphere (Fibonacci's lattice), shape (count, 3)."""
+    i = np.arange(count) + 0.5
+    z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
+    flat = np.sqrt(1.0 - z * z)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
+
+
+_DIRECTIONS = _sphere(400)
