@@ -18,9 +18,10 @@ from handmap_qp.errors import (
     RecordingError,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths, load_synergies
+from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import hand_names, load_hand
 from handmap_qp.hands.spec import HandSpec, PointSpec
+from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.decomposition import Decomposition, Primitives, decompose, primitives
 from handmap_qp.mapping.estimation import MotionEstimate, estimate_motion

@@ -47,11 +47,15 @@ class _DescribedError(HandmapError, ValueError):
         self.got = got or ("" if value is MISSING else describe_value(value))
         self.advice = advice
 
+    @property
+    def what(self) -> str:
+        """What is wrong, without the name: the problem, or `expected X, got Y`."""
+        got = f", got {self.got}" if self.got else ""
+        return self.problem or f"expected {self.expected}{got}"
+
     def __str__(self) -> str:
         """Compose `name: expected X, got Y: advice` in one line."""
-        got = f", got {self.got}" if self.got else ""
-        what = self.problem or f"expected {self.expected}{got}"
-        return ": ".join(part for part in (self._name, what, self.advice) if part)
+        return ": ".join(part for part in (self._name, self.what, self.advice) if part)
 
 
 class InvalidInputError(_DescribedError):

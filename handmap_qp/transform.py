@@ -421,8 +421,7 @@ def as_floats(
         InvalidInputError: If these are not real numbers, a ragged sequence of them, of another
             shape, or not finite where they must be.
     """
-    kind = f"{'finite ' if is_finite else ''}numbers"
-    expected = kind if shape is None else f"{kind} of shape {_shape_text(shape)}"
+    expected = _numbers_text(shape, "finite " if is_finite else "")
     try:
         array = np.asarray(value)
         if not (array.dtype.kind in "biuf" or _holds_numbers(array)):
@@ -459,10 +458,14 @@ def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:
     )
 
 
-def _shape_text(shape: tuple[int | str, ...]) -> str:
-    """Write a shape as Python does, with letters for sizes that are free."""
-    text = ", ".join(map(str, shape))
-    return f"({text},)" if len(shape) == 1 else f"({text})"
+def _numbers_text(shape: tuple[int | str, ...] | None, finite: str) -> str:
+    """Say which numbers are expected, with letters for sizes that are free."""
+    if shape is None:
+        return f"{finite}numbers"
+    if shape == ():
+        return f"a {finite}number"
+    sizes = ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "")
+    return f"{finite}numbers of shape ({sizes})"
 
 
 def _mismatch(argument: str, expected: str) -> InvalidInputError:

@@ -1,4 +1,4 @@
-"""What all tests share: the hypothesis profile, data files and the recordings of real hands."""
+"""Shared by all tests: the hypothesis profile, data files, recordings and robot hands."""
 
 from __future__ import annotations
 
@@ -45,9 +45,19 @@ def recordings() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def shared_hands() -> Path:
+    """The folder of robot hands with meshes, which are too large to be kept beside the tests."""
+    named = os.environ.get("HANDMAP_HANDS")
+    folder = Path(named) if named else TESTS.parents[1] / "shared" / "hands"
+    if not any(folder.glob("*/*.urdf")):
+        pytest.skip(f"no hands (*/*.urdf) in {folder}: set HANDMAP_HANDS to the folder of them")
+    return folder
+
+
 @pytest.fixture
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Return a port that no program listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]

@@ -13,8 +13,8 @@ from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joints_figure
 from handmap_qp.experiments.output_folder import output_folder
-from handmap_qp.hands.human import load_synergies
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.offline.trajectory import Trajectory, map_motion, save_npz

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.experiments.section_four import HandMotion, Run, Scene, Setting, run_experiment
 from handmap_qp.grasp import Grasp, QuasiStatic, grasp_matrix, quasistatic
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import load_synergies
+from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.transform import affine, inverse_pose, transform_points
 
 

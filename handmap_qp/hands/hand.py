@@ -232,7 +232,7 @@ class Hand:
             raise InvalidInputError(
                 argument="vector, q and wrist_pose",
                 expected=f"shapes ({self.model.nq},), ({len(self.joint_names)},) and (4, 4)",
-                got=str(error),
+                got="arrays that do not fit",
             ) from error
 
     def all_joints(self, q: npt.ArrayLike) -> np.ndarray:

@@ -1,16 +1,16 @@
-"""What is only human: the twenty joints, the lengths of a person's bones, and postural synergies.
+"""The human hand: its twenty joints, the lengths of a person's bones, and scaling to them.
 
 The hand itself is an ordinary hand in `urdf/human`. It can be scaled to a person (`HumanLengths`,
 `scaled_human_urdf`), always as a right hand: a left person's lengths are given mirrored, and the
-mirror (`handmap_qp.hands.urdf.elements.mirrored_urdf`) comes after.
+URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror.mirrored_urdf`).
 """
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Self
 from xml.etree import ElementTree as ET
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.urdf.tree import joints_by_name
 from handmap_qp.transform import as_floats, rotation_from_rpy
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -61,7 +61,9 @@ _BREADTH_OVER_LENGTH = 0.512
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HumanLengths:
-    """The lengths that make a person's hand, as a right hand (a left one mirrored in the palm's plane x = 0).
+    """The lengths of a person's hand, as a right hand.
+
+    A left hand's lengths are given mirrored in the palm's plane x = 0.
 
     Attributes:
         bases: First joint of each finger (thumb CMC, the other fingers' MCP) in the palm frame:
@@ -81,18 +83,26 @@ class HumanLengths:
 
     def __post_init__(self) -> None:
         for name in ("bases", "segments"):
-            object.__setattr__(self, name, _checked(getattr(self, name), (5, 3), name))
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), (5, 3), name))
         if not (self.segments > 0.0).all():
+            expected = "bones that are all longer than 0"
+            shortest = f"{self.segments.min():.6g} m"
             raise InvalidInputError(
-                "segments: every bone must be longer than 0", value=self.segments
+                argument="segments", expected=expected, value=self.segments, got=shortest
             )
         if not (self.bases[1:, 1] > 0.0).all():
+            expected, nearest = "MCP joints distal (+y) of the wrist", self.bases[1:, 1].min()
             raise InvalidInputError(
-                "bases: the MCP joints must be distal (+y) of the wrist", value=self.bases
+                argument="bases", expected=expected, value=self.bases, got=f"y = {nearest:.6g} m"
             )
         if not self.bases[1, 0] < self.bases[4, 0]:
-            message = "bases: expected a right hand, with the index finger at the -x side of the little one; mirror a left hand's"
-            raise InvalidInputError(message, value=self.bases)
+            raise InvalidInputError(
+                argument="bases",
+                expected="a right hand, with the index finger at the -x side of the little one",
+                value=self.bases,
+                got="a left one",
+                advice="mirror a left hand's",
+            )
 
     def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray]]:
         return type(self), (self.bases, self.segments)
@@ -104,12 +114,12 @@ class HumanLengths:
 
     @classmethod
     def from_hand_length(cls, hand_length: float, hand_breadth: float | None = None) -> Self:
-        """Typical lengths for a hand of a given size (Buchholz et al. 1992).
+        """Return typical lengths for a hand of a given size (Buchholz et al. 1992).
 
         The palm frame's origin lies on the distal wrist crease and its y axis on the third
         metacarpal, from which the source measures. The source places joints in the plane of the
-        palm only, so all bases have z = 0: the arch of the metacarpals and the depth of the thumb's
-        CMC joint are left out, as they are in the default hand.
+        palm only, so all bases have z = 0. The arch of the metacarpals and the depth of the thumb's
+        CMC joint are missing, as they are in the default hand.
 
         Args:
             hand_length: From the distal wrist crease to the tip of the middle finger [m]. Its bones
@@ -124,20 +134,23 @@ class HumanLengths:
         Raises:
             InvalidInputError: If a length is not a number > 0.
         """
-        breadth = _BREADTH_OVER_LENGTH * hand_length if hand_breadth is None else hand_breadth
-        for name, value in (("hand_length", hand_length), ("hand_breadth", breadth)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InvalidInputError(
-                    f"{name}: expected a length > 0 in metres, got {value}", value=value
-                )
-        bases = np.column_stack(
-            [-breadth * _BUCHHOLZ_RADIAL, hand_length * _BUCHHOLZ_DISTAL, np.zeros(5)]
-        )
-        return cls(bases=bases, segments=hand_length * _BUCHHOLZ_SEGMENTS)
+        length = _checked_length(hand_length, "hand_length")
+        breadth = _BREADTH_OVER_LENGTH * length
+        if hand_breadth is not None:
+            breadth = _checked_length(hand_breadth, "hand_breadth")
+        across, along = -breadth * _BUCHHOLZ_RADIAL, length * _BUCHHOLZ_DISTAL
+        bases = np.column_stack([across, along, np.zeros(5)])
+        return cls(bases=bases, segments=length * _BUCHHOLZ_SEGMENTS)
 
     @classmethod
     def from_urdf(cls, text: str) -> Self:
-        """The lengths of a human hand's URDF, such as `urdf/human/hand.urdf`.
+        """Read the lengths from a human hand's URDF, such as `urdf/human/hand.urdf`.
+
+        Args:
+            text: The URDF of the right hand.
+
+        Returns:
+            The lengths.
 
         Raises:
             HandError: If the text is not the URDF of a human hand with this package's names.
@@ -151,12 +164,12 @@ class HumanLengths:
 
 
 def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
-    """Give a right human hand's URDF the lengths of a person.
+    """Scale a right human hand's URDF to the lengths of a person.
 
     Joint origins, fingertips and shapes move; axes, limits and names stay. Bones are stretched
-    along themselves, and all thicknesses follow the length of the whole hand. In the palm, a shape
-    named after a finger (`index_metacarpal`) follows that finger's first joint; the others follow
-    the breadth and length of the palm and the middle of the knuckles.
+    along themselves, and all thicknesses scale with the length of the whole hand. In the palm, a
+    shape named after a finger (`index_metacarpal`) follows that finger's first joint. The other
+    shapes follow the breadth and length of the palm and the middle of the knuckles.
 
     Args:
         text: URDF of the right human hand (`urdf/human/hand.urdf`, or one scaled before).
@@ -167,7 +180,10 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
 
     Raises:
         HandError: If the text is not the URDF of a human hand with this package's names.
+        InvalidInputError: If `lengths` is something else.
     """
+    if not isinstance(lengths, HumanLengths):
+        raise InvalidInputError(argument="lengths", expected="HumanLengths", value=lengths)
     robot = parse_urdf(text)
     joints = _joints(robot)
     old = HumanLengths.from_urdf(text)
@@ -185,140 +201,47 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
     return ET.tostring(robot, encoding="unicode")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Synergies:
-    """Postural synergies: `q = mean + matrix @ z`.
+def frozen_floats(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
+    """Return a write-protected copy of finite numbers.
 
-    Attributes:
-        matrix: S, joint angles per unit of each synergy [rad], shape (20, 15); rows in the order of
-            `HUMAN_JOINTS`. Its columns are not orthonormal, because DIP angles follow PIP angles in
-            it.
-        mean: Mean posture q_m [rad], shape (20,).
+    Args:
+        values: The numbers.
+        shape: The shape that they must have.
+        name: What to call them in an error.
 
     Raises:
-        InvalidInputError: On a wrong shape or a number that is not finite.
+        InvalidInputError: On a wrong shape, or anything but finite numbers.
     """
-
-    matrix: np.ndarray
-    mean: np.ndarray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", _checked(self.matrix, (20, 15), "matrix"))
-        object.__setattr__(self, "mean", _checked(self.mean, (20,), "mean"))
-
-    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray]]:
-        return type(self), (self.matrix, self.mean)
-
-    def posture(self, z: npt.ArrayLike) -> np.ndarray:
-        """The posture of given synergy coordinates.
-
-        Args:
-            z: Coordinates of the first synergies; those left out are 0. Shape (k,), k <= 15.
-
-        Returns:
-            Joint angles in the order of `HUMAN_JOINTS` [rad], shape (20,). They are not held to any
-            limits.
-
-        Raises:
-            InvalidInputError: On a wrong shape or a number that is not finite.
-        """
-        coordinates = np.asarray(z, dtype=float)
-        if coordinates.ndim != 1 or len(coordinates) > 15 or not np.isfinite(coordinates).all():
-            raise InvalidInputError(
-                f"z: expected at most 15 finite numbers, got shape {coordinates.shape}", value=z
-            )
-        return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
-
-    def coordinates(self, q: npt.ArrayLike) -> np.ndarray:
-        """The synergy coordinates nearest to a posture, in the least-squares sense over the joint angles.
-
-        Args:
-            q: Joint angles [rad], shape (20,).
-
-        Returns:
-            Coordinates, shape (15,).
-
-        Raises:
-            InvalidInputError: On a wrong shape or a number that is not finite.
-        """
-        return np.linalg.lstsq(self.matrix, _checked(q, (20,), "q") - self.mean, rcond=None)[0]
-
-    def explained_variance(self, q: npt.ArrayLike) -> np.ndarray:
-        """How much of a motion's variance the first synergies can reproduce.
-
-        The motion is taken about its own mean, and projected by least squares over the joint angles
-        onto the span of the first k synergies, for each k.
-
-        Args:
-            q: Joint angles over time [rad], shape (T, 20), T >= 2.
-
-        Returns:
-            Fractions in 0..1 that never fall, for k = 1..15, shape (15,).
-
-        Raises:
-            InvalidInputError: On a wrong shape, a number that is not finite, or a motion that
-                stands still.
-        """
-        postures = as_floats(q, "q")
-        if postures.ndim != 2 or len(postures) < 2:
-            raise InvalidInputError(f"q: expected shape (T, 20) with T >= 2, got {postures.shape}")
-        motion = _checked(postures, (len(postures), 20), "q")
-        motion = motion - motion.mean(axis=0)
-        total = float(np.square(motion).sum())
-        if not total > 0.0:
-            raise InvalidInputError("q: expected a motion, got the same posture throughout")
-        # The first k columns of an orthonormal factor span what the first k synergies span.
-        directions, _ = np.linalg.qr(self.matrix)
-        return np.clip(np.cumsum(np.square(motion @ directions).sum(axis=0)) / total, 0.0, 1.0)
-
-
-@cache
-def load_synergies() -> Synergies:
-    """The synergies of the 20-joint human hand, from `urdf/human/synergies.json`, which names their source."""
-    document = json.loads(
-        (urdf_directory() / "human" / "synergies.json").read_text(encoding="utf-8")
-    )
-    if document["joint_names"] != list(HUMAN_JOINTS):
-        raise HandError(
-            "synergies.json lists other joints than the human hand has", key="joint_names"
-        )
-    return Synergies(matrix=np.array(document["S"]), mean=np.array(document["q_m"]))
-
-
-def _checked(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
-    """A write-protected copy of finite numbers of the right shape."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"{name}: expected numbers of shape {shape}: {error}") from error
-    if array.shape != shape:
-        raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise InvalidInputError(f"{name}: expected finite numbers", value=array)
+    array = as_floats(values, name, shape=shape, is_finite=True).copy()
     array.setflags(write=False)
     return array
 
 
+def _checked_length(value: float, name: str) -> float:
+    length = float(as_floats(value, name, shape=()))
+    if not 0.0 < length < math.inf:
+        raise InvalidInputError(argument=name, expected="a length > 0 in metres", value=value)
+    return length
+
+
 def _chain(finger: str) -> tuple[str, ...]:
-    """A finger's four joints and the fixed one of its tip, outwards."""
+    """Return a finger's four joints and the fixed one of its tip, outwards."""
     first = 4 * FINGERS.index(finger)
     return (*HUMAN_JOINTS[first : first + 4], f"{finger}_tip_joint")
 
 
 def _joints(robot: ET.Element) -> dict[str, ET.Element]:
-    joints = {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
-    for finger in FINGERS:
-        for name in _chain(finger):
-            if (
-                name not in joints
-                or joints[name].find("origin") is None
-                or joints[name].find("child") is None
-            ):
-                raise HandError(
-                    f"not a human hand of this package: {name!r} is missing or has no origin",
-                    value=name,
-                )
+    """Return all joints by name, those of the fingers with an origin and a child."""
+    joints = joints_by_name(robot)
+    for name in (name for finger in FINGERS for name in _chain(finger)):
+        tags = {element.tag for element in joints[name]} if name in joints else set()
+        if not {"origin", "child"} <= tags:
+            raise _not_human(f"the joint {name!r} is missing or has no origin", value=name)
     return joints
+
+
+def _not_human(problem: str, *, key: str | None = None, value: str | None = None) -> HandError:
+    return HandError(f"not a human hand of this package: {problem}", key=key, value=value)
 
 
 def _bone(joint: ET.Element) -> str:
@@ -340,57 +263,42 @@ def _set_position(element: ET.Element, position: np.ndarray) -> None:
 
 
 def _shapes(robot: ET.Element, link_name: str) -> list[ET.Element]:
-    """The visuals and collisions of a link."""
+    """Return the visuals and collisions of a link."""
     for link in robot.iterfind("link"):
         if link.get("name") == link_name:
             return [*link.iterfind("visual"), *link.iterfind("collision")]
-    raise HandError(
-        f"not a human hand of this package: the link {link_name!r} is missing", value=link_name
-    )
+    raise _not_human(f"the link {link_name!r} is missing", value=link_name)
 
 
 def _palm_map(
     old: HumanLengths, new: HumanLengths, shape_name: str
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Where a point of a palm's shape goes."""
-    knuckles_old, knuckles_new = (
-        old.bases[4, 0] - old.bases[1, 0],
-        new.bases[4, 0] - new.bases[1, 0],
-    )
-    scale = np.array(
-        [
-            knuckles_new / knuckles_old,
-            new.bases[2, 1] / old.bases[2, 1],
-            new.hand_length / old.hand_length,
-        ]
-    )
+    """Return the map of points of a shape in the palm."""
+    breadth_old, breadth_new = (lengths.bases[4, 0] - lengths.bases[1, 0] for lengths in (old, new))
+    across, along = breadth_new / breadth_old, new.bases[2, 1] / old.bases[2, 1]
+    scale = np.array([across, along, new.hand_length / old.hand_length])
     finger = shape_name.partition("_")[0]
-    # Shapes of no finger follow the middle of the knuckles, which is not on the palm's y axis of
-    # every hand.
+    # Shapes that belong to no finger follow the middle of the knuckles, which is not always on the
+    # palm's y axis.
     rows = [FINGERS.index(finger)] if finger in FINGERS else [1, 4]
     base_old, base_new = old.bases[rows].mean(axis=0), new.bases[rows].mean(axis=0)
 
     def follow(point: np.ndarray) -> np.ndarray:
-        # What plain scaling misses at the base is made up for in proportion to the way from the
-        # wrist to there.
-        way = max(0.0, point @ base_old / (base_old @ base_old))
-        return scale * point + way * (base_new - scale * base_old)
+        # Add the residual at the finger base, weighted linearly from wrist to base.
+        share = max(0.0, point @ base_old / (base_old @ base_old))
+        return scale * point + share * (base_new - scale * base_old)
 
     return follow
 
 
 def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float) -> None:
-    """Move a primitive's centre and ends with `move`, and its thickness with `size`."""
+    """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
     origin, centre = _origin(shape), _position(shape)
     axes = rotation_from_rpy(get_numbers(origin, "rpy", 3, "0 0 0"))
     primitive = shape.find("geometry/*")
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
-        raise HandError(
-            f"not a human hand of this package: a shape is <{kind}>",
-            key=shape.get("name"),
-            value=kind,
-        )
+        raise _not_human(f"a shape is <{kind}>", key=shape.get("name"), value=kind)
     if kind == "box":
         sides = zip(axes.T, get_numbers(primitive, "size", 3), strict=True)
         ends = [
@@ -411,6 +319,5 @@ def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], si
     x, y, z = (upper - lower) / length
     set_numbers(primitive, "length", [length])
     _set_position(shape, (lower + upper) / 2)
-    # Any rotation that lays the cylinder's z axis on the new direction will do: a cylinder has no
-    # roll.
+    # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
     set_numbers(origin, "rpy", [0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))])

@@ -1,18 +1,19 @@
 """Hands by name or by file: `load_hand`.
 
-The hands that come with the package live in `urdf/<name>/hand.yaml`. The human hand is one of them,
-and the only one that can be scaled to a person.
+The hands of the package lie in `urdf/<name>/hand.yaml`. The human hand is one of them, and the only
+one that can be scaled to a person.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
-from handmap_qp.hands.hand import Hand, read_urdf, urdf_path
+from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError, describe_value
+from handmap_qp.hands.hand import Hand, Points, read_urdf, urdf_path
 from handmap_qp.hands.human import HumanLengths, scaled_human_urdf
-from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, read_hand_spec
+from handmap_qp.hands.spec import HandSpec, Mount, read_hand_spec
 from handmap_qp.hands.urdf.package_data import urdf_directory
 
 HUMAN_HANDS = ("human", "human_left")
@@ -20,14 +21,14 @@ HUMAN_HANDS = ("human", "human_left")
 
 
 def hand_names() -> tuple[str, ...]:
-    """Names of the hands that come with the package."""
+    """Return the names of the hands of the package."""
     return tuple(sorted(path.parent.name for path in urdf_directory().glob("*/hand.yaml")))
 
 
 def load_hand(
     hand: str | Path | HandSpec,
     *,
-    points: str | tuple[str | PointSpec, ...] | None = None,
+    points: Points | None = None,
     mount: Mount | None = None,
     lengths: HumanLengths | None = None,
     hand_length: float | None = None,
@@ -39,38 +40,44 @@ def load_hand(
             built in code.
         points: Reference points: the name of a set of the hand, names of its points, or points of
             your own. Its default set if omitted.
-        mount: `floating` or `fixed`, overriding the hand's own.
+        mount: `floating` or `fixed`, in place of the hand's own.
         lengths: For the human hand: measured segment lengths.
-        hand_length: For the human hand: length from wrist crease to middle fingertip [m], the
-            segments following by Buchholz 1992.
+        hand_length: For the human hand: length from wrist crease to middle fingertip [m]; the
+            segments follow by Buchholz 1992.
 
     Returns:
         The hand.
 
     Raises:
         HandError: If there is no such hand, or its description cannot be used.
-        InvalidInputError: If lengths are given for a robot, or both kinds of lengths.
-        MissingExtraError: If its URDF lives in a package that is not installed.
+        InvalidInputError: If an argument is of another type than expected, lengths are given for a
+            robot, or both kinds of lengths.
+        MissingExtraError: If its URDF lies in a package that is not installed.
     """
+    if not isinstance(hand, str | Path | HandSpec):
+        expected = "a name, the path of a hand.yaml, or a HandSpec"
+        raise InvalidInputError(argument="hand", expected=expected, value=hand)
     spec = hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
     if lengths is None and hand_length is None:
         return Hand(spec, points=points, mount=mount)
+    argument, value = ("hand_length", hand_length) if lengths is None else ("lengths", lengths)
     if spec.name not in HUMAN_HANDS:
-        raise InvalidInputError(
-            f"{spec.name}: only the human hand can be scaled; lengths and hand_length are for it alone"
-        )
-    if lengths is not None and hand_length is not None:
-        raise InvalidInputError("lengths and hand_length: give one or the other")
-    person = lengths or HumanLengths.from_hand_length(float(hand_length or 0.0))
-    return Hand(
-        spec, points=points, mount=mount, urdf_text=scaled_human_urdf(read_urdf(spec), person)
-    )
+        problem = f"only the human hand can be scaled, not {spec.name}"
+        raise InvalidInputError(problem, argument=argument, value=value)
+    if lengths is None:
+        lengths = HumanLengths.from_hand_length(hand_length)  # type: ignore[arg-type]
+    elif hand_length is not None:
+        problem = "cannot be combined with hand_length: give one of them"
+        raise InvalidInputError(problem, argument=argument, value=value)
+    text = scaled_human_urdf(read_urdf(spec), lengths)
+    return Hand(spec, points=points, mount=mount, urdf_text=text)
 
 
 def list_hands() -> list[dict[str, Any]]:
-    """The hands that come with the package.
+    """List the hands of the package.
 
-    Name, side, joints, points, and whether its URDF is there.
+    Returns:
+        Name, side, number of joints, mount, point sets of each, and whether its URDF is there.
     """
     rows = []
     for name in hand_names():
@@ -93,23 +100,21 @@ def list_hands() -> list[dict[str, Any]]:
 
 
 def describe_hand(hand: str | Path) -> dict[str, Any]:
-    """One hand in plain values: its frames, joints with limits, and reference points.
+    """Describe one hand in plain values: its frames, joints with limits, and reference points.
 
     Args:
         hand: Name or path, as in `load_hand`.
 
     Returns:
-        A dictionary that JSON can hold; `joints` and `points` are lists of dictionaries.
+        A dictionary for JSON; `joints` and `points` are lists of dictionaries.
+
+    Raises:
+        HandError: If there is no such hand, or its description cannot be used.
+        MissingExtraError: If its URDF lies in a package that is not installed.
     """
     found = load_hand(hand)
-    limits = zip(
-        found.joint_names,
-        found.lower_limits,
-        found.upper_limits,
-        found.velocity_limits,
-        found.rest,
-        strict=True,
-    )
+    numbers = (found.lower_limits, found.upper_limits, found.velocity_limits, found.rest)
+    columns = (found.joint_names, *(array.tolist() for array in numbers))
     chosen = {point.name for point in found.reference_points}
     return {
         "name": found.name,
@@ -125,9 +130,7 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
                 "speed rad/s": speed,
                 "rest rad": rest,
             }
-            for name, lower, upper, speed, rest in (
-                (name, *map(float, row)) for name, *row in limits
-            )
+            for name, lower, upper, speed, rest in zip(*columns, strict=True)
         ],
         "points": [
             {
@@ -143,16 +146,15 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
 
 
 def _find(hand: str | Path) -> Path:
-    """The `hand.yaml` of a name or path."""
+    """Find the `hand.yaml` of a name or path."""
     name = str(hand)
     if name in hand_names():
         return urdf_directory() / name / "hand.yaml"
     path = Path(hand)
     if path.suffix in (".yaml", ".yml"):
         return path
-    if (path / "hand.yaml").is_file():
-        return path / "hand.yaml"
-    raise HandError(
-        f"no hand {name!r}: expected one of {', '.join(hand_names())}, or the path of a hand.yaml",
-        value=name,
-    )
+    with suppress(OSError):  # a name that is too long for a file, say
+        if (path / "hand.yaml").is_file():
+            return path / "hand.yaml"
+    expected = f"one of {', '.join(hand_names())}, or the path of a hand.yaml"
+    raise HandError(f"no hand {describe_value(name)}: expected {expected}", value=name)

@@ -5,9 +5,9 @@ linear map on top of it,
 
     q_all = S q_active + offset,        v_all = S v_active,
 
-so that followers are no variables of the QP and their motion is in the Jacobian: `J_active = J_all
-S`. Rules are resolved to joints that follow nobody, whatever the order of the branches; a leader
-may itself follow.
+so followers are not variables of the QP, and their motion is in the Jacobian: `J_active = J_all S`.
+Rules are resolved to joints that follow no other joint, in whatever order the URDF has them; a
+leader may follow another joint itself.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 from handmap_qp.errors import HandError
 from handmap_qp.hands.urdf.elements import get_numbers
 
-# A follower's limits are taken for a mistake where they would leave less than this part of its
-# leader's range.
+# A follower's limits count as a mistake if they would leave less than this share of its leader's
+# range.
 _LEAST_SHARE = 0.01
 
 
@@ -72,18 +72,17 @@ class Expansion(NamedTuple):
 
 
 def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
-    """The mimic rules of a URDF, resolved to leaders that follow nobody.
+    """Read the mimic rules of a URDF, resolved to leaders that follow no other joint.
 
     Args:
         robot: The `<robot>` element.
 
     Returns:
-        One rule a follower, in the order of the file. A rule of a joint that cannot move is left
-        out.
+        One rule per follower, in the order of the file, without those of fixed joints.
 
     Raises:
-        HandError: If a leader is missing or cannot move, a joint follows itself through others, or
-            a rule holds no number.
+        HandError: If a leader is missing or fixed, a joint follows itself through others, or a rule
+            does not hold finite numbers.
     """
     joints = {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
     direct = {name: _read_rule(name, joint) for name, joint in joints.items() if _follows(joint)}
@@ -91,7 +90,10 @@ def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
         leader = joints.get(rule.leader)
         if leader is None or leader.get("type") == "fixed":
             what = "does not exist in this part of the robot" if leader is None else "cannot move"
-            message = f"it mimics {rule.leader!r}, which {what}: give its rule in `mimic`, or hold it still in `locked`"
+            message = (
+                f"it mimics {rule.leader!r}, which {what}: "
+                "give its rule in `mimic`, or hold it still in `locked`"
+            )
             raise HandError(message, key=f"mimic.{rule.follower}", value=rule.leader)
     return tuple(_resolve(rule, direct) for rule in direct.values())
 
@@ -99,11 +101,11 @@ def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
 def expansion_matrix(
     names: Iterable[str], active: Iterable[str], rules: Iterable[MimicRule]
 ) -> Expansion:
-    """S and offset for given orders of the joints.
+    """Compose S and offset for given orders of the joints.
 
     Args:
         names: All joints, in the order of the rows.
-        active: The joints that follow nobody, in the order of the columns.
+        active: The joints that follow no other, in the order of the columns.
         rules: Resolved rules, one for each of the others.
 
     Returns:
@@ -123,11 +125,11 @@ def expansion_matrix(
 def tighten_limits(
     rules: Iterable[MimicRule], ranges: Mapping[str, JointRange]
 ) -> tuple[dict[str, JointRange], tuple[str, ...]]:
-    """Limits of the leaders that keep their followers inside theirs.
+    """Tighten the limits of leaders so that their followers stay inside theirs.
 
-    A follower whose limits would leave its leader next to nothing contradicts its own rule (a wrong
-    sign, say); they are then dropped, and that is said. A follower without a speed limit has none
-    to pass on.
+    If a follower's limits would leave its leader almost no range, they contradict its own rule (a
+    wrong sign, say). They are then dropped, with a note. A follower without a speed limit passes
+    none on.
 
     Args:
         rules: Resolved rules.
@@ -146,12 +148,12 @@ def tighten_limits(
             continue
         ends = sorted((limit - rule.offset) / rule.multiplier for limit in (own.lower, own.upper))
         lower, upper = max(leader.lower, ends[0]), min(leader.upper, ends[1])
-        # Written so that a limit that is no number counts as dropped too.
+        # `not a > b` also drops NaN limits.
         if not upper - lower > _LEAST_SHARE * (leader.upper - leader.lower):
             dropped.append(
-                f"the limits [{own.lower:.4g}, {own.upper:.4g}] of {rule.follower!r} are ignored: with its rule "
-                f"{rule.multiplier:.4g} * {rule.leader} + {rule.offset:.4g} they would leave the leader no room in "
-                f"[{leader.lower:.4g}, {leader.upper:.4g}]"
+                f"the limits [{own.lower:.4g}, {own.upper:.4g}] of {rule.follower!r} are ignored: "
+                f"with its rule {rule.multiplier:.4g} * {rule.leader} + {rule.offset:.4g} they "
+                f"would leave the leader no range in [{leader.lower:.4g}, {leader.upper:.4g}]"
             )
             lower, upper = leader.lower, leader.upper
         speed = leader.velocity
@@ -162,7 +164,7 @@ def tighten_limits(
 
 
 def tighten_model(model: Any, rules: Iterable[MimicRule]) -> tuple[str, ...]:
-    """Write the limits of leaders into a Pinocchio model, tightened so that their followers keep theirs.
+    """Tighten the limits of leaders in a Pinocchio model, as `tighten_limits` does.
 
     Args:
         model: A `pinocchio.Model`, changed in place.
@@ -197,7 +199,8 @@ def _read_rule(name: str, joint: ET.Element) -> MimicRule:
         (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
         (offset,) = get_numbers(mimic, "offset", 1, "0")
     except HandError as error:
-        raise HandError(str(error), key=f"mimic.{name}", value=error.value) from error
+        message = f"{error.key}: {error.problem}"
+        raise HandError(message, key=f"mimic.{name}", value=error.value) from error
     if not (math.isfinite(multiplier) and math.isfinite(offset)):
         raise HandError(
             f"expected finite numbers, got {multiplier} and {offset}", key=f"mimic.{name}"
@@ -206,7 +209,7 @@ def _read_rule(name: str, joint: ET.Element) -> MimicRule:
 
 
 def _resolve(rule: MimicRule, direct: Mapping[str, MimicRule]) -> MimicRule:
-    """Follow the leaders up to one that follows nobody: a (b q + c) + d = (a b) q + (a c + d)."""
+    """Follow the leaders to one that follows no other: a (b q + c) + d = (a b) q + (a c + d)."""
     passed = [rule.follower]
     while rule.leader in direct:
         if rule.leader in passed:

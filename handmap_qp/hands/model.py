@@ -32,7 +32,7 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
         InvalidInputError: If there is no such mount.
         HandError: If a hand on an arm is asked to float.
     """
-    if mount is not None and mount not in get_args(Mount):
+    if not (mount is None or (isinstance(mount, str) and mount in get_args(Mount))):
         raise InvalidInputError(argument="mount", expected="'floating' or 'fixed'", value=mount)
     if spec.arm is None:
         return mount or spec.wrist.mount

@@ -12,13 +12,13 @@ import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, InvalidInputError
 
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
@@ -305,6 +305,16 @@ def read_arm_spec(path: Path) -> ArmSpec:
             key.
     """
     return _read_spec(path, ArmSpec)
+
+
+def check_side(side: Any) -> None:
+    """Reject what is not a side of the body.
+
+    Raises:
+        InvalidInputError: If it is neither `right` nor `left`.
+    """
+    if not (isinstance(side, str) and side in get_args(Side)):
+        raise InvalidInputError(argument="side", expected="'right' or 'left'", value=side)
 
 
 def check_point(point: PointSpec) -> PointSpec:

@@ -1,8 +1,8 @@
 """From 21 hand landmarks to joint angles and a wrist pose of the human hand.
 
-The hand is first measured: bone lengths and the shape of the palm are medians over the recording.
-The model scaled to them is then fitted to every sample by inverse kinematics (the same QP that
-moves robots), with joint limits, starting from the sample before.
+First, measure the hand: bone lengths and the shape of the palm are medians over the recording.
+Then, fit the model of these lengths to every sample by inverse kinematics (the same QP that moves
+robots), with joint limits, starting from the sample before.
 """
 
 from __future__ import annotations
@@ -15,29 +15,25 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import PointSpec, Side
+from handmap_qp.hands.spec import PointSpec, Side, check_side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.trackers.recording import LANDMARK_COUNT, HumanMotion, Recording
-from handmap_qp.transform import rigid_fit
+from handmap_qp.transform import as_floats, rigid_fit
 
 PALM = np.array([0, 5, 9, 13, 17])
-"""Landmarks that move as one rigid body: the wrist and the MCP joints of the four fingers."""
+"""Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
 FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
 """First joint of every finger: thumb CMC and the four MCPs."""
 TIPS = np.array([4, 8, 12, 16, 20])
 """The fingertips."""
 HAND_LENGTHS = (0.08, 0.35)
 """Lengths that a hand may have [m]: from a baby's to somewhat more than the longest on record
-(0.32). What is outside was measured in other units."""
+(0.32). Landmarks outside them are in other units than metres."""
 _PALM_RATIOS = (0.5, 2.0)
-"""Size of a sample's palm as a part of the hand's own, which is rigid.
+"""Size of a sample's palm over the hand's own, which is constant; 0.87 to 1.12 in recordings."""
 
-Over all recordings 0.87 to 1.12.
-"""
-
-# Fingertips are what the mapping uses most, so they are fitted a little closer than the joints on
-# the way to them.
+# The mapping uses fingertips most, so fit them closer than the joints on the way to them.
 _TIP_WEIGHT = 4.0
 _FIT = IkOptions(
     rest_weight=0.02,
@@ -58,6 +54,9 @@ class LandmarkFitter:
 
     Attributes:
         human: The human hand, its reference points the 21 landmarks.
+
+    Raises:
+        InvalidInputError: If the side is unknown, or `lengths` is something else.
     """
 
     def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
@@ -70,17 +69,24 @@ class LandmarkFitter:
         self._is_warm = False
 
     def fits_size(self, landmarks: np.ndarray) -> np.ndarray:
-        """Whether landmarks are of a hand as large as this one.
+        """Tell whether landmarks belong to a hand about as large as this one.
 
-        Neither in other units, nor all in one place.
+        Landmarks in other units, or all in one place, do not.
 
         Args:
             landmarks: Of one sample or many [m], shape (..., 21, 3).
 
         Returns:
-            An answer for every sample, shape (...).
+            True or False for every sample, shape (...); False for NaN.
+
+        Raises:
+            InvalidInputError: On a wrong shape, or anything but numbers.
         """
-        sizes = _palm_sizes(landmarks[..., PALM, :])
+        array = as_floats(landmarks, "landmarks")
+        if array.shape[-2:] != (LANDMARK_COUNT, 3):
+            expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
+            raise InvalidInputError(argument="landmarks", expected=expected, got=got)
+        sizes = _palm_sizes(array[..., PALM, :])
         return (sizes >= _PALM_RATIOS[0] * self._palm_size) & (
             sizes <= _PALM_RATIOS[1] * self._palm_size
         )
@@ -96,17 +102,18 @@ class LandmarkFitter:
             [m], shape (21,).
 
         Raises:
-            InvalidInputError: On a wrong shape, numbers that are not finite, or a palm of quite
-                another size than the hand's.
+            InvalidInputError: On a wrong shape, anything but finite numbers, or a palm less than
+                half or more than twice as large as the hand's.
         """
-        if landmarks.shape != (LANDMARK_COUNT, 3) or not np.isfinite(landmarks).all():
-            raise InvalidInputError(
-                f"landmarks: expected finite numbers of shape ({LANDMARK_COUNT}, 3), got {landmarks.shape}"
-            )
+        shape = (LANDMARK_COUNT, 3)
+        landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
         if not self.fits_size(landmarks):
             ratio = float(_palm_sizes(landmarks[PALM])) / self._palm_size
             raise InvalidInputError(
-                f"landmarks: expected metres and a palm as large as the hand's, got one {ratio:.3g} times as large"
+                argument="landmarks",
+                expected="metres and a palm as large as the hand's",
+                value=landmarks,
+                got=f"one {ratio:.3g} times as large",
             )
         if not self._is_warm:
             wrist = rigid_fit(self._palm, landmarks[PALM])
@@ -122,12 +129,17 @@ class LandmarkFitter:
 
 
 def human_name(side: Side) -> str:
-    """Name of the human hand of a side."""
+    """Return the name of the human hand of a side.
+
+    Raises:
+        InvalidInputError: If the side is neither `right` nor `left`.
+    """
+    check_side(side)
     return "human" if side == "right" else "human_left"
 
 
 def check_length(landmarks: np.ndarray) -> np.ndarray:
-    """Refuse landmarks of something that is no hand, or of a hand in other units than metres.
+    """Reject landmarks that are not a plausible hand in metres.
 
     Args:
         landmarks: Of one sample or more [m], shape (T, 21, 3).
@@ -136,8 +148,11 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
         Bone lengths, the median over the samples [m], shape (5, 3).
 
     Raises:
-        InvalidInputError: If no hand is as long as that.
+        InvalidInputError: On a wrong shape, anything but finite numbers, or a length outside
+            `HAND_LENGTHS`.
     """
+    shape = ("T", LANDMARK_COUNT, 3)
+    landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
     bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
     segments = np.median(bones, axis=0)
     low, high = HAND_LENGTHS
@@ -145,66 +160,69 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
         np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum()
     )
     if not low <= length <= high:
-        message = f"landmarks: expected metres and a hand of {low} to {high} m from wrist to middle fingertip, got {length:.3g}"
-        raise InvalidInputError(message, value=length)
+        expected = f"metres and a hand of {low} to {high} m from wrist to middle fingertip"
+        raise InvalidInputError(
+            argument="landmarks", expected=expected, value=length, got=f"{length:.3g}"
+        )
     return segments
 
 
 def measure_hand(recording: Recording) -> HumanLengths:
-    """Measure a person's hand.
-
-    Medians of bone lengths and of the palm's shape over the valid samples.
+    """Measure a person's hand: medians of bones and palm over the valid samples.
 
     Args:
         recording: The recording.
 
     Returns:
-        Lengths in the coordinates of a right hand, whichever hand was recorded.
+        Lengths in the coordinates of a right hand, whichever hand was recorded. The palm's axes
+        are those that lay its shape best on the standard hand's.
 
     Raises:
-        InvalidInputError: If no hand is as long as that.
+        InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
+    if not isinstance(recording, Recording):
+        raise InvalidInputError(argument="recording", expected="a Recording", value=recording)
     landmarks = recording.landmarks[recording.valid]
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
     right = load_hand("human", points="landmarks")
     palm = right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM]
-    in_palm = landmarks
-    # Generalised Procrustes: lay every sample on the mean shape, take the mean shape anew; three
-    # rounds settle it.
+    # Generalised Procrustes: lay every sample on the median shape, then take the median again.
+    # Three rounds are enough to converge.
     for _ in range(3):
-        in_palm = _lay_on(landmarks, palm)
-        palm = np.median(in_palm[:, PALM], axis=0)
+        palm = np.median(_lay_on(landmarks, palm)[:, PALM], axis=0)
         palm = palm - palm[0]
-    return HumanLengths(
-        bases=np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0), segments=segments
-    )
+    bases = np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0)
+    return HumanLengths(bases=bases, segments=segments)
 
 
 def fit_recording(
     recording: Recording, progress: Callable[[int], None] | None = None
 ) -> HumanMotion:
-    """Turn a recording into joint angles and wrist poses of a hand scaled to the person.
+    """Fit joint angles and wrist poses of a hand scaled to the person to a recording.
 
     Args:
         recording: The recording.
         progress: Called with the number of samples done after each one.
 
     Returns:
-        The motion; samples that are not valid, or of quite another size than the hand, hold the
+        The motion; samples that are not valid, or whose palm is not of the hand's size, hold the
         posture before them.
 
     Raises:
-        InvalidInputError: If no hand is as long as the one recorded, or none of the samples as
-            large as all together.
+        InvalidInputError: If the landmarks are not a plausible hand in metres, or no sample's palm
+            is of the hand's size.
     """
-    fitter = LandmarkFitter(recording.side, measure_hand(recording))
+    lengths = measure_hand(recording)
+    fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
     valid[valid] = fitter.fits_size(recording.landmarks[valid])
     if not valid.any():
         raise InvalidInputError(
-            "landmarks: expected a hand that keeps its size, got none as large as the median of all samples"
+            argument="landmarks",
+            expected="a hand that keeps its size",
+            got="no sample as large as the median of all",
         )
     count = len(recording)
     q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
@@ -222,7 +240,7 @@ def fit_recording(
 
 
 def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
-    """The 21 landmarks as reference points, the tips with more weight."""
+    """Return the 21 landmarks as reference points, the tips with more weight."""
     points = load_hand(human_name(side), points="landmarks").reference_points
     tips = {points[i].name for i in TIPS}
     return tuple(
@@ -232,12 +250,12 @@ def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
 
 
 def _palm_sizes(palms: np.ndarray) -> np.ndarray:
-    """Root mean square distances of palms' points (..., 5, 3) from their middles [m], shape (...)."""
+    """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
 
 
 def _lay_on(landmarks: np.ndarray, palm: np.ndarray) -> np.ndarray:
-    """All samples, shape (T, 21, 3), each moved rigidly so that its palm lies on `palm` (5, 3)."""
+    """Move each sample, shape (T, 21, 3), rigidly so that its palm lies on `palm` (5, 3)."""
     poses = np.array([rigid_fit(sample[PALM], palm) for sample in landmarks])
     return landmarks @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]

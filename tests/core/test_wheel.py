@@ -102,6 +102,8 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
     expected |= {f"handmap_qp/urdf/{name}" for name in files_under(ROOT / "urdf")}
     assert {name for name in names if ".dist-info/" not in name} == expected
 
+    # Type checkers read the annotations of a package only where it has this marker.
+    assert "handmap_qp/py.typed" in names
     for hand in ("human", "three_finger"):
         assert f"handmap_qp/urdf/{hand}/hand.yaml" in names
         assert any(

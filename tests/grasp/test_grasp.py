@@ -27,8 +27,8 @@ from handmap_qp.grasp import (
 )
 from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.grasp.statics import grasp_stiffness
-from handmap_qp.hands.human import load_synergies
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.transform import transform_points
 
 STIFFNESS = {"contact_stiffness": 800.0, "joint_stiffness": 1.5, "synergy_stiffness": 4.0}

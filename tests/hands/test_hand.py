@@ -3,15 +3,17 @@
 Kinematics against finite differences, reference points, and descriptions that cannot be used.
 """
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import poses
+from strategies import generators, poses
 
 from handmap_qp import HandError, InvalidInputError, PointSpec, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
@@ -106,6 +108,39 @@ def test_the_thumb_is_on_its_side(hand: Hand) -> None:
         pytest.skip(f"{hand.name} is a gripper: its sides are alike")
     sign = -1.0 if hand.side == "right" else 1.0
     assert sign * across["index"] > sign * across["middle"]
+
+
+@given(poses, generators)
+def test_a_wrist_away_from_the_root_carries_the_hand(
+    pose: np.ndarray, generator: np.random.Generator
+) -> None:
+    """The wrist's frame goes to the pose given, and all links keep their places in it."""
+    robot = ET.fromstring(HANDS["three_finger"].urdf_text)
+    ET.SubElement(robot, "link", {"name": "flange"})
+    joint = ET.SubElement(robot, "joint", {"name": "flange_joint", "type": "fixed"})
+    ET.SubElement(joint, "parent", {"link": "palm"})
+    ET.SubElement(joint, "child", {"link": "flange"})
+    ET.SubElement(joint, "origin", {"xyz": "0.02 -0.05 0.08", "rpy": "0.4 -0.7 1.1"})
+    text = ET.tostring(robot, encoding="unicode")
+    wrist = msgspec.structs.replace(SPEC.wrist, link="flange")
+    hand = Hand(msgspec.structs.replace(SPEC, wrist=wrist), urdf_text=text)
+    q = generator.uniform(hand.lower_limits, hand.upper_limits)
+    # The plain model, whose root link stands at the world's origin.
+    model = pin.buildModelFromXML(text)
+    data = model.createData()
+    full = np.zeros(model.nq)
+    for name, angle in zip(hand.joint_names, q, strict=True):
+        full[model.joints[model.getJointId(name)].idx_q] = angle
+    pin.framesForwardKinematics(model, data, full)
+    flange = data.oMf[model.getFrameId("flange")].homogeneous
+    for link in ("palm", "flange", *(point.link for point in hand.reference_points)):
+        in_root = data.oMf[model.getFrameId(link, pin.FrameType.BODY)].homogeneous
+        expected = pose @ np.linalg.inv(flange) @ in_root
+        np.testing.assert_allclose(hand.link_poses([link], q, pose)[0], expected, atol=1e-9)
+    np.testing.assert_allclose(hand.frame_pose("wrist", q, pose), pose, atol=1e-12)
+    np.testing.assert_allclose(
+        hand.frame_pose("palm", q, pose), pose @ hand.wrist_to_palm, atol=1e-12
+    )
 
 
 def test_a_fixed_hand_refuses_a_wrist_pose() -> None:

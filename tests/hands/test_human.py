@@ -19,10 +19,9 @@ from handmap_qp.hands.human import (
     FINGERS,
     HUMAN_JOINTS,
     HumanLengths,
-    Synergies,
-    load_synergies,
     scaled_human_urdf,
 )
+from handmap_qp.hands.synergies import Synergies, load_synergies
 from handmap_qp.hands.urdf.mirror import mirrored_urdf
 from handmap_qp.hands.urdf.package_data import urdf_directory
 
@@ -238,14 +237,14 @@ def test_left_hand_is_the_scaled_right_hand_mirrored() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"bases": np.zeros((4, 3))}, "bases: expected shape"),
+        ({"bases": np.zeros((4, 3))}, "bases: expected finite numbers of shape"),
         ({"bases": np.full((5, 3), np.nan)}, "bases: expected finite"),
         ({"bases": DEFAULT.bases * [-1, 1, 1]}, "mirror a left hand"),
         ({"bases": DEFAULT.bases * [1, -1, 1]}, "distal"),
-        ({"bases": "wide"}, "bases: expected numbers"),
-        ({"segments": np.zeros((5, 3))}, "longer than 0"),
+        ({"bases": "wide"}, "bases: expected finite numbers"),
+        ({"segments": np.zeros((5, 3))}, "bones that are all longer than 0"),
         ({"segments": np.full((5, 3), np.inf)}, "segments: expected finite"),
-        ({"segments": np.ones((3, 5))}, "segments: expected shape"),
+        ({"segments": np.ones((3, 5))}, "segments: expected finite numbers of shape"),
     ],
 )
 def test_bad_lengths(change: dict[str, Any], message: str) -> None:

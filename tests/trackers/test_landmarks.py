@@ -1,7 +1,9 @@
 """Landmarks to joint angles: exact on a hand like the model's, close on real ones."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -53,6 +55,28 @@ def test_a_hand_is_measured_as_long_as_it_is(side: Side, hand_length: float) -> 
     np.testing.assert_allclose(
         np.linalg.norm(measured.bases, axis=1), np.linalg.norm(lengths.bases, axis=1), atol=1e-9
     )
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("size", [0.8, 1.0, 1.25])
+def test_a_hand_of_the_standard_shape_is_measured_where_it_is(side: Side, size: float) -> None:
+    """Every joint of the palm at its place, which distances from the wrist alone do not tell."""
+    standard = HumanLengths.from_urdf(load_hand("human").urdf_text)
+    lengths = HumanLengths(bases=size * standard.bases, segments=size * standard.segments)
+    measured = measure_hand(synthetic(side, lengths)[0])
+    np.testing.assert_allclose(measured.bases, lengths.bases, atol=1e-9)
+    np.testing.assert_allclose(measured.segments, lengths.segments, atol=1e-9)
+
+
+def test_a_mirrored_recording_is_of_the_same_person() -> None:
+    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.19))
+    mirrored = recording.landmarks * (-1.0, 1.0, 1.0)
+    right = measure_hand(recording)
+    left = measure_hand(replace(recording, landmarks=mirrored, side="left"))
+    np.testing.assert_allclose(left.bases, right.bases, atol=1e-12)
+    np.testing.assert_allclose(left.segments, right.segments, atol=1e-12)
+    # The thumb is on the index finger's side, centimetres from the middle of the knuckles.
+    assert right.bases[0, 0] < right.bases[1:, 0].mean() - 0.01
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -119,6 +143,13 @@ def test_a_size_that_no_sample_bears_out_is_no_hand(monkeypatch: pytest.MonkeyPa
 
 
 BAD = {
+    "text": "x",
+    "digits": [["1"] * 3] * 21,
+    "None": None,
+    "ragged": [[0.0], [0.0, 1.0]],
+    "complex": np.full((21, 3), 1j),
+    "objects": np.full((21, 3), None),
+    "infinite": np.full((21, 3), np.inf),
     "shape": np.zeros((20, 3)),
     "nan": np.full((21, 3), np.nan),
     "zeros": np.zeros((21, 3)),
@@ -128,20 +159,36 @@ BAD = {
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
-def test_bad_landmarks_are_refused_and_change_nothing(bad: np.ndarray) -> None:
+def test_bad_landmarks_are_refused_and_change_nothing(bad: Any) -> None:
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.18))
     disturbed, calm = LandmarkFitter(), LandmarkFitter()
     for fitter in (disturbed, calm):
         fitter.fit(recording.landmarks[0])
-    with pytest.raises(InvalidInputError, match="landmarks: expected"):
-        disturbed.fit(bad)
-    with pytest.raises(InvalidInputError, match="landmarks: expected"):
-        LandmarkFitter().fit(bad)
+    for fitter in (disturbed, LandmarkFitter()):
+        with pytest.raises(InvalidInputError, match="landmarks: expected") as caught:
+            fitter.fit(bad)
+        assert caught.value.argument == "landmarks"
     np.testing.assert_array_equal(
         disturbed.fit(recording.landmarks[1])[0], calm.fit(recording.landmarks[1])[0]
     )
 
 
+def test_other_arguments_are_named() -> None:
+    calls: dict[str, Callable[[], Any]] = {
+        "side": lambda: LandmarkFitter("up"),  # type: ignore[arg-type]
+        "lengths": lambda: LandmarkFitter("right", 0.19),  # type: ignore[arg-type]
+        "recording": lambda: measure_hand("x"),  # type: ignore[arg-type]
+        "landmarks": lambda: LandmarkFitter().fits_size(np.zeros((3, 3))),
+    }
+    for argument, call in calls.items():
+        with pytest.raises(InvalidInputError) as caught:
+            call()
+        assert caught.value.argument == argument
+    with pytest.raises(InvalidInputError, match="recording: expected a Recording"):
+        fit_recording(None)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
 def test_real_hands_are_fitted_within_their_limits(recordings: Path) -> None:
     for path in sorted(recordings.glob("*.npz")):
         recording = read_recording(path)

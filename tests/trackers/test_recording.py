@@ -3,12 +3,16 @@
 What is there is read as it is, and what cannot be used is refused in one line.
 """
 
+import pickle
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from handmap_qp import RecordingError, read_recording
+from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, read_recording
+from handmap_qp.trackers.recording import HumanMotion
 
 
 def arrays(count: int = 5) -> dict[str, np.ndarray]:
@@ -65,6 +69,13 @@ BAD = {
     "nothing valid": {"valid": np.zeros(5, dtype=bool)},
     "words for landmarks": {"landmarks": np.full((5, 21, 3), "x")},
     "pickled objects": {"landmarks": np.full((5, 21, 3), None)},
+    "digits for time": {"time": np.array(list("01234"))},
+    "complex landmarks": {"landmarks": np.full((5, 21, 3), 1j)},
+    "flat time": {"time": np.zeros((5, 1))},
+    "words for valid": {"valid": np.array(["True"] * 5)},
+    "counts for valid": {"valid": np.array([2, 1, 1, 1, 1])},
+    "number for a side": {"handedness": np.array(1.0)},
+    "two sides": {"handedness": np.array(["right", "left"])},
 }
 
 
@@ -91,6 +102,72 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "absent.npz", tmp_path):
         with pytest.raises(RecordingError, match="cannot be read"):
             read_recording(path)
+
+
+@pytest.mark.parametrize("path", [None, 5, b"hand.npz", ["hand.npz"]], ids=str)
+def test_what_is_not_a_path_is_named(path: Any) -> None:
+    with pytest.raises(InvalidInputError, match="path: expected the path"):
+        read_recording(path)
+
+
+def recording(**changes: Any) -> Recording:
+    """The small recording, built in code."""
+    values = {**arrays(), "name": "hand", "side": "right", **changes}
+    values.pop("handedness")
+    return Recording(**values)
+
+
+WRONG = {
+    "time": [None, "x", ["0", "1", "2", "3", "4"], [0.0, np.nan, 2.0, 3.0, 4.0], np.zeros(5), []],
+    "landmarks": [None, "x", np.zeros((5, 21)), np.zeros((4, 21, 3)), np.full((5, 21, 3), 1j)],
+    "valid": [None, "x", [True] * 4, [2] * 5, np.zeros(5, dtype=bool), [np.nan] * 5],
+    "side": [None, "up", 5, ["right"]],
+}
+
+
+@pytest.mark.parametrize(("argument", "values"), WRONG.items(), ids=WRONG.keys())
+def test_a_recording_built_in_code_is_checked(argument: str, values: list[Any]) -> None:
+    for value in values:
+        with pytest.raises(InvalidInputError) as caught:
+            recording(**{argument: value})
+        assert caught.value.argument == argument
+
+
+def test_a_valid_sample_must_be_finite() -> None:
+    landmarks = arrays()["landmarks"].copy()
+    landmarks[3, 0, 0] = np.inf
+    with pytest.raises(InvalidInputError, match=r"landmarks: .* sample 3"):
+        recording(landmarks=landmarks)
+    recording(landmarks=landmarks, valid=[True, True, True, False, True])
+
+
+def test_recordings_and_motions_share_nothing_with_their_makers() -> None:
+    given = arrays()
+    one = recording(**{name: given[name] for name in ("time", "landmarks", "valid")})
+    for array in given.values():
+        array[...] = array.dtype.type(7) if array.dtype.kind != "U" else "left"
+    np.testing.assert_array_equal(one.landmarks, arrays()["landmarks"])
+    human = load_hand("human", points="landmarks")
+    motion = HumanMotion(
+        human,
+        one.time,
+        one.steps,
+        np.tile(human.rest, (5, 1)),
+        np.tile(np.eye(4), (5, 1, 1)),
+        one.valid,
+        np.zeros((5, 21)),
+    )
+    again = pickle.loads(pickle.dumps(one))
+    for value in (one, again, motion):
+        for field in fields(value):
+            array = getattr(value, field.name)
+            if isinstance(array, np.ndarray):
+                with pytest.raises(ValueError, match="read-only"):
+                    array[...] = 0
+    np.testing.assert_array_equal(again.landmarks, one.landmarks)
+    with pytest.raises(InvalidInputError) as caught:
+        replace(motion, q=motion.q[:4])
+    assert caught.value.argument == "q"
 
 
 def test_real_recordings_are_read(recordings: Path) -> None:

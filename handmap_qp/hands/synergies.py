@@ -1,0 +1,121 @@
+"""Postural synergies of the human hand: few coordinates for its twenty joints."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.hands.human import HUMAN_JOINTS, frozen_floats
+from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.transform import as_floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Synergies:
+    """Postural synergies: `q = mean + matrix @ z`.
+
+    Attributes:
+        matrix: S, joint angles per unit of each synergy [rad], shape (20, 15); rows in the order of
+            `HUMAN_JOINTS`. Its columns are not orthonormal, because DIP angles follow PIP angles in
+            it.
+        mean: Mean posture q_m [rad], shape (20,).
+
+    Raises:
+        InvalidInputError: On a wrong shape or a number that is not finite.
+    """
+
+    matrix: np.ndarray
+    mean: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", frozen_floats(self.matrix, (20, 15), "matrix"))
+        object.__setattr__(self, "mean", frozen_floats(self.mean, (20,), "mean"))
+
+    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray]]:
+        return type(self), (self.matrix, self.mean)
+
+    def posture(self, z: npt.ArrayLike) -> np.ndarray:
+        """Compute the posture of given synergy coordinates.
+
+        Args:
+            z: Coordinates of the first synergies; those left out are 0. Shape (k,), k <= 15.
+
+        Returns:
+            Joint angles in the order of `HUMAN_JOINTS` [rad], shape (20,); not clipped to limits.
+
+        Raises:
+            InvalidInputError: On a wrong shape or a number that is not finite.
+        """
+        coordinates = as_floats(z, "z", shape=("k",), is_finite=True)
+        if len(coordinates) > 15:
+            expected, got = "at most 15 numbers", str(len(coordinates))
+            raise InvalidInputError(argument="z", expected=expected, value=z, got=got)
+        return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
+
+    def coordinates(self, q: npt.ArrayLike) -> np.ndarray:
+        """Compute the synergy coordinates nearest to a posture, by least squares over the angles.
+
+        Args:
+            q: Joint angles [rad], shape (20,).
+
+        Returns:
+            Coordinates, shape (15,).
+
+        Raises:
+            InvalidInputError: On a wrong shape or a number that is not finite.
+        """
+        return np.linalg.lstsq(self.matrix, frozen_floats(q, (20,), "q") - self.mean, rcond=None)[0]
+
+    def explained_variance(self, q: npt.ArrayLike) -> np.ndarray:
+        """Compute how much of a motion's variance the first synergies can reproduce.
+
+        The motion is taken about its own mean, and projected by least squares over the joint angles
+        onto the span of the first k synergies, for each k.
+
+        Args:
+            q: Joint angles over time [rad], shape (T, 20), T >= 2.
+
+        Returns:
+            Fractions in 0..1 that never fall, for k = 1..15, shape (15,).
+
+        Raises:
+            InvalidInputError: On a wrong shape, a number that is not finite, or a motion that
+                stands still.
+        """
+        postures = as_floats(q, "q", shape=("T", 20), is_finite=True)
+        if len(postures) < 2:
+            expected, got = "at least two postures", str(len(postures))
+            raise InvalidInputError(argument="q", expected=expected, value=q, got=got)
+        motion = postures - postures.mean(axis=0)
+        total = float(np.square(motion).sum())
+        if not total > 0.0:
+            got = "the same posture throughout"
+            raise InvalidInputError(argument="q", expected="a motion", value=q, got=got)
+        # The first k columns of an orthonormal factor span what the first k synergies span.
+        directions, _ = np.linalg.qr(self.matrix)
+        return np.clip(np.cumsum(np.square(motion @ directions).sum(axis=0)) / total, 0.0, 1.0)
+
+
+@cache
+def load_synergies() -> Synergies:
+    """Load the synergies of the 20-joint human hand.
+
+    Returns:
+        The synergies of `urdf/human/synergies.json`, which names their source; the same object at
+        every call, with read-only arrays.
+
+    Raises:
+        HandError: If the file lists other joints than the human hand has.
+    """
+    file = urdf_directory() / "human" / "synergies.json"
+    document = json.loads(file.read_text(encoding="utf-8"))
+    if document["joint_names"] != list(HUMAN_JOINTS):
+        message = "lists other joints than the human hand has"
+        raise HandError(message, file=file, key="joint_names")
+    return Synergies(matrix=np.array(document["S"]), mean=np.array(document["q_m"]))

@@ -1,0 +1,106 @@
+"""Collision shapes: meshes are found wherever the description of the hand lies."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import trimesh
+
+from handmap_qp import Hand, HandError, HandSpec, IkOptions, PointSpec
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.spec import CollisionSpec, PalmSpec, WristSpec
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.onboarding.detect import detect
+from handmap_qp.onboarding.measure import colliding_links
+
+FINGER = """
+<robot name="finger">
+  <link name="palm"><collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
+  <joint name="bend" type="revolute">
+    <parent link="palm"/><child link="tip"/><origin xyz="0.1 0 0"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="5"/>
+  </joint>
+  <link name="tip"><collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
+</robot>
+"""
+SPEC = HandSpec(
+    name="finger",
+    urdf="hand.urdf",
+    side="right",
+    palm=PalmSpec("palm", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    wrist=WristSpec("palm"),
+    joints=("bend",),
+    rest={"bend": 0.0},
+    points=(PointSpec("tip", "tip"),),
+    sets={"fingertips": ("tip",)},
+    reference="fingertips",
+)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "place", "marker"),
+    [
+        ("part.stl", "urdf/part.stl", ""),
+        ("meshes/part.stl", "urdf/meshes/part.stl", ""),
+        ("../meshes/part.stl", "meshes/part.stl", ""),
+        ("file://{root}/part.stl", "part.stl", ""),
+        ("{root}/part.stl", "part.stl", ""),
+        ("package://finger_description/meshes/part.stl", "meshes/part.stl", "package.xml"),
+        ("package://urdf/meshes/part.stl", "urdf/meshes/part.stl", ""),
+        ("model://urdf/part.stl", "urdf/part.stl", ""),
+    ],
+)
+def test_meshes_are_found_from_the_urdf(tmp_path: Path, mesh: str, place: str, marker: str) -> None:
+    root, elsewhere = tmp_path / "robot", tmp_path / "elsewhere"
+    for folder in (root / "urdf", (root / place).parent, elsewhere):
+        folder.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box((0.04, 0.02, 0.02)).export(root / place)
+    if marker:
+        (root / marker).write_text("<package/>")
+    (root / "urdf" / "hand.urdf").write_text(FINGER.format(mesh=mesh.format(root=root)))
+    relative = "../robot/urdf/hand.urdf"
+    hand = Hand(msgspec.structs.replace(SPEC, urdf=relative, directory=elsewhere))
+    palm, _ = read_collision_shapes(hand).geometryObjects
+    palm.geometry.computeLocalAABB()
+    np.testing.assert_allclose(palm.geometry.aabb_local.max_, [0.02, 0.01, 0.01], atol=1e-6)
+    # The check of a description and the mapping find the same meshes.
+    assert colliding_links(hand, hand.rest) == ()
+
+
+def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    (tmp_path / "hand.urdf").write_text(FINGER.format(mesh="package://nowhere/gone.stl"))
+    hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path))
+    with pytest.raises(HandError, match=r"collision shapes cannot be read: .*gone\.stl"):
+        read_collision_shapes(hand)
+
+
+@pytest.mark.parametrize("style", ["relative", "package"])
+@pytest.mark.parametrize(
+    "name", ["leap_hand/leap_hand_right.urdf", "schunk_hand/schunk_svh_hand_right.urdf"]
+)
+def test_a_description_elsewhere_avoids_self_collision(
+    shared_hands: Path, tmp_path: Path, name: str, style: str
+) -> None:
+    urdf = shared_hands / name
+    if style == "package":
+        package = tmp_path / "ros" / "some_description"
+        shutil.copytree(urdf.parent, package)
+        (package / "urdf").mkdir()
+        text = urdf.read_text(encoding="utf-8").replace(
+            'filename="meshes', 'filename="package://some_description/meshes'
+        )
+        urdf = package / "urdf" / urdf.name
+        urdf.write_text(text, encoding="utf-8")
+    spec = detect(urdf).spec
+    spec = msgspec.structs.replace(spec, urdf=str(urdf), directory=tmp_path)
+    shapes = read_collision_shapes(plain := Hand(spec)).geometryObjects
+    assert len(shapes) > 10
+    first, *_, last = (plain.model.frames[shape.parentFrame].name for shape in shapes)
+    hand = Hand(msgspec.structs.replace(spec, collision=CollisionSpec(pairs=((first, last),))))
+    ik = PointIk(hand, IkOptions(avoids_self_collision=True))
+    ik.place(hand.configuration_vector(hand.rest))
+    assert ik.solve(hand.points(hand.rest), None, 0.01).end == "solved"
