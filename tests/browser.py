@@ -1,7 +1,4 @@
-"""Chromium without a window, spoken to in its DevTools protocol over a WebSocket.
-
-What the tests of the view need of it.
-"""
+"""A headless Chromium for the tests of the view, controlled by its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -37,11 +34,11 @@ FLAGS = (
 )
 
 DRAWING = 180.0
-"""More than a page takes that is drawn without a graphics card [s], also on a busy machine."""
+"""Timeout for a page rendered in software on a busy machine [s]."""
 
 
 def find_chromium() -> str | None:
-    """The browser that `HANDMAP_CHROMIUM` names, or one on the path."""
+    """Return the browser named by `HANDMAP_CHROMIUM`, or one on the path."""
     named = os.environ.get("HANDMAP_CHROMIUM")
     return named or next(
         filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -61,7 +58,7 @@ class Browser:
         self._size = size
 
     def __enter__(self) -> Browser:
-        """Start it."""
+        """Start the browser."""
         self._folder = tempfile.mkdtemp(prefix="chromium-")
         size = f"--window-size={self._size[0]},{self._size[1]}"
         words = [self._program, *FLAGS, size, f"--user-data-dir={self._folder}", "about:blank"]
@@ -81,12 +78,12 @@ class Browser:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """End it, and remove its files."""
+        """End the browser and remove its files."""
         self._socket.close()
         self._end()
 
     def _attach(self, port_file: Path) -> None:
-        """Open a page and speak with it."""
+        """Open a page and attach to it."""
         from websockets.sync.client import connect
 
         self._wait(
@@ -105,7 +102,7 @@ class Browser:
         self.resize(*self._size)
 
     def resize(self, width: int, height: int) -> None:
-        """Give the page another size [px]."""
+        """Resize the page [px]."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -126,7 +123,7 @@ class Browser:
         self.call("Page.navigate", url=address)
 
     def evaluate(self, code: str) -> Any:
-        """The value of a JavaScript expression in the page."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self.call(
             "Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True
         )
@@ -140,7 +137,7 @@ class Browser:
 
     def wait_for(self, code: str) -> None:
         """Wait until a JavaScript expression is true."""
-        self._wait(lambda: bool(self.evaluate(code)), f"the page does not come to {code}")
+        self._wait(lambda: bool(self.evaluate(code)), f"the page never satisfies {code}")
 
     def press(self, key: str, code: int) -> None:
         """Press and release a key in the element that has the focus."""
@@ -155,14 +152,14 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def screenshot(self) -> tuple[bytes, np.ndarray]:
-        """The page as the bytes of a PNG file and as pixels, shape (height, width, 3)."""
+        """Return the page as the bytes of a PNG file and as pixels, shape (height, width, 3)."""
         from PIL import Image
 
         png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return png, np.asarray(Image.open(BytesIO(png)).convert("RGB"))
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One command of the DevTools protocol to the page."""
+        """Send a command of the DevTools protocol to the page."""
         return self._call(method, self._session, **parameters)
 
     def _call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
@@ -181,11 +178,11 @@ class Browser:
                 return answer["result"]
 
     def _wait(self, is_done: Callable[[], bool], complaint: str) -> None:
-        def see() -> bool:
+        def is_done_or_dead() -> bool:
             assert self._process.poll() is None, complaint
             return is_done()
 
-        wait_until(see, complaint, DRAWING)
+        wait_until(is_done_or_dead, complaint, DRAWING)
 
     def _end(self) -> None:
         self._process.terminate()

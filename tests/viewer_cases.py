@@ -1,4 +1,4 @@
-"""What the tests of the view share: a motion to look at, as joint angles and as a file."""
+"""A test motion for the view, as joint angles and as a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COUNT, GAP = 60, slice(20, 25)
 
 
 def closing_motion(points: str | None = None) -> HumanMotion:
-    """Two seconds of a hand that closes while it travels and turns, unseen for five samples."""
+    """Return 2 s of a hand that closes, travels and rotates, and is not seen for five samples."""
     human = load_hand("human", points=points)
     share = np.linspace(0.0, 0.5, COUNT)
     q = human.rest + share[:, None] * (0.8 * human.upper_limits - human.rest)
@@ -41,18 +41,18 @@ def closing_motion(points: str | None = None) -> HumanMotion:
 
 
 def make_replay(robot: str = "three_finger", **changes: Any) -> Replay:
-    """That motion on a robot, with mapping options by name."""
+    """Map the motion to a robot, with mapping options by name."""
     motion = closing_motion()
     return Replay(motion, motion.human, load_hand(robot), MappingOptions(**changes), IkOptions())
 
 
 def press(button: Any) -> None:
-    """What the browser does when a button is clicked."""
+    """Press a button as a browser does."""
     button.value = True
 
 
 def write_recording(path: Path) -> Path:
-    """That motion as a recording of landmarks."""
+    """Write the motion as a recording of landmarks."""
     motion = closing_motion("landmarks")
     landmarks = [
         motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)

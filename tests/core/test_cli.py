@@ -164,11 +164,19 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     assert sorted(folder.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    "words", [["--help"], ["map", "--help"], ["demo", "--help"], ["hands", "--help"]], ids=" ".join
-)
-def test_help_teaches(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+COMMANDS = ("", "demo", "map", "view", "hands", "hands init", "hands check")
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "figures", "serve", "keys"])
+def test_help_has_examples_and_fits_the_terminal(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as end:
-        cli.main(words)
+        cli.main([*command.split(), "--help"])
     assert end.value.code == 0
-    assert len(capsys.readouterr().out.splitlines()) > 10
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 80
+    if command in COMMANDS:
+        assert f"\n    handmap {command}".rstrip() in printed.partition("Examples:")[2]
+        assert "None}" not in printed.partition("--ridge")[0], "a type in place of a placeholder"

@@ -1,4 +1,4 @@
-"""Shapes are placed by forward kinematics, and a picture shows them where the camera's projection says."""
+"""Shapes are placed by forward kinematics and drawn where the camera projects them."""
 
 import sys
 from pathlib import Path
@@ -20,27 +20,30 @@ WRIST = affine(rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0
 URDF = """<robot name="finger">
   <material name="blue"><color rgba="0.1 0.2 0.9 1"/></material>
   <link name="palm">
-    <visual><origin xyz="0.02 0 0"/><geometry><sphere radius="0.01"/></geometry><material name="blue"/></visual>
+    <visual>
+      <origin xyz="0.02 0 0"/><geometry><sphere radius="0.01"/></geometry><material name="blue"/>
+    </visual>
   </link>
   <link name="proximal">
-    <visual><origin xyz="0.03 0 0" rpy="0 1.5707963 0"/><geometry><cylinder radius="0.008" length="0.06"/></geometry></visual>
+    <visual>
+      <origin xyz="0.03 0 0" rpy="0 1.5707963 0"/>
+      <geometry><cylinder radius="0.008" length="0.06"/></geometry>
+    </visual>
   </link>
   <link name="distal">
     <visual><origin xyz="0.02 0.005 0"/><geometry>{distal}</geometry></visual>
   </link>
-  <joint name="base" type="revolute"><parent link="palm"/><child link="proximal"/><origin xyz="0.05 0 0"/><axis xyz="0 1 0"/>
+  <joint name="base" type="revolute">
+    <parent link="palm"/><child link="proximal"/><origin xyz="0.05 0 0"/><axis xyz="0 1 0"/>
     <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-  <joint name="end" type="revolute"><parent link="proximal"/><child link="distal"/><origin xyz="0.06 0 0"/><axis xyz="0 1 0"/>
+  <joint name="end" type="revolute">
+    <parent link="proximal"/><child link="distal"/><origin xyz="0.06 0 0"/><axis xyz="0 1 0"/>
     <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
 </robot>"""
 
 
 def finger(distal: str = '<box size="0.04 0.01 0.01"/>', directory: Path | None = None) -> Hand:
-    """A finger of two joints.
-
-    The palm's frame is turned against its link, and a point is named like a link but lies
-    elsewhere.
-    """
+    """Make a finger of two joints, with a palm rotated in its link and a point named as a link."""
     spec = HandSpec(
         name="finger",
         urdf="finger.urdf",
@@ -60,7 +63,7 @@ def finger(distal: str = '<box size="0.04 0.01 0.01"/>', directory: Path | None 
 
 
 def centroid(triangles: Triangles) -> np.ndarray:
-    """Of the surface, triangles weighted by area."""
+    """Return the centroid of the surface."""
     a, b, c = np.moveaxis(triangles.vertices, 1, 0)
     return np.average(
         (a + b + c) / 3.0, axis=0, weights=np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -68,13 +71,13 @@ def centroid(triangles: Triangles) -> np.ndarray:
 
 
 def volume(triangles: Triangles) -> float:
-    """Enclosed volume, negative if the triangles are wound inside out."""
+    """Return the enclosed volume, negative if the triangles are wound inside out."""
     a, b, c = np.moveaxis(triangles.vertices - triangles.vertices.mean(axis=(0, 1)), 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
 
 def by_link(hand: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> dict[str, Triangles]:
-    """Placed triangles, link by link."""
+    """Return the placed triangles of each link."""
     shape = load_shape(hand)
     placed = shape.triangles(q, wrist)
     stops = np.cumsum([len(link.triangles.vertices) for link in shape.links])[:-1]

@@ -1,4 +1,4 @@
-"""`handmap hands init` writes a hand.yaml that loads, and `handmap hands check` finds what is wrong with one."""
+"""`handmap hands init` writes a hand.yaml that loads; `handmap hands check` finds its mistakes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_what_is_written_is_what_was_found(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(hand.points(hand.rest), direct.points(direct.rest))
 
 
-def test_every_answer_says_how_it_was_found_and_how_sure_it_is(tmp_path: Path) -> None:
+def test_every_answer_has_its_evidence_in_the_file(tmp_path: Path) -> None:
     found = detect(DATA / "seven_fingers.urdf")
     text = " ".join(line.strip().lstrip("# ") for line in hand_text(found, tmp_path).splitlines())
     for clue in found.clues:
@@ -75,7 +75,7 @@ def test_every_answer_says_how_it_was_found_and_how_sure_it_is(tmp_path: Path) -
     assert max(len(line) for line in hand_text(found, tmp_path).splitlines()) <= 132
 
 
-def test_a_urdf_is_named_in_the_way_that_travels_best(tmp_path: Path) -> None:
+def test_the_urdf_path_is_relative_or_a_package_path(tmp_path: Path) -> None:
     beside = tmp_path / "hand.urdf"
     beside.write_text((DATA / "one_finger.urdf").read_text())
     assert yaml.safe_load(hand_text(detect(beside), tmp_path))["urdf"] == "hand.urdf"
@@ -145,7 +145,7 @@ def described(tmp_path: Path, change: dict[str, Any]) -> Path:
 
 @pytest.mark.parametrize(("change", "where", "advice"), WRONG.values(),
                          ids=WRONG.keys())  # fmt: skip
-def test_a_mistake_is_found_and_what_to_change_is_said(
+def test_a_mistake_is_found_with_advice(
     tmp_path: Path, change: dict[str, Any], where: str, advice: str
 ) -> None:
     report = check_hand(str(described(tmp_path, change)), has_motion=False)
@@ -227,6 +227,7 @@ def test_the_standard_motion_is_inside_the_human_limits_and_moves() -> None:
     assert tips.points(flat)[2, 1] > tips.points(fist)[2, 1] + 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one_finger", "chained_mimics"])
 def test_a_picture_is_drawn_whether_there_are_shapes_or_not(name: str, tmp_path: Path) -> None:
     from matplotlib.image import imread
@@ -253,7 +254,8 @@ def test_pictures_lie_beside_their_descriptions(tmp_path: Path) -> None:
     assert picture_path("three_finger") is None
 
 
-def test_the_commands_do_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_init_and_check_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "hand.yaml"
     HandsInit(
         urdf=urdf_directory() / "three_finger" / "hand.urdf", name="mine", out=out, json=True

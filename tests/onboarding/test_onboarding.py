@@ -1,7 +1,4 @@
-"""Hands found in URDFs.
-
-What is found, that names do not decide it, and URDFs that cannot be used.
-"""
+"""Hands found in URDFs: what is found, independence of names, and URDFs that cannot be used."""
 
 from __future__ import annotations
 
@@ -33,12 +30,12 @@ def sure(found: Detection, what: str) -> float:
 
 
 def tips(found: Detection) -> dict[str | None, str]:
-    """Link of the fingertip by finger."""
+    """Return the fingertip's link by finger."""
     return {point.finger: point.link for point in found.spec.points if point.name.endswith("_tip")}
 
 
 @pytest.mark.parametrize("name", DESCRIBED)
-def test_a_hand_that_people_described_is_found_as_they_described_it(name: str) -> None:
+def test_detection_agrees_with_hand_written_descriptions(name: str) -> None:
     hand = load_hand(name)
     found = detect_text(hand.urdf_text, urdf_path(hand.spec))
     own = {point.finger: point.link for point in hand.with_points("fingertips").reference_points}
@@ -51,7 +48,7 @@ def test_a_hand_that_people_described_is_found_as_they_described_it(name: str) -
 
 
 @pytest.mark.parametrize("name", DESCRIBED)
-def test_its_fingertips_lie_where_people_put_them(name: str) -> None:
+def test_fingertips_agree_with_hand_written_descriptions(name: str) -> None:
     hand = load_hand(name, points="fingertips")
     found = detect_text(hand.urdf_text, urdf_path(hand.spec)).spec
     by_name = {point.finger: point for point in found.points if point.name.endswith("_tip")}
@@ -76,7 +73,7 @@ def test_a_hand_on_a_robot_is_found(
 
 
 def test_which_finger_is_which_on_robots() -> None:
-    """Against the names on the robots, which in these cases do not lie."""
+    """Compare with the link names, which are right on these robots."""
     for side in ("left", "right"):
         found = tips(detect(G1, root=f"{side}_hand_palm_link"))
         assert found == {
@@ -97,14 +94,16 @@ def test_motors_that_move_no_finger_are_locked() -> None:
 
 
 @pytest.mark.parametrize(("name", "fingers", "side"), [
-    ("chained_mimics", {"thumb": "z_tip", "index": "a_tip", "middle": "b_tip", "ring": "c_tip"}, "right"),
+    ("chained_mimics",
+     {"thumb": "z_tip", "index": "a_tip", "middle": "b_tip", "ring": "c_tip"}, "right"),
     ("continuous_joints", {"thumb": "w_tip", "index": "v_tip", "middle": "u_tip"}, "left"),
     ("absent_limits", {"thumb": "t_tip", "index": "i_tip", "middle": "m_tip"}, "right"),
-    ("seven_fingers", {"thumb": "f6_tip", "index": "f0_l3", "middle": "f1_tip", "ring": "f2_l3", "little": "f3_tip",
-                       "finger6": "f4_l3", "finger7": "f5_tip"}, "right"),
+    ("seven_fingers",
+     {"thumb": "f6_tip", "index": "f0_l3", "middle": "f1_tip", "ring": "f2_l3",
+      "little": "f3_tip", "finger6": "f4_l3", "finger7": "f5_tip"}, "right"),
     ("one_finger", {"index": "one_l3"}, "right"),
 ], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
-def test_own_hands(name: str, fingers: dict[str, str], side: str) -> None:
+def test_fingers_of_hands_made_for_the_tests(name: str, fingers: dict[str, str], side: str) -> None:
     found = detect(DATA / f"{name}.urdf")
     assert (tips(found), found.spec.side) == (fingers, side)
     if name != "one_finger":
@@ -124,7 +123,7 @@ def test_jaws_close_towards_each_other() -> None:
         for q in (hand.lower_limits, hand.rest, hand.upper_limits)
     ]
     assert spreads == sorted(spreads, reverse=True)
-    # Three alike fingers have no thumb, and it says so.
+    # None of three equal fingers is a thumb: low confidence.
     assert max(sure(found, what) for what in ("thumb", "side", "fingers")) < 0.5
 
 
@@ -135,7 +134,7 @@ def test_a_tip_without_a_link_is_the_end_of_the_surface() -> None:
     np.testing.assert_allclose(tip.xyz, (0.022, 0.0, 0.0), atol=1e-6)
 
 
-def test_what_the_file_leaves_out_is_assumed_and_said() -> None:
+def test_missing_limits_are_assumed_and_noted() -> None:
     found = detect(DATA / "absent_limits.urdf")
     assert set(found.spec.limits) == set(found.spec.joints)
     # i_j3 has a range and no speed, i_j1 a speed and no range.
@@ -157,8 +156,7 @@ def test_names_and_the_order_of_the_file_do_not_matter(
     plain = detect_text(hand.urdf_text, urdf_path(hand.spec))
     new, text = renamed(hand.urdf_text, generator)
     other = detect_text(text, urdf_path(hand.spec))
-    # With nothing but names or the order of the file to go by the side is open, and the fingers
-    # with it.
+    # Without kinematic evidence for the side, the finger names are arbitrary too.
     if sure(plain, "side") > 0.5:
         assert tips(other) == {finger: new[link] for finger, link in tips(plain).items()}
         assert other.spec.side == plain.spec.side
@@ -172,7 +170,7 @@ def test_names_and_the_order_of_the_file_do_not_matter(
 
 
 def renamed(text: str, generator: np.random.Generator) -> tuple[dict[str, str], str]:
-    """Every link and joint named by a number, and the file in another order."""
+    """Rename every link and joint to a number, and shuffle the file."""
     robot = ET.fromstring(text)
     robot.set("name", "x")
     named = [element for element in robot if element.tag in ("link", "joint")]
@@ -224,13 +222,15 @@ def test_a_urdf_that_cannot_be_used_gets_one_clear_line(name: str, message: str)
 
 
 @pytest.mark.parametrize(("urdf", "root", "message"), [
-    (G1, None, "2 possible palms: left_hand_palm_link, right_hand_palm_link; choose one with --root"),
+    (G1, None, "2 possible palms: left_hand_palm_link, right_hand_palm_link; choose one with "
+               "--root"),
     (G1, "moon", "no link 'moon'"),
     (G1, "left_hand_index_1_link", "no movable joint hangs from"),
-    (ROBOTS / "ur_description" / "urdf" / "ur5_robot.urdf", None, "no hand found from 'world' outwards: one chain of"),
+    (ROBOTS / "ur_description" / "urdf" / "ur5_robot.urdf", None,
+     "no hand found from 'world' outwards: one chain of"),
     (DATA / "absent.urdf", None, "cannot be read"),
 ])  # fmt: skip
-def test_where_no_hand_is_found_the_next_step_is_said(
+def test_where_no_hand_is_found_the_next_step_is_named(
     urdf: Path, root: str | None, message: str
 ) -> None:
     with pytest.raises(HandError, match=message):
@@ -238,7 +238,7 @@ def test_where_no_hand_is_found_the_next_step_is_said(
 
 
 def urdf_of(*joints: str) -> str:
-    """A URDF from lines `name parent child x y z`, every joint turning about y from -0.1 to 1.5 rad; a leader may follow."""
+    """Make a URDF of joints about y from lines `name parent child x y z [leader factor]`."""
     rows = [line.split() for line in joints]
     links = dict.fromkeys(name for row in rows for name in row[1:3])
     text = "".join(f'<link name="{name}"/>' for name in links)
@@ -251,8 +251,8 @@ def urdf_of(*joints: str) -> str:
             else '<limit lower="-0.1" upper="1.5" effort="1" velocity="1"/>'
         )
         text += (
-            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{x} {y} {z}"/>'
-            f'<axis xyz="0 1 0"/>{limits}{mimic}</joint>'
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{x} {y} {z}"/><axis xyz="0 1 0"/>{limits}{mimic}</joint>'
         )
     return f'<robot name="x">{text}</robot>'
 
@@ -280,11 +280,7 @@ def test_a_metacarpal_that_carries_two_fingers_is_no_palm() -> None:
 
 
 def test_the_bar_of_a_linkage_is_no_finger() -> None:
-    """A parallelogram.
-
-    Crank and bar turn together, the finger on the crank turns back, so the bar's end stays at a
-    place of it.
-    """
+    """A parallelogram: the end of the bar stays at a fixed point of the finger on the crank."""
     sides = [
         line
         for name, y, sign in (("a", 0.03, 1), ("b", -0.03, 1))
@@ -301,7 +297,7 @@ def test_the_bar_of_a_linkage_is_no_finger() -> None:
     assert sum("linkage" in note for note in found.notes) == 2
 
 
-def test_a_urdf_in_millimetres_is_told_from_a_small_one() -> None:
+def test_a_urdf_in_millimetres_is_recognised() -> None:
     text = (DATA / "one_finger.urdf").read_text()
     large = re.sub(
         r'(xyz|size)="([^"]*)"',
@@ -312,7 +308,7 @@ def test_a_urdf_in_millimetres_is_told_from_a_small_one() -> None:
         detect_text(large, DATA / "one_finger.urdf")
 
 
-def test_who_knows_better_is_heeded() -> None:
+def test_given_side_thumb_and_name_are_used() -> None:
     found = detect(
         urdf_directory() / "three_finger" / "hand.urdf",
         side="left",
@@ -328,7 +324,7 @@ def test_who_knows_better_is_heeded() -> None:
         detect(urdf_directory() / "three_finger" / "hand.urdf", thumb="moon")
 
 
-def test_an_arm_can_stay_under_the_hand() -> None:
+def test_a_hand_can_keep_its_arm() -> None:
     found = detect(G1, root="left_hand_palm_link", base="torso_link")
     hand = load_hand(found.spec)
     assert hand.has_moving_wrist

@@ -1,7 +1,4 @@
-"""The live view: what it draws, what its controls do, the page it writes.
-
-And the same in a browser.
-"""
+"""The view of a recording: what it maps and draws, and what its controls do."""
 
 from __future__ import annotations
 
@@ -49,14 +46,14 @@ def server() -> Iterator[Any]:
 
 @pytest.fixture
 def viewer(server: Any) -> ReplayViewer:
-    """A viewer that stands still at its first sample."""
+    """A viewer paused at its first sample."""
     shown = ReplayViewer(server, make_replay())
     shown.play_bar.toggle()
     return shown
 
 
 def pose_in_scene(server: Any, node: str) -> np.ndarray:
-    """Where a node is in the scene, from the poses of all nodes above it."""
+    """Return a node's pose in the scene from the poses of its ancestors."""
     pose, path = np.eye(4), ""
     for part in node.strip("/").split("/"):
         path += f"/{part}"
@@ -74,8 +71,7 @@ def seek(viewer: ReplayViewer, index: int) -> None:
     viewer.tick(0.0)
 
 
-# -- what is mapped
-# -----------------------------------------------------------------------------------------------------
+# -- mapping
 
 
 def test_replay_gives_the_commands_of_map_motion() -> None:
@@ -113,8 +109,7 @@ def test_options_that_cannot_be_used_leave_the_replay_as_it_was() -> None:
     assert replay.mapping == MappingOptions()
 
 
-# -- what is drawn
-# ------------------------------------------------------------------------------------------------------
+# -- drawing
 
 
 @pytest.mark.parametrize("robot", ["three_finger", "allegro_right"])
@@ -139,7 +134,7 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
             )
             drawn = in_scene(server, link, np.array([point.xyz]))[0]
             sphere = pose_in_scene(server, f"/{side}/points/{i}")[:3, 3]
-            # The joints' nodes are placed by yourdfpy, the spheres by Pinocchio.
+            # yourdfpy places the joints' nodes, Pinocchio the spheres.
             np.testing.assert_allclose(drawn, sphere, atol=1e-9)
             np.testing.assert_allclose(
                 in_scene(server, f"/{side}", points[[i]])[0], sphere, atol=1e-9
@@ -156,7 +151,7 @@ def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> 
     wrist = np.eye(4) if hand.is_floating else None
     poses = np.array(hand.link_poses(links, q, wrist))
     root = hand.link_poses([drawn.base_link], q, wrist)[0]
-    # yourdfpy moves followers by itself, as their mimic tags say.
+    # yourdfpy moves mimic joints itself.
     np.testing.assert_allclose(
         [root @ drawn.get_transform(link) for link in links], poses, atol=1e-12
     )
@@ -182,7 +177,7 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> Non
     handle = server.scene.get_handle_by_name("/human/ellipsoid")
     assert sample.deformation is not None
     axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
-    # Two maps make the same body of a ball if they agree in A A^T.
+    # Two maps A deform a ball equally if their A A^T are equal.
     np.testing.assert_allclose(axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9)
     assert sample.pivot is not None
     np.testing.assert_allclose(handle.position, sample.pivot, atol=1e-12)
@@ -200,7 +195,7 @@ def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
     assert sample.deformation is not None
     corners = np.linalg.solve(sample.deformation, cube.points.reshape(-1, 3).T).T
-    # Points travel as floats of 32 bits.
+    # Points are sent as 32-bit floats.
     np.testing.assert_allclose(np.abs(corners), np.abs(corners).max(), rtol=1e-4)
     assert len(np.unique(np.sign(corners), axis=0)) == 8
 
@@ -221,7 +216,7 @@ def test_hands_stay_in_place_or_travel_as_asked(
 
 
 @pytest.mark.parametrize("follow", ["hands", "world"])
-def test_both_hands_are_in_the_picture_of_a_page_that_stands_upright(
+def test_both_hands_are_in_view_on_a_portrait_screen(
     server: Any, follow: Literal["hands", "world"]
 ) -> None:
     replay = make_replay()
@@ -249,8 +244,7 @@ def test_caption_says_that_the_hand_was_not_seen() -> None:
     assert "hand not seen" not in caption(samples[0])
 
 
-# -- what the controls do
-# -----------------------------------------------------------------------------------------------
+# -- controls
 
 
 def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
@@ -342,7 +336,7 @@ def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
     assert replay.mapping == given
 
 
-def test_a_choice_that_cannot_be_is_explained_and_changes_nothing(server: Any) -> None:
+def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> None:
     replay = make_replay()
     replay.human = replay.human.with_points(("thumb_tip", "index_tip", "middle_tip"))
     replay.remap(MappingOptions(), IkOptions())
@@ -371,7 +365,7 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     held = np.array([sample.robot_q for sample in samples[29:45]])
     np.testing.assert_allclose(held, np.tile(held[0], (16, 1)))
     assert {sample.status for sample in samples[30:45]} == {"released"}
-    # No jump: at the clutch the motion is none, so the robot's targets are where its points are.
+    # No jump: at the clutch the motion is the identity, so targets equal the robot's points.
     assert samples[45].targets is not None
     np.testing.assert_allclose(samples[45].targets, samples[44].robot_points, atol=1e-9)
     assert viewer.steering.clutch.disabled
@@ -381,18 +375,18 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayVie
     assert viewer.replay.samples[40].status != "released"
 
 
-def test_a_picture_that_viser_stumbles_at_loses_no_wish(
+def test_a_frame_dropped_by_visers_race_loses_no_request(
     viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stumble() -> None:
-        # As `asyncio.Event.set` does while another thread begins to wait for it.
+    def fail_to_wake() -> None:
+        # As `asyncio.Event.set` fails if another thread starts to wait for it.
         waiters = deque([0])
         for _ in waiters:
             waiters.append(0)
 
     viewer.steering.options.handles["ridge"].value = 0.3
     with monkeypatch.context() as once:
-        once.setattr(viewer.server, "flush", stumble)
+        once.setattr(viewer.server, "flush", fail_to_wake)
         with skip_wakeup_race():
             viewer.tick(0.0)
         assert viewer.replay.mapping.ridge == 0.1
@@ -451,7 +445,9 @@ def test_long_names_of_joints_stay_different() -> None:
     assert short_names(["only_one_joint"]) == ["only_one_joint"]
 
 
-def test_mapping_anew_is_said(viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_message_is_shown_while_mapping_again(
+    viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     said: list[str] = []
     remap = viewer.replay.remap
     monkeypatch.setattr(

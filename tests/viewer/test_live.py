@@ -1,4 +1,4 @@
-"""The view of a mapping that runs elsewhere, with a source made for the purpose."""
+"""The view of a running mapping, with a fake source."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Source:
-    """Gives what it is handed: samples, an error to raise, or None for the end."""
+    """A source that yields what is put into `given`: samples, an error to raise, None to end."""
 
     def __init__(self, robot: str = "three_finger") -> None:
         replay = make_replay(robot)
@@ -53,9 +53,7 @@ class Source:
         self.asked.append(changes)
         options = self.options.with_changes(changes)
         self.last_error = (
-            InvalidInputError("the service does not want that")
-            if options.mapping.scale > 2.0
-            else None
+            InvalidInputError("the service refuses that") if options.mapping.scale > 2.0 else None
         )
         self.options = self.options if self.last_error else options
 
@@ -96,7 +94,9 @@ def test_the_newest_sample_is_drawn_and_all_are_plotted(
     viewer.close()
 
 
-def test_silence_is_said(server: Any, source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_samples_are_reported(
+    server: Any, source: Source, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", 0.0)
@@ -105,7 +105,7 @@ def test_silence_is_said(server: Any, source: Source, monkeypatch: pytest.Monkey
     viewer.close()
 
 
-def test_the_end_of_the_source_is_said_and_its_last_sample_stays(
+def test_the_end_of_the_source_is_reported_and_its_last_sample_stays(
     server: Any, source: Source
 ) -> None:
     source.given.put(source.samples[0])
@@ -130,9 +130,7 @@ def test_a_source_without_samples_is_given_up(server: Any, source: Source) -> No
         LiveViewer(server, source, patience=0.1)
 
 
-def test_a_source_that_says_only_commands_is_drawn_without_targets(
-    server: Any, source: Source
-) -> None:
+def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source: Source) -> None:
     source.given.put(replace(source.samples[-1], targets=None, deformation=None, pivot=None))
     viewer = LiveViewer(server, source)
     viewer.tick()
@@ -156,15 +154,15 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     press(viewer.steering.release)
     viewer.tick()
     assert source.is_released, (
-        "whoever presses Release means it, also where somebody else has let go a moment ago"
+        "Release must not clutch a robot that another client has just released"
     )
     handles["scale"].value = 2.5
     viewer.tick()
     viewer.tick()
     assert viewer.steering.message.visible
-    assert "does not want that" in viewer.steering.message.content
+    assert "refuses that" in viewer.steering.message.content
     assert source.options.mapping == MappingOptions(ridge=0.5)
-    assert handles["scale"].value == 1.0, "what is in force"
+    assert handles["scale"].value == 1.0, "the value in force"
     press(viewer.steering.reset)
     viewer.tick()
     viewer.tick()
@@ -174,7 +172,7 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     viewer.close()
 
 
-def test_only_what_was_changed_here_is_asked_for_and_what_others_change_is_shown(
+def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
     server: Any, source: Source
 ) -> None:
     source.given.put(source.samples[0])
@@ -199,7 +197,7 @@ def test_only_what_was_changed_here_is_asked_for_and_what_others_change_is_shown
     viewer.close()
 
 
-def test_while_the_source_is_busy_the_controls_keep_what_is_wished_for(
+def test_controls_keep_requested_values_while_the_source_is_busy(
     server: Any, source: Source
 ) -> None:
     source.given.put(source.samples[0])
@@ -227,7 +225,7 @@ def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: 
     time, step, _ = viewer.gauges.timing.data
     assert len(time) <= 600
     assert (time[0], time[-1]) == pytest.approx((-10.0, 0.0), abs=0.05)
-    assert step.max() == 1e6, "the worst step is not thinned out"
+    assert step.max() == 1e6, "decimation must keep the worst step"
     assert "largest 1000000 (cut off)" in viewer.gauges.timing_note.content
     viewer.close()
 
@@ -255,7 +253,7 @@ def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> N
     viewer.close()
 
 
-def test_a_hand_of_which_only_points_are_known_is_not_drawn(server: Any, source: Source) -> None:
+def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Source) -> None:
     first = replace(
         source.samples[0], human_q=None, human_points=source.samples[0].human_points + 3.0
     )
@@ -270,7 +268,7 @@ def test_a_hand_of_which_only_points_are_known_is_not_drawn(server: Any, source:
     viewer.close()
 
 
-def test_the_view_begins_anew_when_other_hands_are_mapped(server: Any) -> None:
+def test_the_view_restarts_when_the_hands_change(server: Any) -> None:
     made: list[Source] = []
 
     def make_source(before: Any) -> Source:
@@ -279,7 +277,7 @@ def test_the_view_begins_anew_when_other_hands_are_mapped(server: Any) -> None:
             raise InvalidInputError("enough")
         made.append(Source("three_finger" if made else "allegro_right"))
         made[-1].given.put(made[-1].samples[0])
-        # Seen when the view runs: it ends at once.
+        # The view ends as soon as it runs.
         made[-1].is_outdated = True
         return made[-1]
 
@@ -289,7 +287,7 @@ def test_the_view_begins_anew_when_other_hands_are_mapped(server: Any) -> None:
     assert server.scene.get_handle_by_name("/robot") is None
 
 
-def test_a_source_that_is_not_shared_is_looked_at_only(server: Any, source: Source) -> None:
+def test_a_source_that_is_not_shared_has_no_controls(server: Any, source: Source) -> None:
     source.is_shared = False
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)

@@ -1,4 +1,4 @@
-"""The view as people meet it: the command, the page it writes, and both in a headless Chromium."""
+"""The command `handmap view` and the page it writes, also in a headless Chromium."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import write_page
 from handmap_qp.viewer.serving import serving
 
-# Where the hands are, between the panels, and the least of its 420 x 540 pixels that a hand covers.
+# The area of the hands between the panels, and the fewest of its 420 x 540 pixels a hand covers.
 MIDDLE = np.s_[160:, 340:760]
 FEWEST_PIXELS = 1000
 
@@ -98,13 +98,34 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
 }
 
 
-@pytest.mark.parametrize(("changes", "error"), MISTAKES.values(), ids=MISTAKES.keys())
-def test_a_mistake_is_said_before_anything_is_shown(
-    recording: Path, changes: dict[str, Any], error: type[HandmapError]
-) -> None:
+OPTIONS_AT_FAULT = {
+    "page is no html": "--html",
+    "page in no folder": "--html",
+    "no such port": "--port",
+    "neither recording nor service": "",
+    "recording and service": "",
+    "page of a service": "--html",
+    "service nowhere": "--live",
+    "no such keys": "--live",
+    "keys for a recording": "--keys",
+    "session of a recording": "--session",
+    "address of a page": "--host",
+    "points for a service": "--human-points",
+    "options for a service": "--ridge",
+    "all addresses": "--host",
+    "service of no name": "--live",
+    "not our address": "--host",
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_reported_before_anything_is_shown(recording: Path, mistake: str) -> None:
+    changes, error = MISTAKES[mistake]
     words: dict[str, Any] = {"recording": recording, "robot": "three_finger", **changes}
-    with pytest.raises(error):
+    with pytest.raises(error) as caught:
         View(**words).run()
+    if isinstance(caught.value, InvalidInputError):
+        assert caught.value.argument == OPTIONS_AT_FAULT[mistake]
 
 
 def test_without_viser_the_command_names_the_extra(
@@ -130,7 +151,6 @@ def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
 
 
 # -- in a browser
-# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +166,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def viewer() -> Iterator[ReplayViewer]:
-    """A viewer that stands still, kept going by a thread."""
+    """Yield a paused viewer whose `tick` a thread calls."""
     with serving() as server:
         shown = ReplayViewer(server, make_replay())
         shown.play_bar.toggle()
@@ -158,7 +178,7 @@ def viewer() -> Iterator[ReplayViewer]:
 
 @contextmanager
 def kept_going(act: Callable[[], object]) -> Iterator[None]:
-    """A thread that does something again and again."""
+    """Call a function repeatedly in a thread."""
     is_over = threading.Event()
 
     def keep_going() -> None:
@@ -175,7 +195,7 @@ def kept_going(act: Callable[[], object]) -> Iterator[None]:
 
 
 def skin(pixels: np.ndarray) -> int:
-    """Pixels in the colour of the human hand's skin, in light and shade."""
+    """Count pixels in the colour of the human hand's skin, in light and shade."""
     red, green, blue = pixels.astype(int).transpose(2, 0, 1)
     return int(
         (
@@ -185,7 +205,7 @@ def skin(pixels: np.ndarray) -> int:
 
 
 def reference_points(pixels: np.ndarray) -> int:
-    """Pixels in the colour of the robot's reference points."""
+    """Count pixels in the colour of the robot's reference points."""
     red, green, blue = pixels.astype(int).transpose(2, 0, 1)
     return int(((red > 110) & (green < 0.45 * red) & (blue < 0.45 * red)).sum())
 
@@ -195,11 +215,11 @@ def picture_of(browser: Browser) -> np.ndarray:
 
 
 def settled_picture(browser: Browser) -> np.ndarray:
-    """The hands, once two pictures of them are the same."""
+    """Return the area of the hands once two consecutive pictures are equal."""
     pictures = [picture_of(browser)]
 
     def has_settled() -> bool:
-        # So that a page that draws slowly has drawn again.
+        # Give a slow page time to draw again.
         time.sleep(0.5)
         pictures.append(picture_of(browser))
         return skin(pictures[-1]) > FEWEST_PIXELS and np.array_equal(pictures[-2], pictures[-1])
@@ -208,6 +228,7 @@ def settled_picture(browser: Browser) -> np.ndarray:
     return pictures[-1]
 
 
+@pytest.mark.slow
 def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
     browser: Browser, viewer: ReplayViewer
 ) -> None:
@@ -219,11 +240,12 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
     assert skin(before[:, :half]) > FEWEST_PIXELS, "the human hand, on the left"
     assert reference_points(before[:, half:]) > 100, "the robot's points, on the right"
     browser.wait_for("document.body.innerText.includes('deformation gain')")
-    # As a user does: focus the slider, and use the keyboard.
+    # Focus the slider and use the keyboard, as a user does.
     labels = "[...document.querySelectorAll('label')]"
     browser.evaluate(
         f"{labels}.find(e => e.innerText.trim() == 'deformation gain')"
-        ".closest('.mantine-Flex-root, .mantine-Box-root, div').parentElement.querySelector('[role=slider]').focus()"
+        ".closest('.mantine-Flex-root, .mantine-Box-root, div').parentElement"
+        ".querySelector('[role=slider]').focus()"
     )
     robot_q = viewer.sample.robot_q
     browser.press("Home", 36)
@@ -241,7 +263,8 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
     assert not browser.errors
 
 
-def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) -> None:
+@pytest.mark.slow
+def test_the_page_of_a_service_draws_both_hands_and_releases(browser: Browser) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
     import service_tools
 
@@ -261,13 +284,16 @@ def test_the_page_of_a_service_draws_both_hands_and_lets_go(browser: Browser) ->
         with kept_going(viewer.tick):
             browser.open(f"http://127.0.0.1:{server.get_port()}")
             browser.wait_for("!!document.querySelector('canvas')")
-            # It never settles: time goes on.
+            # The picture never settles because samples keep arriving.
             wait_until(
                 lambda: has_both_hands(browser.screenshot()[1][160:, 340:660]),
                 "no human hand on the left, or no robot's points on the right",
                 DRAWING,
             )
-            button = "[...document.querySelectorAll('button')].find(e => e.innerText.trim() == '{}' && !e.disabled)"
+            button = (
+                "[...document.querySelectorAll('button')]"
+                ".find(e => e.innerText.trim() == '{}' && !e.disabled)"
+            )
             browser.wait_for(f"!!{button.format('Release')}")
             browser.evaluate(f"{button.format('Release')}.click()")
             browser.wait_for(f"!!{button.format('Clutch')}")
@@ -280,15 +306,16 @@ def has_both_hands(pixels: np.ndarray) -> bool:
     return skin(pixels[:, :half]) > 500 and reference_points(pixels[:, half:]) > 50
 
 
+@pytest.mark.slow
 def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     with serving() as server:
         write_page(page, server, make_replay())
-    # Small, for a picture that moves takes long to be drawn without a graphics card.
+    # A small window, because software rendering of an animation is slow.
     browser.resize(600, 400)
     browser.open(page.as_uri(), offline=True)
     browser.wait_for("!!document.querySelector('canvas')")
-    # The lower edge is the play bar, which moves whatever happens above.
+    # Leave out the play bar at the lower edge, which always moves.
     pictures: list[np.ndarray] = []
 
     def hands_move() -> bool:
@@ -300,6 +327,6 @@ def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> Non
 
 
 def has_moved(pictures: list[np.ndarray]) -> bool:
-    """Whether two pictures show a hand, and not the same."""
+    """Return whether two pictures show a hand and differ."""
     hands = [picture.astype(int) for picture in pictures if skin(picture) > 500]
     return len(hands) > 1 and int((np.abs(hands[0] - hands[-1]).max(axis=2) > 30).sum()) > 300

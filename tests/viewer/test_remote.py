@@ -1,7 +1,4 @@
-"""A session of a real mapping service in the view.
-
-What is shown of it, and how it is steered from there.
-"""
+"""A session of a real mapping service in the view: what is shown, and how it is steered."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Answers take their time on a busy machine."""
+    """Replies take long on a busy machine."""
     monkeypatch.setattr("handmap_qp.viewer.remote._TIMEOUT", PATIENCE)
 
 
@@ -58,7 +55,7 @@ def host_of(service: Server) -> str:
 def moving(
     client: Client, sample: Callable[[int], dict[str, Any]] | None = None
 ) -> Iterator[list[Command]]:
-    """A client that moves all the time; its commands."""
+    """Send samples all the time; yields the list of the client's commands."""
     is_over, commands = threading.Event(), list[Command]()
 
     def move() -> None:
@@ -93,7 +90,7 @@ def watching(
             pass
 
 
-# One that has followers, one on an arm, and one whose wrist stays.
+# Hands with mimic joints, on an arm, and with a fixed wrist.
 @pytest.mark.parametrize("robot", ["allegro_right", "panda_gripper", "ur5_allegro", "tiago_arm"])
 def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
     options = {"ridge": 0.3, "pivot": "palm"}
@@ -102,7 +99,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         moving(client) as commands,
         watching(service, session="lab") as (session, samples),
     ):
-        # Where its client was silent for a moment, the service repeats the robot's posture alone.
+        # If its client pauses, the service repeats the robot's posture without details.
         shown = list(islice((sample for sample in samples if sample.is_seen), 5))
     assert (session.robot.name, session.options.mapping) == (
         robot,
@@ -112,7 +109,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
     for sample in shown:
         command = sent[tuple(sample.robot_q.tolist())]
         assert command.detail is not None
-        # What the service says about its points, and where this side's own model has them.
+        # Points of the service against those of the local model.
         np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
         assert sample.human_q is not None
         np.testing.assert_allclose(
@@ -120,7 +117,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         )
         np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)
         np.testing.assert_allclose(sample.human_wrist, WRIST, atol=1e-12)
-        # The palm is the pivot, and does not move with this motion of the fingers.
+        # The pivot is the palm, which this finger motion does not move.
         assert sample.pivot is not None
         np.testing.assert_allclose(
             sample.pivot, (WRIST @ session.human.wrist_to_palm)[:3, 3], atol=0.03
@@ -170,7 +167,7 @@ def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
 
 
 def about_lab(service: Server) -> About:
-    """What the session `lab` is."""
+    """Return the properties of the session `lab`."""
     about = in_loop(
         service, lambda: service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about
     )
@@ -179,7 +176,7 @@ def about_lab(service: Server) -> About:
 
 
 def mapping_of(service: Server) -> dict[str, Any]:
-    """The options that are in force there."""
+    """Return the mapping options in force there."""
     return about_lab(service).mapping
 
 
@@ -191,6 +188,7 @@ def tick_until(viewer: LiveViewer, is_done: Callable[[], bool]) -> None:
     wait_until(tick_and_see)
 
 
+@pytest.mark.slow
 def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Server) -> None:
     with (
         connected(service, name="lab", is_shared=True) as client,
@@ -228,8 +226,7 @@ def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(servic
         handles = viewer.steering.options.handles
         try:
             handles["ridge"].value = 0.5
-            # The view has seen it too: losing the session any earlier would show 0.1 as the value
-            # from before.
+            # Wait until the view shows it; otherwise 0.1 below could be the old value.
             tick_until(viewer, lambda: session.options.mapping.ridge == 0.5)
             lose_sessions(service)
             tick_until(viewer, lambda: handles["ridge"].value == 0.1)
@@ -265,7 +262,7 @@ def test_a_session_that_comes_back_with_other_hands_ends_the_view_of_the_old_one
 def watching_after(
     service: Server, choices: dict[str, Any]
 ) -> Iterator[tuple[ServiceSession, Iterator[ViewSample]]]:
-    """A view of a session that has just been closed."""
+    """Yield a view of a session that has just been closed."""
     with ExitStack() as stack:
         with connected(service, **choices) as client, moving(client):
             session, samples = stack.enter_context(watching(service))
@@ -273,7 +270,7 @@ def watching_after(
         yield session, samples
 
 
-def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> None:
+def test_wrist_is_estimated_from_points_without_one(service: Server) -> None:
     human = load_hand("human")
     pose = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), WRIST[:3, 3])
 
@@ -292,10 +289,10 @@ def test_points_without_a_wrist_lay_the_hand_where_they_are(service: Server) -> 
     np.testing.assert_allclose(sample.human_wrist, pose, atol=2e-3)
 
 
-def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(
+def test_details_are_requested_again_after_a_session_is_reopened(
     service: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Not by the look that is due every second.
+    # Disable the periodic status request.
     monkeypatch.setattr("handmap_qp.viewer.remote._STATUS_PERIOD", np.inf)
     with (
         connected(service, name="lab", is_shared=True) as client,
@@ -309,7 +306,8 @@ def test_details_are_asked_for_again_of_a_session_that_was_opened_anew(
         wait_until(lambda: next(samples).is_seen)
 
 
-def test_an_encrypted_service_is_seen_with_keys_alone(
+@pytest.mark.slow
+def test_an_encrypted_service_is_shown_only_with_keys(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_keys(tmp_path, ["tracker", "viewer"])

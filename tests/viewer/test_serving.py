@@ -1,4 +1,4 @@
-"""Who may talk to the view's server: its own page, and whoever is no page at all."""
+"""The view's server accepts its own page, and clients that are no page at all."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def server() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(
-    ("origin", "is_let_in"),
+    ("origin", "is_accepted"),
     [
         (None, True),
         ("http://127.0.0.1:{port}", True),
@@ -37,30 +37,28 @@ def server() -> Iterator[Any]:
         ("null", False),
     ],
 )
-def test_a_page_of_another_site_cannot_steer(
-    server: Any, origin: str | None, is_let_in: bool
+def test_pages_of_other_sites_are_refused(
+    server: Any, origin: str | None, is_accepted: bool
 ) -> None:
     port, page = server.get_port(), Subprotocol(f"viser-v{viser.__version__}")
     said = None if origin is None else Origin(origin.format(port=port))
 
-    def knock() -> None:
+    def open_connection() -> None:
         with connect(
             f"ws://127.0.0.1:{port}", origin=said, subprotocols=[page], max_size=None
         ) as connection:
             connection.recv(timeout=30.0)
 
-    if is_let_in:
-        knock()
+    if is_accepted:
+        open_connection()
         wait_until(lambda: not server.get_clients())
     else:
         with pytest.raises(InvalidStatus, match="403"):
-            knock()
+            open_connection()
 
 
 @pytest.mark.parametrize(("name", "status"), [("localhost", 200), ("somewhere.example", 403)])
-def test_a_name_that_was_made_to_lead_to_loopback_is_refused(
-    server: Any, name: str, status: int
-) -> None:
+def test_foreign_host_names_are_refused_on_loopback(server: Any, name: str, status: int) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=30.0)
     connection.request("GET", "/", headers={"Host": f"{name}:{server.get_port()}"})
     assert connection.getresponse().status == status
@@ -84,11 +82,13 @@ def test_a_name_that_was_made_to_lead_to_loopback_is_refused(
         ),
     ],
 )
-def test_whose_page_it_is(host: str, asked: str, origins: list[str], expected: bool) -> None:
+def test_own_page_is_told_by_host_and_origin(
+    host: str, asked: str, origins: list[str], expected: bool
+) -> None:
     assert is_own_page(host, asked, origins) is expected
 
 
-def test_others_that_listen_are_left_alone(server: Any) -> None:
+def test_websockets_is_restored_after_starting(server: Any) -> None:
     assert websocket_server.serve.__module__.startswith("websockets")
     with pytest.raises(InvalidInputError, match="cannot listen on"), serving("192.0.2.1"):
         pass
