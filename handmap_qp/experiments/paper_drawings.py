@@ -266,6 +266,9 @@ def draw_sensitivity(rows: Sequence[Row]) -> Figure:
                     [2, 5, 10, 20, 50, 100, 200], labels=["2", "5", "10", "20", "50", "100", "200"]
                 )
                 axes.minorticks_off()
+    for label, style in (("fingers as in the toolbox", "-"), ("correct hand", (0, (3, 2)))):
+        grid[0, 1].plot([], [], color=PALE, linestyle=style, label=label)
+    grid[0, 1].legend(loc="upper left")
     grid[0, 0].set_title("Object follows the contacts as a rigid body")
     grid[0, 1].set_title("Quasi-static, unit stiffness")
     for row in grid:

@@ -141,9 +141,9 @@ def claim_rows(made: list[FigureRecord]) -> list[Row]:
         ),
         _claim(
             "the reference points move by a linear transformation (eq. 5)",
-            f"seven contacts miss their T by {listed(facts['figure_5_object_paths.residual_rms'])} mm "
-            "(RMS) over the path, synergies 1 to 3 at "
-            "gamma = 1",
+            "seven contacts miss their T by "
+            f"{listed(facts['figure_5_object_paths.residual_rms'])} mm (RMS) over the path, "
+            "synergies 1 to 3 at gamma = 1",
             None,
         ),
         _claim(

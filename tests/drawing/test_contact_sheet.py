@@ -83,6 +83,7 @@ def sheet(robot: Hand) -> np.ndarray:
     return pixels(contact_sheet([("ours", robot), ("theirs", robot)], rows))
 
 
+@pytest.mark.slow
 def test_every_view_has_a_hand_inside_its_edges(sheet: np.ndarray) -> None:
     assert sheet.shape[0] > 2 * CELL[1]
     for column in range(3):
@@ -166,6 +167,7 @@ def test_rows_are_the_samples_in_the_palm_frame() -> None:
     np.testing.assert_allclose(row.landmarks, human_points(1.2, "human_left"), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_png_says_what_it_shows(robot: Hand, tmp_path: Path) -> None:
     straight, bent = postures(robot)
     recording = recording_of(human_points(0.0), human_points(1.2))

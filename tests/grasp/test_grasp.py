@@ -277,6 +277,7 @@ def test_a_synergy_that_carries_the_object_along_changes_no_force(
     np.testing.assert_allclose(answer.contact_forces, 0.0, atol=800.0 * rounding * np.abs(S).max())
 
 
+@pytest.mark.slow
 @given(poses)
 def test_moving_hand_and_object_together_turns_the_answer_and_nothing_else(
     pose: np.ndarray,

@@ -45,7 +45,13 @@ def load(name: str) -> Hand:
         pytest.skip("example-robot-data is not installed")
 
 
-@pytest.fixture(scope="module", params=HANDS)
+@pytest.fixture(
+    scope="module",
+    # The left hand mirrors the right one; see the test of the mirror below.
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if name == "human_left" else ()) for name in HANDS
+    ],
+)
 def plan(request: pytest.FixtureRequest) -> list[PlannedGrasp]:
     """Twelve grasps of each shape by one hand."""
     hand = load(request.param)
@@ -248,6 +254,7 @@ def test_palm_centre_is_the_toolbox_one(name: str, centre: list[float]) -> None:
 # Planning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "mode", "share"), [("human", 7, 0.4), ("three_finger", 3, 0.9)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fingered_3(

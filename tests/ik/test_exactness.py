@@ -34,6 +34,7 @@ def hostile() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_every_hand_is_driven(hostile: ModuleType) -> None:
     runs = hostile.hostile_runs()
     names = " ".join(next(runs).name for _ in range(4 * len(hand_names())))
@@ -47,6 +48,7 @@ def test_every_hand_is_driven(hostile: ModuleType) -> None:
             assert f"to {name}, {mount}" in names
 
 
+@pytest.mark.slow
 def test_limits_hold_and_answers_are_numbers(hostile: ModuleType) -> None:
     # All hands, free and held, by the inverse kinematics and the mapping: 20 runs of each kind.
     # Warnings count as exceptions here.

@@ -172,6 +172,7 @@ def test_limits_hold_from_anywhere_to_anywhere(which: tuple[str, str, str | None
         assert (dq >= lower - 1e-9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["daqp", "osqp", "quadprog", "clarabel", "piqp"])
 def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
     # Where the iterations have come to an end the slopes know it too: none where a joint is free,

@@ -74,6 +74,7 @@ def test_a_hand_mapped_to_itself_returns_its_own_points(
         np.testing.assert_allclose(step.points, step.human_points, atol=TENTH_OF_A_MILLIMETRE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rigid_from", ["points", "wrist"])
 def test_every_recorded_hand_mapped_to_itself_returns_its_own_joints(
     recordings: Path, rigid_from: Any

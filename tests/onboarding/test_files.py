@@ -95,6 +95,7 @@ def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
     assert load_hand(tmp_path / "hand.yaml").name == "one_finger"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name for name in hand_names() if name not in ("human", "human_left")]
 )

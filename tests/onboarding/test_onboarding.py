@@ -56,6 +56,7 @@ def test_fingertips_agree_with_hand_written_descriptions(name: str) -> None:
         np.testing.assert_allclose(by_name[point.finger].xyz, point.xyz, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("urdf", "root", "side", "fingers", "count"), [
     (G1, "left_wrist_yaw_link", "left", 3, 7),
     (G1, "right_hand_palm_link", "right", 3, 7),
@@ -146,6 +147,7 @@ def test_missing_limits_are_assumed_and_noted() -> None:
     assert {"u_j1", "v_j1", "w_turn"} <= set(endless.spec.limits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DESCRIBED)
 @settings(max_examples=3)
 @given(generator=generators)

@@ -279,6 +279,7 @@ def test_objects_move_in_comparable_directions(is_rigid: bool) -> None:
 # -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_gamma_matters_more_than_the_step(scene: Scene, model: str) -> None:
     for synergy in SYNERGIES:

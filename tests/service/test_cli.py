@@ -31,6 +31,7 @@ def start(fields: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name)
 def test_it_says_when_it_is_ready_and_ends_when_it_is_told(number: signal.Signals) -> None:
     process = start(PORTS)

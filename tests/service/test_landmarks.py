@@ -87,6 +87,7 @@ def test_a_known_hand_needs_no_measuring() -> None:
     assert command.status != "calibrating"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"])
 def test_a_hand_in_other_units_is_not_measured_and_one_in_metres_is_thereafter(
     scale: float,
@@ -102,6 +103,7 @@ def test_a_hand_in_other_units_is_not_measured_and_one_in_metres_is_thereafter(
     assert session.mode == "following"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_known", [True, False], ids=["known", "measured"])
 @pytest.mark.parametrize("scale", [1000.0, 2.5, 0.3, 0.0], ids=["mm", "large", "small", "zeros"])
 def test_a_hand_of_another_size_is_not_mapped(scale: float, is_known: bool) -> None:

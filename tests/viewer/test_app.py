@@ -141,6 +141,7 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", hand_names())
 def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> None:
     hand = load_hand(name)

@@ -230,6 +230,7 @@ def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: 
     viewer.close()
 
 
+@pytest.mark.slow
 def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
