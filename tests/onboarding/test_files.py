@@ -210,6 +210,16 @@ def test_reach_is_that_of_a_planar_finger() -> None:
     assert 0.15 < first.span <= 0.2
 
 
+def test_reach_of_a_hand_on_an_arm_is_that_of_the_hand() -> None:
+    on_arm = measure_reach(load_hand("ur5_allegro", points="fingertips"))
+    alone = measure_reach(load_hand("allegro_right", points="fingertips"))
+    assert [row.directions for row in on_arm] == [row.directions for row in alone]
+    for one, other in zip(on_arm, alone, strict=True):
+        assert one.manipulability == pytest.approx(other.manipulability, rel=1e-6)
+        # Both spans are estimated from random postures; the arm would add a metre.
+        assert one.span == pytest.approx(other.span, rel=0.05)
+
+
 def test_a_human_hand_has_the_size_of_one() -> None:
     hand = load_hand("human", points="fingertips", hand_length=0.19)
     size = measure_size(hand)
