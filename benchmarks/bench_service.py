@@ -1,10 +1,8 @@
-"""The mapping service under load.
+"""Load on the mapping service, beside a bare echo of the same transport in the same run.
 
-Round trips beside those of a bare echo of the same transport, in the same run.
-
-A client at 1 kHz for a minute, with no step lost; thirty clients at 60 Hz; a client over WebSocket.
-A part of the round trips goes to the echo, which reads and maps nothing, from the same client and
-with messages of the same length: what the machine does to one it does to the other.
+The loads are one client at 1 kHz, thirty clients at 60 Hz, and one client over WebSocket, for a
+minute each. A share of the round trips goes to the echo, which neither reads nor maps, from the
+same client and with messages of the same length. So the load of the machine affects both alike.
 
     python benchmarks/bench_service.py --picture service.png --json service.json
 """
@@ -27,7 +25,7 @@ from service_process import ServiceProcess, echoing, serving
 
 from handmap_qp.client import AsyncClient, Client
 
-# One echo to so many steps.
+# Number of steps per echo.
 _ECHO_EVERY = 20
 _CLIENTS_A_PROCESS = 10
 
@@ -35,7 +33,7 @@ _CLIENTS_A_PROCESS = 10
 def one_client(
     service: ServiceProcess, echo: str, robot: str, rate: float, duration: float
 ) -> dict[str, Any]:
-    """One client at a steady rate, which waits for each answer."""
+    """Run one client at a steady rate that waits for each answer."""
     motion, steps, echoes, late = HumanMotion(), [], [], 0.0
     with (
         Client(service.address, timeout=5.0) as client,
@@ -72,7 +70,7 @@ def one_client(
 def many_clients(
     service: ServiceProcess, echo: str, robot: str, count: int, rate: float, duration: float
 ) -> dict[str, Any]:
-    """Clients that do not wait for each other, some in a process."""
+    """Run independent clients, several per process."""
     parts = [
         range(first, min(first + _CLIENTS_A_PROCESS, count))
         for first in range(0, count, _CLIENTS_A_PROCESS)
@@ -101,7 +99,7 @@ def many_clients(
 def _some_clients(
     address: str, echo: str, robot: str, seeds: list[int], rate: float, duration: float
 ) -> dict[str, Any]:
-    """The clients of one process; at top level, for it is found by name there."""
+    """Run the clients of one process; at top level, where multiprocessing finds it."""
 
     async def one(
         seed: int, opened: asyncio.Barrier
@@ -113,14 +111,14 @@ def _some_clients(
         async with AsyncClient(address, timeout=5.0) as client:
             await client.open(robot)
             await opened.wait()
-            # Spread over a period, as clients are that know nothing of each other.
+            # Spread the clients over a period, as independent clients would be.
             started = time.monotonic() + (seed * 0.618 % 1.0) / rate
             for i in range(round(rate * duration)):
                 await asyncio.sleep(max(0.0, started + i / rate - time.monotonic()))
                 behind = time.monotonic() - started - i / rate
                 late = max(late, behind)
                 if behind > 1.0 / rate:
-                    # A tracker has a newer sample by now.
+                    # A tracker would have a newer sample by now.
                     skipped += 1
                     continue
                 sample, before = motion(i / rate), time.perf_counter()
@@ -152,7 +150,7 @@ def _some_clients(
 def over_websocket(
     service: ServiceProcess, echo: int, robot: str, rate: float, duration: float
 ) -> dict[str, Any]:
-    """One client over WebSocket, which waits for each answer."""
+    """Run one client over WebSocket that waits for each answer."""
     from websockets.sync.client import connect
 
     motion, steps, echoes, late = HumanMotion(), [], [], 0.0
@@ -197,7 +195,7 @@ def over_websocket(
 
 
 def timed(call: Any) -> float:
-    """Wall time of a call [s]."""
+    """Measure the wall time of a call [s]."""
     started = time.perf_counter()
     call()
     return time.perf_counter() - started
@@ -211,7 +209,7 @@ def row(
     lost: int,
     rate: float,
 ) -> dict[str, Any]:
-    """What is told of a load; times in microseconds."""
+    """Summarise a load; times in microseconds."""
     step, echo = 1e6 * np.asarray(steps), 1e6 * np.asarray(echoes)
     quantiles = {"p50": 50, "p99": 99, "p99.9": 99.9}
     return {
@@ -230,7 +228,7 @@ def row(
 
 
 def draw(rows: list[dict[str, Any]]) -> Any:
-    """Round trips of every load beside the echo's."""
+    """Draw the round trips of every load beside those of the echo."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 0.9 + 0.75 * len(rows)), layout="constrained")
@@ -261,7 +259,7 @@ def draw(rows: list[dict[str, Any]]) -> Any:
         right=1.2 * max(max(entry["p99_us"], entry["echo_p99_us"]) for entry in rows) / 1e3,
     )
     axes.set_xlabel("round trip [ms]")
-    axes.set_title("The mapping service beside an echo that maps nothing")
+    axes.set_title("The mapping service beside a bare echo")
     axes.grid(axis="y", visible=False)
     axes.legend(loc="lower right")
     return figure
@@ -302,8 +300,10 @@ def main(words: Sequence[str] | None = None) -> None:
         advance()
         growth = service.memory() - memory
     caption = (
-        "Times of a round trip in us, wall. lost: asked and not answered; skipped: never asked, since the client was late by more "
-        f"than a period;\nlate_ms: the latest a client was. Resident memory grew by {growth:.1f} MB after the first load."
+        "Wall times of a round trip in us. lost: sent and not answered. "
+        "skipped: not sent, because the client was late by more than a period.\n"
+        "late_ms: largest delay of a client. "
+        f"Resident memory grew by {growth:.1f} MB after the first load."
     )
     common.print_table(
         "The mapping service under load", rows, to_stderr=arguments.json == "-", caption=caption

@@ -1,7 +1,4 @@
-"""Clients for the load and fault runs.
-
-A hand that moves, a client that works steadily, a driver that watches what it is told.
-"""
+"""Clients for the load and fault runs: a moving hand, a steady client, and a robot's driver."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from handmap_qp import load_hand
 from handmap_qp.client import Client, Command, KeyFiles, ServiceError, ServiceTimeoutError
 
 TIMEOUT = 1.0
-# Calls may be this much longer than their timeout: other programs want the machine too [s].
+# Calls may exceed their timeout by this much, because the machine runs other programs too [s].
 _GRACE = 0.5
 _MEMORY = 15.0
 _MAX_DT = 1.0 / 30.0
@@ -27,10 +24,10 @@ _ROUNDING = 1e-6
 
 
 class HumanMotion:
-    """A person whose hand opens, closes and wanders about, on embedded data.
+    """A hand that opens, closes and moves about.
 
     Args:
-        seed: Whom and how fast.
+        seed: Seed of frequency and phase.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -42,7 +39,7 @@ class HumanMotion:
         self._frequency, self._phase = generator.uniform(0.2, 1.0), generator.uniform(0.0, 6.28)
 
     def __call__(self, time: float) -> dict[str, Any]:
-        """The sample at an instant [s]: `q` and `wrist`."""
+        """Return the sample at a time [s]: `q` and `wrist`."""
         phase = 2.0 * np.pi * self._frequency * time + self._phase
         q = 0.5 * (self._rest + self._middle) + self._span * np.sin(phase)
         wrist = np.array(
@@ -53,17 +50,17 @@ class HumanMotion:
 
 @dataclass
 class Driver:
-    """A robot's driver that only looks: how fast was it told to go?
+    """A robot's driver that only measures the speed of its commands.
 
     Attributes:
-        speed: Limits of the joints' speed [rad/s].
-        hears_all: Whether every command comes here; else one may account for those between it and
-            the one before.
-        fastest: Highest speed between two commands, as a part of its limit.
-        commands: How many came.
-        epochs: How often the robot was said to be elsewhere.
-        missed: Time that commands may account for which were made and never came, since the service
-            was killed [s].
+        speed: Speed limits of the joints [rad/s].
+        hears_all: Whether it receives every command. Otherwise one command may account for the
+            time since the last one that it received.
+        fastest: Highest speed between two commands, as a share of the limit.
+        commands: Number of commands.
+        epochs: Number of changes of the epoch.
+        missed: Time of commands that were made and never arrived, since the service was killed [s].
+        flags: All flags of the commands.
     """
 
     speed: np.ndarray
@@ -76,9 +73,9 @@ class Driver:
     _last: Command | None = None
 
     def take(self, command: Command) -> None:
-        """One more command.
+        """Take one command.
 
-        Times are the server's, whose monotonic clock is the machine's and goes on over a restart.
+        Times are of the server's monotonic clock, which is the machine's and survives a restart.
         """
         self.flags |= set(command.flags)
         last, self._last = self._last, command
@@ -93,7 +90,7 @@ class Driver:
         )
         self.missed = 0.0
         moved = float((np.abs(np.subtract(command.q, last.q)) / self.speed).max())
-        # Rounding of a displacement of nothing in no time is no jump.
+        # Ignore rounding of a zero displacement in zero time.
         if moved > 1e-9:
             self.fastest = max(self.fastest, moved / time if time > 0.0 else np.inf)
 
@@ -101,15 +98,12 @@ class Driver:
 def open_driver(
     client: Client, robot: str = "three_finger", *, hears_all: bool = False, **choices: Any
 ) -> Driver:
-    """Open a session, and a driver for its robot."""
+    """Open a session, and return a driver for its robot."""
     return Driver(np.array(client.open(robot, **choices).speed), hears_all)
 
 
 def pace(rate: float, duration: float) -> Iterator[float]:
-    """Instants since the start [s] at a steady rate.
-
-    Late ones follow at once, so that none is left out.
-    """
+    """Yield times since the start [s] at a steady rate; late ones follow at once."""
     started = time.monotonic()
     for i in range(round(rate * duration)):
         wait = started + i / rate - time.monotonic()
@@ -119,21 +113,21 @@ def pace(rate: float, duration: float) -> Iterator[float]:
 
 
 class Honest(threading.Thread):
-    """A client that goes on with its work at 60 Hz, and a driver that watches what it is told.
+    """A well-behaved client at 60 Hz, and the driver that measures its commands.
 
     Args:
         service: The service.
-        seed: Whose hand moves.
+        seed: Seed of the hand's motion.
         keys: Keys of an encrypted connection.
-        streams: Whether samples are only sent, and the driver listens in a client of its own; else
-            each is answered.
-        jumps: Whether its time stamps jump about.
+        streams: Whether samples are only sent, and the driver listens in a client of its own.
+            Otherwise each sample is answered.
+        jumps: Whether its time stamps jump.
         is_shared: Whether others may steer its session.
-        lets_go: Whether it releases the robot after a second, for good.
+        releases: Whether it releases the robot after a second.
 
     Attributes:
-        start_offset: How far from its last command the robot was taken to be where a session was
-            opened anew, in parts of what three commands may account for.
+        start_offset: Distance of the assumed posture from the last command where a session was
+            reopened, as a share of what three commands may account for.
         is_disobeyed: Whether a released robot moved.
     """
 
@@ -146,7 +140,7 @@ class Honest(threading.Thread):
         streams: bool = False,
         jumps: bool = False,
         is_shared: bool = False,
-        lets_go: bool = False,
+        releases: bool = False,
     ) -> None:
         super().__init__(daemon=True)
         self.client = Client(service.address, timeout=TIMEOUT, keys=keys)
@@ -158,7 +152,7 @@ class Honest(threading.Thread):
         if streams:
             self._listener.watch(choices["name"])
         self.start_offset, self.is_disobeyed = 0.0, False
-        self._lets_go, self._has_let_go, self._reopened = lets_go, False, 0
+        self._releases, self._has_released, self._reopened = releases, False, 0
         self.answered, self.timeouts, self.longest = 0, 0, 0.0
         self.refusals: list[str] = []
         self.last: Command | None = None
@@ -167,7 +161,7 @@ class Honest(threading.Thread):
         self._ended = threading.Event()
 
     def run(self) -> None:
-        """Work until told to end."""
+        """Work until `end` is called."""
         for now in pace(60.0, 1e6):
             if self._ended.is_set():
                 break
@@ -178,7 +172,7 @@ class Honest(threading.Thread):
                 if command is not None:
                     self.driver.take(command)
                     self.is_disobeyed |= (
-                        self._has_let_go and self.last is not None and command.q != self.last.q
+                        self._has_released and self.last is not None and command.q != self.last.q
                     )
                     self.last = command
                     self.answered += 1
@@ -189,7 +183,7 @@ class Honest(threading.Thread):
             self.longest = max(self.longest, time.monotonic() - started)
 
     def end(self) -> None:
-        """End, and close the session."""
+        """Stop, and close the session."""
         self._ended.set()
         self.join(10.0)
         with suppress(ServiceError, ServiceTimeoutError):
@@ -197,17 +191,14 @@ class Honest(threading.Thread):
             self._listener.close()
 
     def _look_where_it_starts(self) -> None:
-        """After a session was opened anew.
-
-        Where the server takes the robot to be, and where it was last told to go.
-        """
+        """Compare the assumed posture of a reopened session with the last command."""
         opened = self.client.opened
         if self.client.reopened != self._reopened and opened is not None and self.last is not None:
             offset = np.abs(np.subtract(opened.q, self.last.q)) / (
                 self.driver.speed * 3.0 * _MAX_DT
             )
             self.start_offset = max(self.start_offset, float(offset.max()))
-            # The one that it was killed over.
+            # The command during which the service was killed.
             self.driver.missed = _MAX_DT
         self._reopened = self.client.reopened
 
@@ -217,9 +208,9 @@ class Honest(threading.Thread):
             if not self._jumps
             else float(self._generator.choice([now, -1e9, 1e9, 1e15, 0.0, now - 3600.0]))
         )
-        if self._lets_go and now > 1.0 and not self._has_let_go:
+        if self._releases and now > 1.0 and not self._has_released:
             self.client.release()
-            self._has_let_go = True
+            self._has_released = True
         if not self._streams:
             return self.client.step(**self._motion(now), time=stamp)
         self.client.send(**self._motion(now), time=stamp)
@@ -230,9 +221,13 @@ class Honest(threading.Thread):
 def honest(
     service: ServiceProcess, count: int = 2, *, first: int = 0, **choices: Any
 ) -> Iterator[list[Honest]]:
-    """Honest clients at work while the block runs.
+    """Run well-behaved clients during the block, named honest-0 and so on.
 
-    Their names are honest-0 and so on, or from another number.
+    Args:
+        service: The service.
+        count: Number of clients.
+        first: Number of the first client.
+        **choices: Arguments of `Honest`.
     """
     clients = [Honest(service, first + i, **choices) for i in range(count)]
     for client in clients:
@@ -244,8 +239,8 @@ def honest(
             client.end()
 
 
-def told(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
-    """What honest clients have seen, and whether it is as it should be."""
+def summary(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
+    """Summarise what well-behaved clients measured, and what of it is wrong."""
     found = {
         "commands": sum(client.answered for client in clients),
         "timeouts": sum(client.timeouts for client in clients),
@@ -261,7 +256,7 @@ def told(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
     if not found["fastest_joint"] <= 1.0 + _ROUNDING:
         wrong.append("a robot jumped")
     if any(client.start_offset > 1.0 for client in clients):
-        wrong.append("a robot was taken to be elsewhere")
+        wrong.append("a robot was assumed at another posture")
     if any(client.is_disobeyed for client in clients):
         wrong.append("a released robot moved")
     if found.get("memory_growth_MB", 0.0) > _MEMORY:
@@ -269,5 +264,5 @@ def told(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
     if found.get("failures"):
         wrong.append("the service failed at a request")
     if not found["commands"]:
-        wrong.append("nobody was served")
+        wrong.append("no client was served")
     return found | {"wrong": wrong}

@@ -1,8 +1,8 @@
-"""What the mapping service does when things go wrong: commands, not tests, for they take minutes.
+"""Faults of and around the mapping service; commands, not tests, because they take minutes.
 
-Each scenario does its worst while honest clients go on, and then looks: did any call take longer
-than its timeout, did any robot get a command that its speed limits do not allow, has memory grown,
-did the service log a failure? The exit code is 1 if so.
+Each scenario disturbs the service while well-behaved clients work. Then it checks: did any call
+take longer than its timeout, did any command exceed the robot's speed limits, has memory grown, did
+the service log a failure? The exit code is 1 if so.
 
     python benchmarks/service_faults.py --json faults.json
     python benchmarks/service_faults.py --only restarts fuzz --quick
@@ -27,7 +27,7 @@ import common
 import msgspec
 import numpy as np
 import zmq
-from service_clients import TIMEOUT, HumanMotion, honest, told
+from service_clients import TIMEOUT, HumanMotion, honest, summary
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
@@ -36,17 +36,17 @@ from handmap_qp.service.caps import Caps
 
 
 def restarts(duration: float) -> dict[str, Any]:
-    """The service is killed hard under load every three seconds, and started again.
+    """Kill the service under load every three seconds, and start it again.
 
-    Three clients have each sample answered; two only send, with drivers of their own that listen;
-    one has let its robot go.
+    Three clients wait for each answer. Two only send, with drivers of their own that listen. One
+    has released its robot.
     """
     with tempfile.TemporaryDirectory() as folder, serving(state=Path(folder) / "state") as service:
         restored, outages, end = 0, [], time.monotonic() + duration
         with (
             honest(service, 3) as asking,
             honest(service, 2, first=100, streams=True) as streaming,
-            honest(service, 1, first=200, lets_go=True) as released,
+            honest(service, 1, first=200, releases=True) as released,
         ):
             clients = [*asking, *streaming, *released]
             while time.monotonic() < end:
@@ -62,7 +62,7 @@ def restarts(duration: float) -> dict[str, Any]:
                         break
                     time.sleep(0.01)
                 outages.append(time.monotonic() - killed)
-        # One that knows nothing of the last command asks for it: it must get the very posture.
+        # A new client that restores the session must get exactly the last posture.
         last = asking[0].last
         service.kill()
         service.start()
@@ -77,18 +77,19 @@ def restarts(duration: float) -> dict[str, Any]:
             "longest_outage_s": max(outages),
             "restored": restored,
         }
-        found = told(clients, **numbers, start_offset=offset)
+        found = summary(clients, **numbers, start_offset=offset)
         if found["epochs"]:
-            found["wrong"].append("a session did not go on from the one before")
+            found["wrong"].append("a session did not continue from the one before")
         if not restored:
             found["wrong"].append("the posture was not restored")
         return found
 
 
 def vanishing(duration: float) -> dict[str, Any]:
-    """Clients vanish in the middle of a message, over both doors, and processes of clients are killed."""
+    """Drop connections in the middle of a message on all ports, and kill clients."""
     code = (
-        "import sys, numpy as np\nfrom handmap_qp.client import Client\nclient = Client(sys.argv[1]); client.open('three_finger')\n"
+        "import sys, numpy as np\nfrom handmap_qp.client import Client\n"
+        "client = Client(sys.argv[1]); client.open('three_finger')\n"
         "print('open', flush=True)\nwhile True: client.step(q=np.full(20, 0.1), wrist=np.eye(4))"
     )
     greeting = b"\xff" + b"\x00" * 8 + b"\x7f\x03\x00NULL" + b"\x00" * 48
@@ -122,7 +123,7 @@ def vanishing(duration: float) -> dict[str, Any]:
                     process.send_signal(signal.SIGKILL)
                     killed += 1
                 process.wait()
-        # Sessions of the dead end by themselves, and so do their connections.
+        # Sessions and connections of killed clients must end by themselves.
         time.sleep(8.0)
         with Client(service.address) as client:
             state = client.status()
@@ -132,21 +133,21 @@ def vanishing(duration: float) -> dict[str, Any]:
             "files": service.files() - files,
             "sessions_left": len(state.names) - 2,
         }
-    return told(clients, **memory.found(), failures=len(service.failures), **found)
+    return summary(clients, **memory.found(), failures=len(service.failures), **found)
 
 
 def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
-    """Connect, send half of something, be gone."""
+    """Connect, send part of a message, and drop the connection."""
     count = 0
-    for door, payloads in halves.items():
+    for port, payloads in halves.items():
         for payload in payloads:
             with (
                 suppress(OSError),
                 socket.create_connection(
-                    ("127.0.0.1", service.ports[door]), timeout=1.0
+                    ("127.0.0.1", service.ports[port]), timeout=1.0
                 ) as connection,
             ):
-                # Gone without a goodbye.
+                # Reset the connection when it closes (linger of zero).
                 connection.setsockopt(
                     socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00"
                 )
@@ -156,7 +157,7 @@ def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
 
 
 def slow_readers(duration: float) -> dict[str, Any]:
-    """Twenty readers of each kind take nothing of what they asked for."""
+    """Connect twenty readers of each kind that ask and never read."""
     from websockets.sync.client import connect
 
     with (
@@ -203,22 +204,24 @@ def slow_readers(duration: float) -> dict[str, Any]:
             each.close()
         for web in webs:
             web.socket.close()
-    return told(clients, **memory.found(), failures=len(service.failures), readers=60, unread=asked)
+    return summary(
+        clients, **memory.found(), failures=len(service.failures), readers=60, unread=asked
+    )
 
 
 def clock_jumps(duration: float) -> dict[str, Any]:
-    """Time stamps jump back and forth by years."""
+    """Let time stamps jump back and forth by years."""
     with serving() as service, honest(service, 3, jumps=True) as clients:
         time.sleep(duration)
     flags = sorted(set().union(*(client.driver.flags for client in clients)))
-    found = told(clients, failures=len(service.failures), flags=flags)
+    found = summary(clients, failures=len(service.failures), flags=flags)
     if not {"time_backwards", "time_jump"} <= set(flags):
         found["wrong"].append("jumps were not flagged")
     return found
 
 
 def wrong_keys(duration: float) -> dict[str, Any]:
-    """Clients without keys, with keys that nobody admitted, and with another server's key knock all the time."""
+    """Connect without keys, with keys that are not admitted, and with another server's key."""
     from handmap_qp.service.keys import make_keys
 
     with tempfile.TemporaryDirectory() as folder:
@@ -233,24 +236,28 @@ def wrong_keys(duration: float) -> dict[str, Any]:
             honest(service, 2, keys=admitted) as clients,
             MemoryWatch(service) as memory,
         ):
-            knocks, let_in, end = 0, 0, time.monotonic() + duration
+            attempts, admitted_count, end = 0, 0, time.monotonic() + duration
             while time.monotonic() < end:
                 for keys in (None, stranger, elsewhere):
                     with Client(service.address, timeout=0.3, attempts=1, keys=keys) as client:
-                        knocks += 1
+                        attempts += 1
                         with suppress(ServiceTimeoutError):
                             client.status()
-                            let_in += 1
-        found = told(
-            clients, **memory.found(), failures=len(service.failures), knocks=knocks, let_in=let_in
+                            admitted_count += 1
+        found = summary(
+            clients,
+            **memory.found(),
+            failures=len(service.failures),
+            attempts=attempts,
+            admitted_count=admitted_count,
         )
-    if let_in:
-        found["wrong"].append("a wrong key was let in")
+    if admitted_count:
+        found["wrong"].append("a wrong key was admitted")
     return found
 
 
 def sessions_come_and_go(duration: float) -> dict[str, Any]:
-    """Sessions are opened, used and closed all the time: what they took has to come back."""
+    """Open, use and close sessions: their memory must be freed."""
     with serving() as service, honest(service) as clients, MemoryWatch(service) as memory:
         opened, end = 0, time.monotonic() + duration
         motion = HumanMotion()
@@ -261,12 +268,12 @@ def sessions_come_and_go(duration: float) -> dict[str, Any]:
                     client.step(**motion(0.0))
                     opened += 1
                 except ServiceError:
-                    # More than the server opens in a second.
+                    # The server limits openings per second.
                     time.sleep(0.05)
-    return told(clients, **memory.found(), failures=len(service.failures), opened=opened)
+    return summary(clients, **memory.found(), failures=len(service.failures), opened=opened)
 
 
-# Each is valid, and so is every combination.
+# Each value is valid, and so is every combination.
 _WILD: dict[str, dict[str, tuple[Any, ...]]] = {
     "mapping": {
         "scale": (0.0, 0.1, 1.0, 30.0, 1e6, 1e18),
@@ -287,8 +294,8 @@ _WILD: dict[str, dict[str, tuple[Any, ...]]] = {
 
 
 def steering(duration: float) -> dict[str, Any]:
-    """Others clutch, release and configure shared sessions as fast as they are let, with options that are wild and valid."""
-    # Of the caps, the one on changes of options alone is to slow them down.
+    """Clutch, release and configure shared sessions at full speed, with extreme valid options."""
+    # Only the cap on changes of options must slow them down.
     with (
         serving(rate=1e7) as service,
         honest(service, is_shared=True) as clients,
@@ -301,7 +308,7 @@ def steering(duration: float) -> dict[str, Any]:
                 Counter[str](),
             )
         most = Caps().configures * (time.monotonic() - started + 0.25) + 1.0
-    found = told(
+    found = summary(
         clients,
         **memory.found(),
         failures=len(service.failures),
@@ -310,14 +317,15 @@ def steering(duration: float) -> dict[str, Any]:
     if not answers["configure: rate"] or answers["configure: done"] > most:
         found["wrong"].append("changes of options were not capped")
     if not set(answers) <= {"release: done", "clutch: done", "configure: done", "configure: rate"}:
-        found["wrong"].append("what is valid was refused, or not answered")
+        found["wrong"].append("a valid request was refused, or not answered")
     return found
 
 
 def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
-    """Steer one of two honest clients' sessions by its name, mostly by its options.
+    """Steer the session of a well-behaved client by its name, mostly by its options.
 
-    The answers by their kind.
+    Returns:
+        Numbers of answers by their kind.
     """
     generator, answers = np.random.default_rng(seed), Counter[str]()
     with Client(service.address, timeout=TIMEOUT) as client:
@@ -336,7 +344,7 @@ def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
 
 
 def _wild_changes(generator: np.random.Generator) -> dict[str, Any]:
-    """About a third of the options, each anywhere."""
+    """Draw about a third of the options, each with any of its values."""
     changes: dict[str, Any] = {"has_detail": bool(generator.integers(2))}
     for field, options in _WILD.items():
         drawn = [name for name in options if generator.random() < 1.0 / 3.0]
@@ -359,7 +367,7 @@ SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
 
 
 def _flat(found: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Values by name, those of inner dictionaries among them."""
+    """Yield values by name, including those of inner dictionaries."""
     for key, value in found.items():
         if isinstance(value, dict):
             yield from ((f"{key}: {inner}", each) for inner, each in value.items())

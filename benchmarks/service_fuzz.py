@@ -1,4 +1,4 @@
-"""A million messages that no honest client sends, through every door of the service, and what the robots are told meanwhile."""
+"""Invalid messages on every transport of the service, and the effect on robots meanwhile."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import zmq
-from service_clients import Driver, honest, told
-from service_nonsense import Nonsense
+from service_clients import Driver, honest, summary
+from service_invalid import InvalidMessages
 from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Command
 
-_VICTIMS: tuple[dict[str, Any], ...] = (
+_SESSIONS: tuple[dict[str, Any], ...] = (
     {"robot": "three_finger"},
     {"robot": "three_finger", "input": "landmarks", "hand_length": 0.19, "has_detail": True},
     {
@@ -34,15 +34,15 @@ _VICTIMS: tuple[dict[str, Any], ...] = (
         "return_after": 0.0,
     },
 )
-# Messages to one victim, and between two looks at what has become of them.
+# Messages to one session, and messages between two checks of its answers.
 _TO_ONE, _AT_ONCE = 4000, 50
 _PATIENCE = 5.0
 
 
 def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
-    """A million altered and truncated messages, to sessions whose secret has got about.
+    """Send a million altered and truncated messages to sessions whose secret is known.
 
-    Fewer in a short run.
+    A short run sends 40,000.
     """
     if duration < 30.0:
         count = 40_000
@@ -51,38 +51,38 @@ def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
         honest(service) as clients,
         MemoryWatch(service) as memory,
     ):
-        codes, doors, fastest, commands = Counter[str](), Counter[str](), 0.0, 0
+        codes, routes, fastest, commands = Counter[str](), Counter[str](), 0.0, 0
         started = time.monotonic()
         for number in range(count // _TO_ONE):
-            # Every other one over WebSocket, and every victim at every door.
-            with _DOORS[(number + number // len(_VICTIMS)) % len(_DOORS)](service) as door:
-                driver = _maltreat(service, door, number, codes)
-                doors[door.name] += _TO_ONE
+            # Every other session over WebSocket, and every kind of session on every transport.
+            with _ROUTES[(number + number // len(_SESSIONS)) % len(_ROUTES)](service) as route:
+                driver = _disturb(service, route, number, codes)
+                routes[route.name] += _TO_ONE
             fastest, commands = max(fastest, driver.fastest), commands + driver.commands
         elapsed = time.monotonic() - started
-    sent = doors.total()
+    sent = routes.total()
     numbers = {
         "messages": sent,
         "per_second": sent / elapsed,
-        "through": dict(doors),
+        "through": dict(routes),
         "answers": dict(codes.most_common()),
     }
-    found = told(clients, **memory.found(), failures=len(service.failures), **numbers)
+    found = summary(clients, **memory.found(), failures=len(service.failures), **numbers)
     if fastest > 1.0 + 1e-6:
-        found["wrong"].append("the victim jumped")
+        found["wrong"].append("a robot jumped")
     return found | {
-        "victims_commands": commands,
-        "victims_fastest": fastest,
+        "commands_of_disturbed": commands,
+        "fastest_of_disturbed": fastest,
         "first_failure": "".join(service.failures[:1]),
     }
 
 
-class Door(AbstractContextManager["Door"]):
-    """A way into the service; a context manager.
+class Route(AbstractContextManager["Route"]):
+    """A connection to the service; a context manager.
 
     Attributes:
-        name: What it is called in the tally.
-        is_json: Whether it speaks JSON; msgpack otherwise.
+        name: Name in the summary.
+        is_json: Whether messages are JSON; msgpack otherwise.
     """
 
     name = "requests"
@@ -94,20 +94,20 @@ class Door(AbstractContextManager["Door"]):
 
     @abstractmethod
     def receive(self) -> bytes:
-        """Wait for the next answer, or command of a stream that nonsense has subscribed to."""
+        """Wait for the next answer, or for a command of a subscribed stream."""
 
     def ask(self, **message: Any) -> None:
-        """Send a message that is in order."""
+        """Send a valid message."""
         payload = {"protocol": 1, **message}
         self.send(msgspec.json.encode(payload) if self.is_json else msgspec.msgpack.encode(payload))
 
     def answer(self) -> dict[str, Any]:
-        """Wait for the next answer, and read it."""
+        """Wait for the next answer, and decode it."""
         payload = self.receive()
         return msgspec.json.decode(payload) if self.is_json else msgspec.msgpack.decode(payload)
 
 
-class RequestsDoor(Door):
+class ZeroMQRoute(Route):
     """ZeroMQ."""
 
     def __init__(self, service: ServiceProcess) -> None:
@@ -127,7 +127,7 @@ class RequestsDoor(Door):
         self._socket.close()
 
 
-class WebDoor(Door):
+class WebSocketRoute(Route):
     """WebSocket: binary frames with msgpack, or text frames with JSON."""
 
     def __init__(self, service: ServiceProcess, *, is_json: bool) -> None:
@@ -141,59 +141,58 @@ class WebDoor(Door):
     def send(self, payload: bytes) -> None:
         """Send a message.
 
-        In text every byte is a character, since a frame that is no UTF-8 ends its connection.
+        In text frames every byte is a character, because invalid UTF-8 ends the connection.
         """
         self._connection.send(payload.decode("latin-1") if self.is_json else payload)
 
     def receive(self) -> bytes:
-        """Wait for the next answer, as the bytes that it came in."""
+        """Wait for the next answer, as bytes."""
         return self._connection.recv(_PATIENCE, decode=False)
 
     def __exit__(self, *_: object) -> None:
         self._connection.close()
 
 
-_DOORS: tuple[Callable[[ServiceProcess], Door], ...] = (
-    RequestsDoor,
-    partial(WebDoor, is_json=False),
-    RequestsDoor,
-    partial(WebDoor, is_json=True),
+_ROUTES: tuple[Callable[[ServiceProcess], Route], ...] = (
+    ZeroMQRoute,
+    partial(WebSocketRoute, is_json=False),
+    ZeroMQRoute,
+    partial(WebSocketRoute, is_json=True),
 )
 
 
-def _maltreat(service: ServiceProcess, door: Door, number: int, codes: Counter[str]) -> Driver:
-    """Open a session, send nonsense to it, close it; what its robot was told."""
-    # Its number twice: with one byte altered, it is not the next victim's.
-    secret, name = f"a-secret-{number}-that-got-about-{number}", f"victim-{number}"
-    nonsense = Nonsense(secret, name, number, is_json=door.is_json)
+def _disturb(service: ServiceProcess, route: Route, number: int, codes: Counter[str]) -> Driver:
+    """Open a session, send invalid messages to it, close it; return the driver of its robot."""
+    # The number is in the secret twice, so that one altered byte never makes another's secret.
+    secret, name = f"a-secret-{number}-that-got-about-{number}", f"disturbed-{number}"
+    invalid = InvalidMessages(secret, name, number, is_json=route.is_json)
     with zmq.Context.instance().socket(zmq.SUB) as listener:
         listener.linger = 0
         listener.connect(f"tcp://127.0.0.1:{service.ports['stream']}")
         listener.subscribe(name.encode() + b"\0")
         opened: dict[str, Any] = {"type": "error"}
         while opened["type"] == "error":
-            # Nonsense opens sessions too, by chance, up to the caps.
-            victim = _VICTIMS[number % len(_VICTIMS)]
-            door.ask(type="open", seq=1, session=secret, name=name, is_shared=True, **victim)
-            opened = door.answer()
+            # Altered messages open sessions too, by chance, up to the caps.
+            choices = _SESSIONS[number % len(_SESSIONS)]
+            route.ask(type="open", seq=1, session=secret, name=name, is_shared=True, **choices)
+            opened = route.answer()
             if opened["type"] == "error":
                 if opened["code"] not in ("busy", "rate"):
-                    raise RuntimeError(f"no victim: {opened}")
+                    raise RuntimeError(f"no session: {opened}")
                 time.sleep(0.05)
         driver = Driver(np.array(opened["speed"]))
         for _ in range(_TO_ONE // _AT_ONCE):
             for _ in range(_AT_ONCE):
-                door.send(nonsense())
-            # A question that is always answered: when its answer comes, what was before it has been
-            # dealt with.
-            door.ask(type="status", seq=1, session="")
-            while not (answer := door.answer()).get("robots"):
+                route.send(invalid())
+            # A request that is always answered: its answer follows those of all messages before.
+            route.ask(type="status", seq=1, session="")
+            while not (answer := route.answer()).get("robots"):
                 codes[answer.get("code", answer["type"])] += 1
             while listener.poll(0):
                 message = msgspec.msgpack.decode(listener.recv().partition(b"\0")[2])
                 if message["type"] == "command":
                     driver.take(msgspec.convert(message, Command))
-        door.ask(type="close", seq=2**53, session=secret)
-        while door.answer()["seq"] != 2**53:
+        route.ask(type="close", seq=2**53, session=secret)
+        while route.answer()["seq"] != 2**53:
             pass
     return driver

@@ -1,7 +1,4 @@
-"""A mapping service in a process of its own, for the load and fault runs.
-
-Started, watched, killed and started again.
-"""
+"""A mapping service in a separate process, for the load and fault runs."""
 
 from __future__ import annotations
 
@@ -22,14 +19,14 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class ServiceProcess:
-    """`handmap serve` in a process of its own, on loopback, on ports of the system's choice that stay over a restart.
+    """`handmap serve` in a separate process, on loopback, on ports that it keeps over a restart.
 
     Args:
         **choices: Fields of the command.
 
     Attributes:
         ports: Its ports by name.
-        failures: Once it has ended: what it logged of requests that met a bug.
+        failures: After `stop`: log lines of unexpected exceptions.
     """
 
     def __init__(self, **choices: Any) -> None:
@@ -46,7 +43,7 @@ class ServiceProcess:
         self.start()
 
     def start(self) -> None:
-        """Start it, and wait until it is ready."""
+        """Start the service, and wait until it is ready."""
         kept = {
             "requests": "port",
             "stream": "stream_port",
@@ -54,7 +51,10 @@ class ServiceProcess:
             "web": "web_port",
         }
         choices = self._choices | {kept[name]: port for name, port in self.ports.items()}
-        code = f"from pathlib import Path, PosixPath\nfrom handmap_qp.service.cli import Serve\nServe(**{choices!r}).run()"
+        code = (
+            "from pathlib import Path, PosixPath\nfrom handmap_qp.service.cli import Serve\n"
+            f"Serve(**{choices!r}).run()"
+        )
         with self.log.open("a") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=log, text=True
@@ -66,16 +66,16 @@ class ServiceProcess:
 
     @property
     def address(self) -> str:
-        """Where requests go."""
+        """Address of the requests."""
         return f"tcp://127.0.0.1:{self.ports['requests']}"
 
     def kill(self) -> None:
-        """End it hard."""
+        """Kill the process."""
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
     def stop(self) -> None:
-        """End it, and throw its log away."""
+        """Stop the service, and delete its log."""
         self.process.terminate()
         try:
             self.process.wait(5.0)
@@ -103,7 +103,7 @@ class ServiceProcess:
 
 @contextmanager
 def serving(**choices: Any) -> Iterator[ServiceProcess]:
-    """A service while the block runs."""
+    """Run a service during the block."""
     service = ServiceProcess(**choices)
     try:
         yield service
@@ -112,7 +112,7 @@ def serving(**choices: Any) -> Iterator[ServiceProcess]:
 
 
 class MemoryWatch(threading.Thread):
-    """Looks at a service's resident memory twice a second, as a context manager.
+    """Sample a service's resident memory twice per second; a context manager.
 
     Args:
         service: The service.
@@ -125,7 +125,7 @@ class MemoryWatch(threading.Thread):
         self._ended = threading.Event()
 
     def run(self) -> None:
-        """Look until told to end."""
+        """Sample until the block ends."""
         while not self._ended.is_set():
             self._seen.append(self._service.memory())
             self._ended.wait(0.5)
@@ -139,7 +139,10 @@ class MemoryWatch(threading.Thread):
         self.join()
 
     def found(self) -> dict[str, float]:
-        """Memory at the start and at the end [MB], and how much it grew after two fifths of the time, when caches are filled."""
+        """Return memory at the start and at the end [MB], and its growth.
+
+        The growth is counted after two fifths of the time, when caches are filled.
+        """
         warm = max(self._seen[: max(1, 2 * len(self._seen) // 5)])
         return {
             "memory_start_MB": self._seen[0],
@@ -150,10 +153,7 @@ class MemoryWatch(threading.Thread):
 
 @contextmanager
 def echoing() -> Iterator[dict[str, int]]:
-    """A bare echo of both transports in a process of its own: no messages read, nothing mapped.
-
-    Gives its ports.
-    """
+    """Run a bare echo of both transports in a separate process; yield its ports."""
     process = subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE, text=True)
     try:
         yield json.loads(process.stdout.readline() if process.stdout else "")
@@ -163,7 +163,7 @@ def echoing() -> Iterator[dict[str, int]]:
 
 
 async def _echo() -> None:
-    """Send everything back, in the same loop and by the same libraries as the service."""
+    """Send every message back, with the event loop and libraries of the service."""
     import zmq.asyncio
     from websockets.asyncio.server import ServerConnection, serve
 

@@ -1,4 +1,4 @@
-"""How the tests wait for other threads and processes: as long as it takes, and no longer."""
+"""Waiting for other threads and processes, with a generous timeout."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from collections.abc import Callable
 from typing import TypeVar
 
 PATIENCE = 30.0
-"""More than anything takes that works at all [s], also on a busy machine."""
+"""Timeout that no working operation exceeds, also on a busy machine [s]."""
 T = TypeVar("T")
 
 
 def wait_until(
     see: Callable[[], T | None], complaint: str = "nothing happens", patience: float = PATIENCE
 ) -> T:
-    """Look again and again for what others are to bring about.
+    """Poll until a condition holds.
 
     Args:
-        see: Looks; what it gives is true once it is there.
-        complaint: What to say if it does not come.
-        patience: How long to look [s].
+        see: Returns a true value once the condition holds.
+        complaint: Message of the assertion error at the timeout.
+        patience: Timeout [s].
 
     Returns:
-        What was seen.
+        The value that `see` returned.
     """
     end = time.monotonic() + patience
     while not (seen := see()):

@@ -1,7 +1,4 @@
-"""What the tests of the service share.
-
-A server in a thread, a session without one, and a hand that moves.
-"""
+"""Shared by the tests of the service: a server in a thread, a session without one, samples."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Posture, Session
 
 CACHE = HandCache()
-"""Hands are loaded once for all tests."""
+"""Load hands once for all tests."""
 HERE = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 SECRET = "a-secret-of-the-tests"
 PERIOD = 1.0 / 60.0
@@ -50,7 +47,7 @@ T = TypeVar("T")
 
 
 def human_q(phase: float = 0.0) -> np.ndarray:
-    """Joint angles of a human hand that closes and opens, shape (20,)."""
+    """Return joint angles of a human hand that closes and opens [rad], shape (20,)."""
     human = CACHE.human("right", None)
     middle, half = (
         0.5 * (human.lower_limits + human.upper_limits),
@@ -60,22 +57,22 @@ def human_q(phase: float = 0.0) -> np.ndarray:
 
 
 def opening(robot: str = "three_finger", **choices: Any) -> Open:
-    """A request to open a session."""
+    """Return a request to open a session."""
     return Open(protocol=PROTOCOL, seq=1, session=SECRET, robot=robot, **choices)
 
 
 def change(**changes: Any) -> Configure:
-    """A request to change options."""
+    """Return a request to change options."""
     return Configure(protocol=PROTOCOL, seq=99, session=SECRET, **changes)
 
 
 def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
-    """What a refusal says: its code, and the field at fault."""
+    """Return the code of a refusal and the field at fault."""
     return raised.value.error.code, raised.value.error.field
 
 
 def run_now(work: Callable[[], Hands]) -> Future[Hands]:
-    """What a server does in another thread, done at once."""
+    """Run at once what a server runs in another thread."""
     done: Future[Hands] = Future()
     try:
         done.set_result(work())
@@ -85,7 +82,7 @@ def run_now(work: Callable[[], Hands]) -> Future[Hands]:
 
 
 def make_session(now: float = 0.0, robot: str = "three_finger", **choices: Any) -> Session:
-    """A session without a server."""
+    """Make a session without a server."""
     request = opening(robot, **choices)
     return Session(
         request,
@@ -97,7 +94,7 @@ def make_session(now: float = 0.0, robot: str = "three_finger", **choices: Any) 
 
 
 class Sampler:
-    """Makes samples with numbers that increase, as of a client."""
+    """Make samples with increasing numbers, as a client does."""
 
     def __init__(self) -> None:
         self.seq = 1
@@ -120,19 +117,19 @@ class Sampler:
 
 
 def streamed(step: Step) -> Sample:
-    """The same sample, as one that is not answered."""
+    """Convert to a sample without an answer."""
     return Sample(**msgspec.structs.asdict(step))
 
 
 def speeds(session: Session, before: np.ndarray, command: Command, time: float) -> np.ndarray:
-    """Joint speeds as parts of their limits, shape (n,)."""
+    """Return joint speeds as shares of their limits, shape (n,)."""
     return np.abs(np.array(command.q) - before) / (session.robot.velocity_limits * time)
 
 
 def moved_points(session: Session, before: Posture) -> float:
-    """How far the fingertips have gone [m].
+    """Return the largest displacement of a reference point [m].
 
-    At a new reference not far, though joints may drift towards rest meanwhile.
+    At a new reference it is small, but joints may drift towards rest meanwhile.
     """
     return float(
         np.linalg.norm(
@@ -142,7 +139,7 @@ def moved_points(session: Session, before: Posture) -> float:
 
 
 def follow(session: Session, sample: Sampler, start: float, count: int = 20) -> float:
-    """Steps at 60 Hz; the time of the last one."""
+    """Map samples at 60 Hz; return the time of the last one [s]."""
     for i in range(count):
         session.step(sample(i * PERIOD, human_q(0.1 * i)), start + i * PERIOD)
     return start + (count - 1) * PERIOD
@@ -150,7 +147,7 @@ def follow(session: Session, sample: Sampler, start: float, count: int = 20) -> 
 
 @contextmanager
 def serving(settings: Settings = LOCAL, **changes: Any) -> Iterator[Server]:
-    """A server in a thread of its own, on ports of the system's choice."""
+    """Run a server in a thread, on free ports."""
     started: Future[Server] = Future()
     ended: Future[Callable[[], Any]] = Future()
 
@@ -181,14 +178,14 @@ def serving(settings: Settings = LOCAL, **changes: Any) -> Iterator[Server]:
     try:
         yield started.result(timeout=PATIENCE)
     finally:
-        # The loop is closed already where the server could not start.
+        # The loop is closed already if the server could not start.
         with suppress(RuntimeError):
             ended.result(timeout=PATIENCE)()
         thread.join(timeout=PATIENCE)
 
 
 def in_loop(server: Server, work: Callable[[], T]) -> T:
-    """Look at a running server, or change it, where all that it does happens: in its event loop."""
+    """Run a function in the event loop of a running server."""
 
     async def act() -> T:
         return work()
@@ -197,7 +194,7 @@ def in_loop(server: Server, work: Callable[[], T]) -> T:
 
 
 def lose_sessions(server: Server) -> None:
-    """Make a running server lose its sessions as by a restart with `--state`: no one is told."""
+    """Make a running server lose its sessions as by a restart with `--state`, silently."""
     sessions = server.dispatcher.sessions
 
     def lose() -> None:
@@ -209,7 +206,7 @@ def lose_sessions(server: Server) -> None:
 
 
 def skip(server: Server, seconds: float) -> None:
-    """Let a running server believe that so much time has passed, and act on it."""
+    """Advance the clock of a running server, and let it act [s]."""
     dispatcher = server.dispatcher
 
     def act() -> None:
@@ -225,22 +222,22 @@ def address_of(server: Server) -> str:
 
 
 def client_of(server: Server, **choices: Any) -> Client:
-    """A client that waits for its answers as long as it takes."""
+    """Make a client with a long timeout."""
     return Client(address_of(server), timeout=PATIENCE, **choices)
 
 
 @contextmanager
 def connected(server: Server, robot: str = "three_finger", **choices: Any) -> Iterator[Client]:
-    """A client with an open session."""
+    """Make a client with an open session."""
     with client_of(server) as client:
         client.open(robot, **choices)
         yield client
 
 
 def heard(listener: Client, stamp: float) -> HeardCommand:
-    """The command that answers a sample, by its time stamp.
+    """Wait for the command that answers a sample, by its time stamp.
 
-    At the latest when the watchdog repeats it.
+    The watchdog repeats it, in case the first one was missed.
     """
 
     def listen() -> HeardCommand | None:
@@ -251,7 +248,7 @@ def heard(listener: Client, stamp: float) -> HeardCommand:
 
 
 def send_until_reopened(client: Client, **sample: Any) -> None:
-    """Send a sample until the client has heard that its session is lost, and the sample went into a new one."""
+    """Send a sample until the client has reopened its lost session."""
 
     def send() -> int:
         client.send(**sample)
@@ -261,7 +258,7 @@ def send_until_reopened(client: Client, **sample: Any) -> None:
 
 
 def assert_no_jump(client: Client, before: HeardCommand, after: HeardCommand) -> None:
-    """No farther than the first sample of a new session may lead a robot."""
+    """Assert that the robot moved no farther than one command may move it."""
     assert client.opened is not None
     assert (
         np.abs(np.subtract(after.q, before.q)) <= np.array(client.opened.speed) / 30.0 + 1e-9
@@ -269,13 +266,10 @@ def assert_no_jump(client: Client, before: HeardCommand, after: HeardCommand) ->
 
 
 @contextmanager
-def knocking(
+def bare_connection(
     server: Server, keys: KeyFiles | None = None
 ) -> Iterator[tuple[zmq.Socket, Callable[[], int]]]:
-    """A bare socket that connects, and what becomes of its connection.
-
-    Event by event, as ZeroMQ tells them.
-    """
+    """Connect a bare socket; yield it and a function that returns the next connection event."""
     with (
         zmq.Context() as context,
         context.socket(zmq.DEALER) as socket,

@@ -33,7 +33,7 @@ def start(fields: str) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name)
-def test_it_says_when_it_is_ready_and_ends_when_it_is_told(number: signal.Signals) -> None:
+def test_serve_reports_readiness_and_ends_on_a_signal(number: signal.Signals) -> None:
     process = start(PORTS)
     try:
         assert process.stdout is not None
@@ -44,14 +44,14 @@ def test_it_says_when_it_is_ready_and_ends_when_it_is_told(number: signal.Signal
             assert client.step(q=human_q(), wrist=np.eye(4)).status == "converged"
             process.send_signal(number)
             log = process.communicate(timeout=PATIENCE)[1]
-            # Nobody is there any more to close the session.
+            # The server is gone, so closing must not wait.
             client.timeout = 0.0
     finally:
         process.kill()
         process.wait()
     assert process.returncode == 0
     events = [json.loads(line)["event"] for line in log.splitlines()]
-    # A busy machine adds that it is late.
+    # On a busy machine the server also logs that it is late.
     assert [event for event in events if event != "late"] == [
         "ready",
         "opened",
@@ -67,7 +67,7 @@ def test_the_schema_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "$defs" in json.loads(capsys.readouterr().out)
 
 
-def test_keys_are_made_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_keys_are_made_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Keys(tmp_path / "keys", client=("left",)).run()
     assert capsys.readouterr().out.count("wrote") == 5
     (public, secret), (server, _) = (
@@ -100,7 +100,7 @@ def test_keys_are_made_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[st
     ],
     ids=str,
 )
-def test_mistakes_are_told_before_anything_listens(
+def test_mistakes_are_reported_before_anything_listens(
     choices: dict[str, object],
     error: type[Exception],
     message: str,

@@ -1,7 +1,4 @@
-"""The client in one file.
-
-What it needs, what it does when the server goes away, and that no call hangs.
-"""
+"""The client in one file: imports, signatures, restarts of the server, and no hanging calls."""
 
 from __future__ import annotations
 
@@ -73,8 +70,10 @@ def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> Non
     (tmp_path / "copied.py").write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
     code = (
         "import sys; sys.modules['handmap_qp'] = None; sys.path.insert(0, '.')\n"
-        f"import copied; client = copied.Client({address_of(server)!r}, timeout={PATIENCE}); client.open('three_finger')\n"
-        f"print(client.step(q={human_q().tolist()}, wrist=[0, 0, 0, 0, 0, 0, 1]).status); client.close()"
+        f"import copied; client = copied.Client({address_of(server)!r}, timeout={PATIENCE})\n"
+        "client.open('three_finger')\n"
+        f"print(client.step(q={human_q().tolist()}, wrist=[0, 0, 0, 0, 0, 0, 1]).status)\n"
+        "client.close()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -93,7 +92,7 @@ def test_poses_survive_the_wire(matrix: np.ndarray) -> None:
     assert np.allclose(Pose.of([*pose.position, *pose.quat_xyzw]).matrix, matrix, atol=1e-12)
 
 
-def test_what_is_no_pose_is_refused_at_once() -> None:
+def test_an_array_of_another_shape_is_not_a_pose() -> None:
     with pytest.raises(ValueError, match="shape"):
         Pose.of(np.eye(3))
 
@@ -102,7 +101,7 @@ def test_asyncio_is_the_same(server: Server) -> None:
     async def main() -> None:
         async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
             await client.open("three_finger", mapping={"rigid_from": "wrist"}, watchdog=10.0)
-            # Calls of several tasks take turns: every one is answered.
+            # Calls of several tasks take turns, and each gets its answer.
             commands = await asyncio.gather(
                 *(client.step(q=human_q(0.01 * i), wrist=WRIST) for i in range(20))
             )
@@ -121,14 +120,14 @@ def test_asyncio_is_the_same(server: Server) -> None:
     asyncio.run(main())
 
 
-def test_a_call_that_is_cancelled_does_no_harm(server: Server) -> None:
+def test_a_cancelled_call_does_not_disturb_later_calls(server: Server) -> None:
     async def main() -> None:
         async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
             await client.open("three_finger")
             cancelled = 0
             for _ in range(50):
                 call = asyncio.ensure_future(client.step(q=human_q(), wrist=WRIST))
-                # Now it has been sent, and waits for the answer; unless that was there at once.
+                # The request is sent, and the call waits, unless the answer was there at once.
                 await asyncio.sleep(0.0)
                 call.cancel()
                 cancelled += isinstance(
@@ -142,10 +141,10 @@ def test_a_call_that_is_cancelled_does_no_harm(server: Server) -> None:
 
 @contextmanager
 def ending() -> Iterator[None]:
-    """Work that hangs is ended with an error."""
+    """Raise an error if the block hangs."""
 
     def complain(*_: object) -> None:
-        raise AssertionError("it hangs")
+        raise AssertionError("the call hangs")
 
     before = signal.signal(signal.SIGALRM, complain)
     signal.setitimer(signal.ITIMER_REAL, PATIENCE)
@@ -157,7 +156,7 @@ def ending() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("attempts", [1, 3])
-@pytest.mark.parametrize("listens", [False, True], ids=["nobody", "a mute server"])
+@pytest.mark.parametrize("listens", [False, True], ids=["no server", "a silent server"])
 def test_a_call_without_an_answer_ends_after_its_attempts(
     attempts: int, listens: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""What a client refuses before anything is sent, and what a refusal leaves as it was."""
+"""Input that a client rejects before sending, and the state after a refusal."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def server() -> Iterator[Server]:
 
 @pytest.mark.parametrize("matrix", NO_POSES.values(), ids=NO_POSES.keys())
 def test_a_matrix_that_is_no_pose_is_not_made_one(server: Server, matrix: np.ndarray) -> None:
-    # Only refused here, too: over the wire goes a quaternion, and there is one nearest to anything.
+    # The client must reject it, because any matrix has a nearest quaternion to send.
     with connected(server) as client:
         before = client.step(q=human_q(), wrist=WRIST)
         with pytest.raises(ValueError, match=r"^wrist: expected"):
@@ -50,7 +50,7 @@ def test_a_matrix_that_is_no_pose_is_not_made_one(server: Server, matrix: np.nda
 @pytest.mark.parametrize(
     "address", ["127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:http", ""]
 )
-def test_what_is_no_address_is_refused_at_once(address: str) -> None:
+def test_an_invalid_address_is_rejected_at_once(address: str) -> None:
     with pytest.raises(ValueError, match="expected an address such as tcp://127"):
         Client(address)
 
@@ -82,7 +82,7 @@ def test_a_task_that_waits_for_commands_takes_the_stream_that_another_task_opens
             waiting = asyncio.create_task(client.latest(60.0))
             await asyncio.sleep(0)
             other = await client.open("three_finger", watchdog=10.0)
-            # Its subscription may come to the server later than the first command.
+            # The subscription may reach the server later than the first command.
             while not waiting.done():
                 await client.step(q=human_q(), wrist=WRIST)
                 await asyncio.sleep(0.01)

@@ -1,7 +1,4 @@
-"""What a robot's driver sees when a server loses a session and its client opens it anew.
-
-No jump that it is not told of.
-"""
+"""Reopened sessions: the robot's driver sees no jump without a new epoch."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ from handmap_qp.client import AsyncClient, Client, Command, ServiceError
 from handmap_qp.service.server import Server
 
 WRIST = np.eye(4)
-# Longer than a server waits to hear of a session [s].
+# Longer than the idle time of sessions [s].
 LONG = 100.0
 
 
@@ -46,14 +43,14 @@ def server() -> Iterator[Server]:
 
 @contextmanager
 def driver_of(server: Server, name: str) -> Iterator[Client]:
-    """A robot's driver in a client of its own, that hears the session's commands."""
+    """Watch the session as a robot's driver in a client of its own."""
     with client_of(server) as driver:
         driver.watch(name)
         yield driver
 
 
 def lead_away(tracker: Client, driver: Client) -> Command:
-    """Samples without answers, as of a tracker that leaves commands to the robot's driver, until the robot is well on its way.
+    """Send samples without answers until the robot has moved.
 
     Returns:
         The last command.
@@ -70,7 +67,7 @@ def lead_away(tracker: Client, driver: Client) -> Command:
     return wait_until(go_on)
 
 
-def test_a_tracker_that_only_sends_is_opened_anew_where_its_robot_is(server: Server) -> None:
+def test_a_tracker_that_only_sends_is_reopened_where_its_robot_is(server: Server) -> None:
     with connected(server, name="lab") as tracker, driver_of(server, "lab") as driver:
         before = lead_away(tracker, driver)
         lose_sessions(server)
@@ -81,7 +78,7 @@ def test_a_tracker_that_only_sends_is_opened_anew_where_its_robot_is(server: Ser
 
 
 @pytest.mark.parametrize("remembers", [False, True])
-def test_a_restarted_server_goes_on_or_says_that_it_does_not_know(
+def test_a_restarted_server_continues_or_changes_the_epoch(
     free_port: int, tmp_path: Path, remembers: bool
 ) -> None:
     choices: dict[str, Any] = {"port": free_port} | (
@@ -131,7 +128,7 @@ def test_a_session_that_begins_anew_has_another_epoch(server: Server) -> None:
     assert epochs[0] < epochs[1]
 
 
-def test_a_sample_that_cannot_be_sent_on_is_told_at_the_next(server: Server) -> None:
+def test_a_refused_sample_is_reported_at_the_next_one(server: Server) -> None:
     with client_of(server) as nobody, pytest.raises(RuntimeError, match="open a session"):
         nobody.send(q=human_q(), wrist=WRIST)
 
@@ -142,7 +139,7 @@ def test_a_sample_that_cannot_be_sent_on_is_told_at_the_next(server: Server) -> 
         before = refused()
         tracker.send(q=np.full(20, np.nan), wrist=WRIST)
         wait_until(lambda: refused() > before)
-        # The answer is on its way.
+        # The answer may not have arrived yet.
         with pytest.raises(ServiceError, match=r"q\[0\]"):
             wait_until(lambda: tracker.send(q=human_q(), wrist=WRIST))
         tracker.send(q=human_q(), wrist=WRIST, time=1e3)
@@ -154,8 +151,8 @@ def test_one_task_waits_for_commands_while_another_sends(server: Server) -> None
         async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
             await client.open("three_finger")
             driving = asyncio.ensure_future(client.latest(PATIENCE))
-            # Now it waits. Without samples there are no commands: if one task had to wait for the
-            # other, both would wait in vain.
+            # The task waits now. Without samples there are no commands, so a common lock would be a
+            # deadlock.
             await asyncio.sleep(0.0)
             while not driving.done():
                 await client.send(q=human_q(), wrist=WRIST)
@@ -179,7 +176,7 @@ def test_a_tracker_that_only_sends_and_was_idle_keeps_name_and_posture(server: S
         name = tracker.open("three_finger").name
         with driver_of(server, name) as driver:
             before = lead_away(tracker, driver)
-            # The stream's last word is then that the session was closed.
+            # The last message of the stream then says that the session was closed.
             skip(server, LONG)
             send_until_reopened(tracker, q=human_q(2.0), wrist=WRIST, time=1e3)
             after = heard(driver, 1e3)

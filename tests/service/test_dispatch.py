@@ -1,7 +1,4 @@
-"""Messages without sockets: what depends on time, on what comes at once, and on who fails.
-
-Time is the test's own.
-"""
+"""Dispatch without sockets: time, simultaneous messages and failures. The test sets the clock."""
 
 from __future__ import annotations
 
@@ -30,11 +27,11 @@ from handmap_qp.service.store import PostureStore, Record
 
 
 class Desk:
-    """A dispatcher, its clock, and all that goes into its streams.
+    """A dispatcher with its clock and the messages of its streams.
 
     Args:
-        store: Where postures are noted; in memory if omitted.
-        caps: What clients are allowed.
+        store: Record of the postures; in memory if omitted.
+        **caps: Limits of what clients may do.
     """
 
     def __init__(self, store: PostureStore | None = None, **caps: Any) -> None:
@@ -50,7 +47,7 @@ class Desk:
         )
 
     def take(self, request: Request, peer: str = "one") -> list[dict[str, Any]]:
-        """The answers to a request that come at once: one or none."""
+        """Send a request; return its immediate answers: one or none."""
         answers: list[bytes] = []
         self.dispatcher.receive(msgspec.msgpack.encode(request), peer, answers.append)
         return [msgspec.msgpack.decode(answer) for answer in answers]
@@ -63,7 +60,7 @@ class Desk:
 
 @contextmanager
 def desk(caps: dict[str, Any], **choices: Any) -> Iterator[Desk]:
-    """With an open session, named `lab`."""
+    """Make a dispatcher with an open session named `lab`."""
     made = Desk(**caps)
     asyncio.run(made.sessions.open(opening(name="lab", **choices), b""))
     yield made
@@ -76,7 +73,7 @@ def test_of_samples_that_come_together_the_newest_is_mapped() -> None:
     async def burst(here: Desk) -> None:
         for i in range(20):
             assert here.take(streamed(sample(float(i)))) == []
-        # They are mapped when all that has come has been read.
+        # They are mapped after all waiting messages have been read.
         await asyncio.sleep(0.0)
 
     with desk({}) as here:
@@ -93,7 +90,7 @@ def test_rates_are_capped_for_each_connection_and_recover() -> None:
         return [answer["type"] for _ in range(100) for answer in here.take(sample(), peer)]
 
     with desk({"rate": 40.0}) as here:
-        # A quarter of a second's worth at once, and a word that the rest was too much.
+        # A burst of a quarter of a second, and one error for the rest.
         assert flood("one") == ["command"] * 10 + ["error"]
         assert flood("other") == ["command"] * 10 + ["error"]
         here.wait(0.2)
@@ -143,7 +140,7 @@ def test_a_robot_on_its_way_to_rest_gets_there_before_its_session_is_closed() ->
 
 @pytest.fixture
 def logged(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
-    """What `handmap serve` would write to stderr."""
+    """Capture what `handmap serve` would write to stderr."""
     text = io.StringIO()
     handler = logging.StreamHandler(text)
     handler.setFormatter(JsonLines())
@@ -194,7 +191,7 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
         asyncio.run(here.sessions.open(opening(name="lab"), b""))
         last = [here.take(sample())[0] for _ in range(10)][-1]
         assert store.notes == (11 if file else 0)
-        # The posture is known all the same, to one who takes the session over or comes back.
+        # The posture is known without a file too: at a takeover, and after the end.
         here.wait(1.0)
         again = msgspec.structs.replace(opening(name="lab", restore=True), session=secret)
         session = asyncio.run(here.sessions.open(again, b""))

@@ -1,7 +1,4 @@
-"""Keys.
-
-Files for their owners alone, and who comes in with them, also while the server is running.
-"""
+"""Keys: files that only their owner can read, and the clients admitted while the server runs."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import numpy as np
 import pytest
 import zmq
 from patience import wait_until
-from service_tools import client_of, human_q, knocking, serving
+from service_tools import bare_connection, client_of, human_q, serving
 from zmq.auth import load_certificate
 
 from handmap_qp.client import KeyFiles
@@ -22,38 +19,38 @@ from handmap_qp.service.server import Server
 WRIST = np.eye(4)
 
 
-SHUT = {
+REJECTED = {
     zmq.EVENT_HANDSHAKE_FAILED_AUTH,
     zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL,
     zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL,
 }
 
 
-def comes_in(server: Server, keys: KeyFiles | None) -> bool:
-    """Whether a client that connects now is let in."""
-    with knocking(server, keys) as (_, next_event):
-        end = wait_until(lambda: {next_event()} & {zmq.EVENT_HANDSHAKE_SUCCEEDED, *SHUT})
-    return not end & SHUT
+def is_admitted(server: Server, keys: KeyFiles | None) -> bool:
+    """Connect; return whether the handshake succeeds."""
+    with bare_connection(server, keys) as (_, next_event):
+        end = wait_until(lambda: {next_event()} & {zmq.EVENT_HANDSHAKE_SUCCEEDED, *REJECTED})
+    return not end & REJECTED
 
 
 def keys_of(folder: Path, name: str) -> KeyFiles:
-    """What a client is given."""
+    """Return the files of a client."""
     return folder / f"{name}.key_secret", folder / "server.key"
 
 
-def test_only_admitted_keys_come_in(tmp_path: Path) -> None:
+def test_only_admitted_keys_connect(tmp_path: Path) -> None:
     make_keys(tmp_path / "keys", ["mine"])
     make_keys(tmp_path / "others", ["theirs"])
     mine, server_key = keys_of(tmp_path / "keys", "mine")
     theirs, other_server_key = keys_of(tmp_path / "others", "theirs")
     with serving(keys=tmp_path / "keys") as server:
-        assert not comes_in(server, None)
-        assert not comes_in(server, (theirs, server_key))
-        assert not comes_in(server, (mine, other_server_key))
+        assert not is_admitted(server, None)
+        assert not is_admitted(server, (theirs, server_key))
+        assert not is_admitted(server, (mine, other_server_key))
         with client_of(server, keys=(mine, server_key)) as client:
             client.open("three_finger")
             client.send(q=human_q(), wrist=WRIST)
-            # The stream takes keys, too.
+            # The stream requires keys too.
             assert wait_until(lambda: client.latest(0.1))
 
 
@@ -85,15 +82,15 @@ def test_keys_come_and_go_while_the_server_runs(tmp_path: Path) -> None:
     ):
         open_before.open("three_finger")
         make_keys(tmp_path, ["late"])
-        assert comes_in(server, keys_of(tmp_path, "late"))
+        assert is_admitted(server, keys_of(tmp_path, "late"))
         (clients / "first.key").unlink()
-        assert not comes_in(server, keys_of(tmp_path, "first"))
-        # What is open stays until it ends.
+        assert not is_admitted(server, keys_of(tmp_path, "first"))
+        # An open connection stays until it ends.
         assert open_before.step(q=human_q(), wrist=WRIST).status == "converged"
         (clients / "second.key").write_bytes((clients / "late.key").read_bytes())
-        assert not comes_in(server, keys_of(tmp_path, "second"))
+        assert not is_admitted(server, keys_of(tmp_path, "second"))
         (clients / "second.key").write_bytes((tmp_path / "second.key").read_bytes())
-        assert comes_in(server, keys_of(tmp_path, "second"))
+        assert is_admitted(server, keys_of(tmp_path, "second"))
 
 
 def test_the_keys_are_those_that_lie_in_the_folder_now(tmp_path: Path) -> None:
@@ -112,22 +109,22 @@ def test_the_keys_are_those_that_lie_in_the_folder_now(tmp_path: Path) -> None:
     assert not keys.callback("*", b)
 
 
-def test_a_file_without_a_key_is_told_once_and_the_others_count(
+def test_a_file_without_a_key_is_logged_once_and_the_others_count(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_keys(tmp_path, ["a", "b"])
     clients = tmp_path / "clients"
-    told: list[tuple[str, object]] = []
+    logged: list[tuple[str, object]] = []
     monkeypatch.setattr(
         "handmap_qp.service.keys.report",
-        lambda level, event, **data: told.append((event, data.get("file"))),
+        lambda level, event, **data: logged.append((event, data.get("file"))),
     )
     (clients / "a.key").write_bytes(b"torn")
     (clients / "c.key").mkdir()
     keys = ClientKeys(clients)
     for _ in range(2):
         assert keys.read() == {load_certificate(tmp_path / "b.key")[0]}
-    assert sorted(told) == [
+    assert sorted(logged) == [
         ("keys", None),
         ("no_key", str(clients / "a.key")),
         ("no_key", str(clients / "c.key")),

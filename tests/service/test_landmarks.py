@@ -1,7 +1,4 @@
-"""Sessions of landmarks.
-
-The hand is measured first, and what is no hand is neither measured nor mapped.
-"""
+"""Sessions of landmarks: the hand is measured first, and implausible landmarks are rejected."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ PERIOD = 1.0 / 60.0
 
 
 def landmarks_of(scale: float = 1.0, phase: float = 0.0) -> tuple[tuple[float, ...], ...]:
-    """Landmarks of the model's hand, in metres or in units of another scale."""
+    """Return landmarks of the model's hand [m], multiplied by a scale."""
     points = CACHE.human("right", "landmarks").points(human_q(phase), np.eye(4))
     return tuple(map(tuple, (scale * points).tolist()))
 
@@ -38,7 +35,7 @@ def test_options_changed_while_the_hand_is_measured_hold_afterwards() -> None:
     assert about is not None
     assert about.mapping["ridge"] == 0.4
     assert about.lengths is not None
-    # The measured hand is the one that the landmarks were made of.
+    # The landmarks were made from the model's hand.
     own = HumanLengths.from_urdf(CACHE.human("right", None).urdf_text)
     np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)
 
@@ -69,7 +66,7 @@ def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it
             session.step(sample(landmarks=landmarks_of(scale)), 1.0)
         assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
     assert (session.record, session.mode) == before
-    # For the watchdog they have not come, and what was gathered before counts.
+    # The watchdog ignores them, and the samples collected before still count.
     assert session.tick(good * PERIOD + session.request.watchdog) is not None
     for i in range(good, CALIBRATION_SAMPLES + 1):
         session.step(sample(landmarks=landmarks_of()), 1.0 + i * PERIOD)

@@ -1,4 +1,4 @@
-"""Messages: what is read, what is refused and how, and the schema made of them."""
+"""Messages: decoding, refusals, and their description."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OPEN: dict[str, Any] = {
 }
 NAN = float("nan")
 
-# What is wrong, and the field that the answer must name.
+# Message and the field that the answer must name.
 MISTAKES = {
     "text in numbers": (STEP | {"q": [0.0, "x"]}, "q[1]"),
     "not a number": (STEP | {"q": [0.0, 0.0, NAN]}, "q[2]"),
@@ -103,7 +103,7 @@ def test_another_version_of_the_messages_is_named_as_such(message: dict[str, Any
 def test_no_bytes_do_more_than_be_refused(payload: bytes, is_json: bool) -> None:
     answer = decode_request(payload, is_json=is_json)
     assert isinstance(answer, Error)
-    # The answer itself can always be written.
+    # The answer can always be encoded.
     encode_reply(answer, is_json=is_json)
 
 
@@ -118,7 +118,7 @@ def test_a_truncated_or_altered_message_is_read_or_refused(data: st.DataObject) 
 
 @pytest.mark.parametrize("place", range(0, 130, 3))
 def test_text_that_is_no_utf8_is_refused(place: int) -> None:
-    # Wherever it is, also where only the number of the request is looked for.
+    # At any place, also where only the number of the request is decoded.
     payload = bytearray(msgspec.msgpack.encode(STEP | {"session": "s" * 60, "other": "x"}))
     payload[place : place + 2] = b"\xff\xfe"
     assert isinstance(decode_request(bytes(payload)), Error)

@@ -1,7 +1,4 @@
-"""Options that clients choose.
-
-However wild, they neither make a session fail nor hold the others up.
-"""
+"""Options of clients: extreme values neither break a session nor delay the others."""
 
 from __future__ import annotations
 
@@ -24,12 +21,12 @@ PERIOD = 1.0 / 60.0
 
 
 def numbers_of(kind: type) -> st.SearchStrategy[dict[str, float]]:
-    """Some of the options that are numbers, each anywhere."""
+    """Draw some of the numeric options, each with any value."""
     names = [field.name for field in fields(kind) if field.type == "float"]
     return st.dictionaries(st.sampled_from(names), st.floats(min_value=0.0), max_size=4)
 
 
-# What overflows ends as `failed`, and the robot stays where it is.
+# An overflow ends as `failed`, and the robot stays where it is.
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @given(
     mapping=numbers_of(MappingOptions),
@@ -61,7 +58,7 @@ def test_options_that_are_taken_can_be_followed(
             continue
         moved = np.abs(session.posture[0] - before)
         assert (moved <= session.robot.velocity_limits * PERIOD * (1.0 + 1e-6)).all()
-    # Nothing of it stays.
+    # No effect of the options remains.
     session.configure(change(mapping=asdict(MappingOptions()), ik=asdict(IkOptions())))
     command = session.step(sample(6 * PERIOD, human_q()), 6 * PERIOD)
     assert command.status != "failed"
@@ -120,7 +117,7 @@ def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch
     iterations = []
 
     class CountingModel(daqp.Model):
-        """DAQP's model, with a note of how long it took."""
+        """DAQP's model, which records its number of iterations."""
 
         def solve(self) -> Any:
             result = super().solve()
@@ -128,7 +125,7 @@ def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch
             return result
 
     monkeypatch.setattr(solvers.daqp, "Model", CountingModel)
-    # Targets that the cost cannot tell from each other.
+    # Targets so far away that the cost cannot distinguish them.
     mapping, ik = (
         {"scale": 9e18, "reference": "previous"},
         {"wrist_position_weight": 1e-9, "max_iterations": 14, "step_tolerance": 0.0},

@@ -1,7 +1,4 @@
-"""The ROS 2 bridge that `ros2.md` shows.
-
-Its code runs here on rosbags' message types and a stand-in for rclpy.
-"""
+"""The ROS 2 bridge of `ros2.md`, run on the message types of rosbags and a stand-in for rclpy."""
 
 from __future__ import annotations
 
@@ -31,9 +28,9 @@ STAMP = TYPES["builtin_interfaces/msg/Time"](sec=12, nanosec=500_000_000)
 
 
 class Node:
-    """What the bridge uses of an rclpy node.
+    """The part of an rclpy node that the bridge uses.
 
-    Publishers that keep what they publish, and callbacks by topic.
+    Publishers keep what they publish; callbacks are kept by topic.
     """
 
     def __init__(self, name: str) -> None:
@@ -61,12 +58,12 @@ class Node:
 
 
 DEFAULTS = {"JointState": {"velocity": [], "effort": []}, "Header": {"frame_id": ""}}
-"""What ROS's own classes of messages leave empty by themselves, and those of rosbags do not."""
+"""Fields that ROS's classes leave empty by default, and those of rosbags do not."""
 
 
 @pytest.fixture
 def code() -> str:
-    """The bridge's code."""
+    """Return the code of the bridge."""
     text = (Path(str(handmap_qp.service.__file__)).parent / "ros2.md").read_text(encoding="utf-8")
     (found,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     return found
@@ -74,7 +71,7 @@ def code() -> str:
 
 @pytest.fixture
 def bridge(code: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The names that the bridge's code defines."""
+    """Run the code of the bridge; return the names that it defines."""
     modules: dict[str, dict[str, Any]] = {
         "rclpy": {},
         "rclpy.node": {"Node": Node},
@@ -101,10 +98,10 @@ def bridge(code: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def over_the_wire(message: Any) -> Any:
-    """The message as another ROS node would get it: serialised as CDR and read again."""
+    """Serialise a message as CDR and read it, as another ROS node would."""
     name = message.__msgtype__
     for field in ("position", "velocity", "effort"):
-        # rclpy takes lists; rosbags wants arrays.
+        # rclpy takes lists; rosbags needs arrays.
         if name == "sensor_msgs/msg/JointState":
             setattr(message, field, np.array(getattr(message, field), dtype=float))
     return STORE.deserialize_cdr(STORE.serialize_cdr(message, name), name)
@@ -192,7 +189,7 @@ def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) ->
         assert node.published["robot/wrist_command"]
 
 
-def test_a_sample_that_cannot_be_used_is_told_and_the_node_goes_on(bridge: dict[str, Any]) -> None:
+def test_an_unusable_sample_is_logged_and_the_node_continues(bridge: dict[str, Any]) -> None:
     with serving() as server, client_of(server) as client:
         node = bridge["Bridge"](client, "three_finger")
         node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))

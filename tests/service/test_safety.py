@@ -1,7 +1,4 @@
-"""The speed guard and the clock.
-
-What leaves a session keeps the robot's limits, whatever comes in.
-"""
+"""The speed guard and the clock: every command respects the limits of the robot."""
 
 from __future__ import annotations
 
@@ -114,7 +111,7 @@ def test_the_servers_clock_grants_no_more_time_than_has_passed(
     for stamp, wait in arrivals:
         now += wait
         dt, _ = clock.grant(stamp, now)
-        # A sample that comes at the same instant is granted the smallest time there is.
+        # A sample at the same time is granted the shortest time.
         assert dt <= min(max(wait, SHORTEST_DT), 0.05) + 1e-12
 
 

@@ -1,7 +1,4 @@
-"""The server on its ZeroMQ sockets: answers, caps, streams, keys, restarts.
-
-All on loopback, on ports of the system's choice.
-"""
+"""The server on its ZeroMQ sockets: answers, caps, streams, restarts; all on loopback."""
 
 from __future__ import annotations
 
@@ -23,12 +20,12 @@ from service_tools import (
     SECRET,
     Sampler,
     address_of,
+    bare_connection,
     client_of,
     code_of,
     connected,
     heard,
     human_q,
-    knocking,
     opening,
     serving,
     skip,
@@ -52,7 +49,7 @@ def server() -> Iterator[Server]:
 
 
 def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER) -> list[dict[str, object]]:
-    """Send messages as they are; their answers."""
+    """Send payloads unchanged; return their answers."""
     with zmq.Context() as context, context.socket(kind) as socket:
         socket.linger, socket.rcvtimeo = 0, int(1e3 * PATIENCE)
         socket.connect(address_of(server))
@@ -110,7 +107,7 @@ def test_the_same_request_twice_is_carried_out_once(server: Server) -> None:
     )
     assert answers[1] == answers[2]
     assert answers[3]["counts"]["steps"] == 1  # type: ignore[index]
-    # Another request with an old number is no repetition.
+    # Another request with an old number is not a repetition.
     assert ask(server, encoded(Sampler()(q=human_q(1.0))))[0]["code"] == "stale"
 
 
@@ -147,20 +144,20 @@ def test_the_newest_sample_wins(server: Server) -> None:
         assert heard(client, 199.0).seq == 201
 
 
-def test_the_stream_tells_what_is_wrong_with_a_sample(server: Server) -> None:
+def test_the_stream_reports_an_unusable_sample(server: Server) -> None:
     with connected(server) as client:
 
         def send_a_bad_one() -> None:
             client.send(q=human_q()[:3], wrist=WRIST)
             client.latest(0.1)
 
-        # Again and again, for it is told once, and the subscription may not have arrived yet.
+        # Repeat it, because the subscription may not have arrived yet.
         with pytest.raises(ServiceError) as raised:
             wait_until(send_a_bad_one)
         assert code_of(raised) == ("invalid", "q")
 
 
-def test_the_watchdog_speaks_in_the_stream(server: Server) -> None:
+def test_the_stream_has_the_commands_of_the_watchdog(server: Server) -> None:
     with connected(server, watchdog=0.05) as client:
         client.step(q=human_q(), wrist=WRIST)
         wait_until(lambda: (command := client.latest(0.1)) and "watchdog" in command.flags)
@@ -182,10 +179,6 @@ def test_release_clutch_reset_close(server: Server) -> None:
         assert code_of(raised) == ("no_session", "session")
 
 
-# -- what outlives a session
-# --------------------------------------------------------------------------------------------
-
-
 def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
     with connected(server, name="mine", watchdog=10.0) as first, client_of(server) as second:
         last = [first.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
@@ -195,7 +188,7 @@ def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
         with pytest.raises(ServiceError) as raised:
             second.open("three_finger", name="mine", restore=True)
         assert code_of(raised) == ("busy", "name")
-        # Now its client is silent.
+        # Its client is silent from now on.
         skip(server, 11.0)
         opened = second.open("three_finger", name="mine", restore=True)
         assert opened.q == last.q
@@ -205,7 +198,7 @@ def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
 
 
 def test_a_session_that_never_had_a_sample_is_taken_over_at_once(server: Server) -> None:
-    # As by a client that gave up waiting for it, and asks again.
+    # The client gave up waiting for the answer, and asks again.
     with (
         connected(server, name="mine", is_released=True, robot_q=np.zeros(8)),
         client_of(server) as again,
@@ -235,7 +228,7 @@ def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_resto
 
 
 def test_a_takeover_needs_no_room_of_its_own() -> None:
-    # Openings a second are capped as well; that is not what is met here.
+    # Lift the cap on openings per second, which is not tested here.
     caps = Caps(sessions=1, opens=1e6)
     with serving(caps=caps) as server, connected(server, name="mine"), client_of(server) as second:
         second.open("three_finger", name="mine", restore=True, robot_q=np.zeros(8))
@@ -253,8 +246,8 @@ def test_sessions_are_capped() -> None:
         assert code_of(raised)[0] == "busy"
 
 
-def test_a_client_that_sends_too_much_is_told() -> None:
-    # One message now, and the next in a quarter of an hour.
+def test_a_client_above_the_rate_limit_gets_an_error() -> None:
+    # One message now, and the next one after a quarter of an hour.
     with serving(caps=Caps(rate=1e-3)) as server, client_of(server) as client:
         client.status()
         with pytest.raises(ServiceError) as raised:
@@ -263,7 +256,7 @@ def test_a_client_that_sends_too_much_is_told() -> None:
 
 
 def test_a_message_that_is_too_long_costs_the_connection_and_nothing_else(server: Server) -> None:
-    with knocking(server) as (socket, next_event):
+    with bare_connection(server) as (socket, next_event):
         socket.send(b"x" * 20_000)
         wait_until(lambda: next_event() == zmq.EVENT_DISCONNECTED)
         assert not socket.poll(0)
@@ -290,10 +283,6 @@ def test_simulated_time_needs_leave(server: Server) -> None:
         assert client.step(q=human_q(), wrist=WRIST, time=0.02).dt == pytest.approx(0.02)
 
 
-# -- where it listens
-# -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("port", [-2, -1, 65536, 10**9, 10**30])
 @pytest.mark.parametrize("name", ["port", "stream_port", "health_port"])
 def test_a_number_that_is_no_port_is_refused(name: str, port: int) -> None:
@@ -314,10 +303,6 @@ def test_off_loopback_keys_are_needed(host: str) -> None:
         Settings(host=host)
     with pytest.raises(InvalidOptionsError, match="token"):
         WebSettings(host=host, token="x" * 20)
-
-
-# -- what watches it
-# ----------------------------------------------------------------------------------------------------
 
 
 def test_metrics_and_health_are_told_on_loopback() -> None:
@@ -357,7 +342,7 @@ def test_only_what_was_ready_has_stopped(server: Server, monkeypatch: pytest.Mon
     assert not {"ready", "stopped"} & set(events)
     with serving():
         pass
-    # A server on a busy machine may also say that it is late.
+    # On a busy machine the server may also log that it is late.
     assert [event for event in events if event != "late"] == ["ready", "stopped"]
 
 

@@ -1,4 +1,4 @@
-"""A session: what leaves it, under whatever comes in. Time is the test's own."""
+"""A session: its commands under any input. The test sets the clock."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ from handmap_qp.service.messages import Pose
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
-# What may come, and how long after the last event: samples with time stamps of any kind, requests,
-# silence.
+# Events and the time since the last one: samples with any time stamps, requests, silence.
 events = st.lists(
     st.tuples(
         st.sampled_from(
@@ -76,8 +75,7 @@ def test_joints_keep_their_speed_limits_whatever_comes(
             else session.tick(now)
         )
         if command is not None:
-            # Guarded to rounding; no command accounts for more time than has passed, nor than
-            # max_dt.
+            # Exact up to rounding. No command accounts for more time than has passed, or max_dt.
             assert (
                 speeds(session, last, command, min(now - moved_at, 1.0 / 30.0)) <= 1.0 + 1e-6
             ).all()
@@ -90,7 +88,7 @@ def test_a_burst_of_samples_moves_no_farther_than_time_allows() -> None:
     session.step(sample(0.0, human_q(0.0)), 0.0)
     start = session.posture[0].copy()
     for i in range(50):
-        # Stamped a second apart, come within a millisecond.
+        # The time stamps are 1 s apart; the samples arrive within 1 ms.
         session.step(sample(1.0 + i, human_q(1.5)), 1e-5 + 2e-5 * i)
     moved = np.abs(session.posture[0] - start)
     assert (moved <= session.robot.velocity_limits * 1.1e-3).all()
@@ -157,8 +155,7 @@ def test_a_bad_sample_changes_nothing(change: dict[str, Any], field: str) -> Non
     with pytest.raises(RefusedError) as raised:
         disturbed.step(sample(0.5, **change), 0.3333)
     assert (raised.value.code, raised.value.field) == ("invalid", field)
-    # The time that the bad sample took is not granted twice; far inside the speed limits that
-    # changes nothing.
+    # The time of the bad sample is not granted again, which has no effect far inside the limits.
     commands = [
         session.step(sampler(0.5, human_q(1.95)), 0.34)
         for session, sampler in ((disturbed, sample), (undisturbed, other))

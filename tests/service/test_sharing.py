@@ -1,7 +1,4 @@
-"""Others than a session's client.
-
-Anyone may look on, and steer where its client has allowed that.
-"""
+"""Requests of other clients: anyone may watch a session, and steer it if it is shared."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ def server() -> Iterator[Server]:
         yield running
 
 
-def test_anyone_may_look_and_only_at_a_shared_session_steer(server: Server) -> None:
+def test_anyone_may_watch_and_only_a_shared_session_may_be_steered(server: Server) -> None:
     with connected(server, name="shared", is_shared=True) as owner, client_of(server) as other:
         state = other.watch("shared")
         assert state.about is not None
@@ -63,7 +60,7 @@ def test_a_session_that_is_not_shared_is_its_clients_alone(server: Server) -> No
         assert owner.step(q=human_q(), wrist=WRIST).status == "converged"
 
 
-def test_looking_on_needs_a_session_and_a_client_without_one(server: Server) -> None:
+def test_watching_needs_a_session_and_a_client_without_one(server: Server) -> None:
     with connected(server) as owner, client_of(server) as other:
         with pytest.raises(ServiceError) as raised:
             other.watch("nobody")
@@ -73,7 +70,7 @@ def test_looking_on_needs_a_session_and_a_client_without_one(server: Server) -> 
 
 
 def test_changes_of_options_are_capped() -> None:
-    # One now, and the next in a quarter of an hour.
+    # One now, and the next one after a quarter of an hour.
     with serving(caps=Caps(configures=1e-3)) as server, connected(server) as client:
         client.configure(mapping={"ridge": 0.2})
         with pytest.raises(ServiceError) as raised:

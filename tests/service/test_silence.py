@@ -1,7 +1,4 @@
-"""A session without samples.
-
-What holds, what goes back to rest, and how the robot is taken hold of again.
-"""
+"""A session without samples: hold, return to rest, and the next engagement."""
 
 from __future__ import annotations
 
@@ -65,7 +62,7 @@ def test_with_an_acceleration_limit_a_held_robot_sets_out_from_standstill() -> N
 
 
 def returning_session() -> tuple[Session, Sampler, float]:
-    """A session whose robot is on its way to rest, and the time."""
+    """Return a session whose robot is on its way to rest, its sampler, and the time [s]."""
     session, sample = make_session(watchdog=0.1, return_after=0.1), Sampler()
     now = follow(session, sample, 0.0)
     while session.mode != "returning":
@@ -146,7 +143,7 @@ def test_after_a_return_the_next_sample_is_the_reference() -> None:
     for _ in range(400):
         now += 0.01
         session.tick(now)
-    # The person is somewhere else entirely; the robot stays at rest, and its wrist where it was.
+    # The hand is far away now. The robot stays at rest, and its wrist where it was.
     command = session.step(sample(0.0, human_q(1.5), wrist=FAR), now + 0.01)
     assert np.allclose(command.q, session.robot.rest, atol=1e-9)
     assert command.wrist is not None

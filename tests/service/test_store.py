@@ -1,4 +1,4 @@
-"""The file of last postures: what a kill, another server or another file does to it."""
+"""The file of last postures: kills, a second server, other files."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_postures_survive_the_process(tmp_path: Path) -> None:
 
 
 def test_a_write_is_in_the_file_at_once(tmp_path: Path) -> None:
-    # A killed process closes nothing: the file is read as it is while the store is still open.
+    # A killed process closes nothing, so read the file while the store is open.
     with PostureStore(tmp_path / "state") as store:
         store.note(record("left", Q, WRIST))
         (tmp_path / "copy").write_bytes((tmp_path / "state").read_bytes())
@@ -84,12 +84,12 @@ def test_a_name_that_gave_way_and_came_back_is_found_where_it_was_last(tmp_path:
     with PostureStore(tmp_path / "state") as store:
         for name in ("a", "b", "c", "back", "back", "back"):
             store.note(record(name, Q, None))
-        # Each is written once, so that an older copy of another name still lies beside it: that of
-        # `back` in the fourth place.
+        # Each is written once, so that its slot still holds an older copy of another name: that of
+        # `back` in the fourth slot.
         for i in range(252):
             store.note(record(f"session-{i}", Q * i, None))
         assert store.find("back", "hand", 3) is None
-        # Now in the first place.
+        # Now in the first slot.
         store.note(record("back", 5.0 * Q, None))
     with PostureStore(tmp_path / "state") as store:
         back = store.find("back", "hand", 3)
@@ -137,7 +137,7 @@ def test_without_room_nothing_is_left_that_a_later_start_would_refuse(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fill_up(file: int, offset: int, length: int) -> None:
-        # As file systems do that give what they have.
+        # Some file systems allocate the space that is left.
         os.ftruncate(file, length // 2)
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -152,24 +152,24 @@ def test_without_room_nothing_is_left_that_a_later_start_would_refuse(
         store.note(record("left", Q, None))
 
 
-def test_a_start_that_was_killed_is_made_up_for_by_the_next(
+def test_a_start_after_a_killed_start_succeeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as killed:
         killed.setattr(os, "posix_fallocate", lambda *_: sys.exit("killed"))
         with pytest.raises(SystemExit):
             PostureStore(tmp_path / "state")
-    # A process would have let go of the file at its end.
+    # The end of a process would have released the file.
     (tmp_path / "copy").write_bytes((tmp_path / "state").read_bytes())
     with PostureStore(tmp_path / "copy") as store:
         store.note(record("left", Q, None))
 
 
-def test_postures_that_are_lost_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[dict[str, object]] = []
+def test_lost_postures_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logged: list[dict[str, object]] = []
     monkeypatch.setattr(
         "handmap_qp.service.store.report",
-        lambda level, event, **data: told.append({"event": event, **data}),
+        lambda level, event, **data: logged.append({"event": event, **data}),
     )
     state = tmp_path / "state"
     with PostureStore(state) as store:
@@ -177,12 +177,12 @@ def test_postures_that_are_lost_are_told(tmp_path: Path, monkeypatch: pytest.Mon
             store.note(record(name, Q, None))
     whole = state.read_bytes()
     with PostureStore(state):
-        assert told == []
+        assert logged == []
     state.write_bytes(whole.replace(b"left", b"lift"))
     with PostureStore(state) as store:
         assert store.find("right", "hand", 3) is not None
         assert store.find("left", "hand", 3) is None
-    assert told == [{"event": "state_damaged", "file": str(state), "postures_lost": 1}]
+    assert logged == [{"event": "state_damaged", "file": str(state), "postures_lost": 1}]
 
 
 def test_a_server_that_cannot_be_made_leaves_the_file_to_others(tmp_path: Path) -> None:

@@ -1,7 +1,4 @@
-"""The doors of the service.
-
-What keeps a server from opening them, and what it says to those who do not come in.
-"""
+"""Transports: settings that keep a server from listening, and rejected connections."""
 
 from __future__ import annotations
 
@@ -35,18 +32,14 @@ from handmap_qp.service.websocket import WebSettings
 
 README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
 PATIENCE = 20.0
-"""For what comes in its own time, and should: a test that fails waits so long [s]."""
+"""Longest wait of a test that fails [s]."""
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
-    """What the command line says of words that it refuses."""
+    """Return the error of the command line for these words."""
     assert cli.main([str(word) for word in words]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     return line
-
-
-# -- keys and tokens
-# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -114,23 +107,19 @@ def test_a_token_is_for_its_owner_alone(tmp_path: Path, capsys: pytest.CaptureFi
     assert "token: cannot be read" in complaint(capsys, "serve", "--web", "--web-token-file", file)
 
 
-def test_a_key_that_is_refused_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[str, object]] = []
+def test_a_refused_key_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logged: list[tuple[str, object]] = []
     monkeypatch.setattr(
-        logs, "report", lambda level, event, **data: told.append((event, data["key"]))
+        logs, "report", lambda level, event, **data: logged.append((event, data["key"]))
     )
     make_keys(tmp_path, ["a", "b"])
     (tmp_path / "clients" / "b.key").unlink()
     a, b = (load_certificate(tmp_path / f"{name}.key")[0] for name in "ab")
     keys = ClientKeys(tmp_path / "clients")
-    # Of those that come at once, the first is told.
+    # Only the first of several refusals is logged.
     for key in (a, b, b):
         keys.callback("*", key)
-    assert told == [("refused_key", b.decode())]
-
-
-# -- where it listens
-# -----------------------------------------------------------------------------------------------------
+    assert logged == [("refused_key", b.decode())]
 
 
 @pytest.mark.parametrize(
@@ -152,7 +141,7 @@ def test_brackets_round_a_host_are_taken_off() -> None:
     assert [bare_host("host", host) for host in hosts] == ["::1", *hosts[1:]]
 
 
-def test_a_host_that_cannot_be_listened_on_is_told(tmp_path: Path) -> None:
+def test_a_host_that_cannot_be_listened_on_is_reported(tmp_path: Path) -> None:
     make_keys(tmp_path, ["a"])
     message = "^tcp://nosuch.invalid:0: expected an IP address of this machine"
     with (
@@ -168,7 +157,7 @@ def test_a_host_that_cannot_be_listened_on_is_told(tmp_path: Path) -> None:
 def test_the_ready_line_tells_where_websocket_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, web: WebSettings | None
 ) -> None:
-    # Told to end as soon as it is ready.
+    # Stop the server as soon as it is ready.
     monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
     run_server(replace(LOCAL, web=web), "error")
     ready = json.loads(capsys.readouterr().out)
@@ -205,23 +194,19 @@ def test_the_server_may_open_as_many_files_as_the_system_allows(
     assert "ready" in capsys.readouterr().out
 
 
-# -- what is told of those who do not come in
-# -----------------------------------------------------------------------------
-
-
 class Events:
-    """Events of the log as they come, from whichever thread."""
+    """Events of the log, from any thread."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._told: Queue[tuple[str, dict[str, Any]]] = Queue()
+        self._events: Queue[tuple[str, dict[str, Any]]] = Queue()
         monkeypatch.setattr(
-            logs, "report", lambda level, event, **data: self._told.put((event, data))
+            logs, "report", lambda level, event, **data: self._events.put((event, data))
         )
 
     def wait(self, event: str) -> dict[str, Any]:
-        """What the next event of this name says."""
+        """Return the data of the next event of this name."""
         while True:
-            name, data = self._told.get(timeout=PATIENCE)
+            name, data = self._events.get(timeout=PATIENCE)
             if name == event:
                 return data
 
@@ -234,7 +219,7 @@ class Events:
         ("keys", "others", "another server's"),
     ],
 )
-def test_a_handshake_that_fails_is_told_and_counted(
+def test_a_failed_handshake_is_logged_and_counted(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     key: str | None,
@@ -259,10 +244,6 @@ def test_a_handshake_that_fails_is_told_and_counted(
         assert server.health()["status"] == "ok"
 
 
-# -- what messages may hold
-# -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("time", [1e308, -2e15, float("inf"), float("nan")])
 def test_the_limit_of_time_stamps_is_named(time: float) -> None:
     answer = decode_request(encode(Sampler()(time)))
@@ -282,14 +263,14 @@ def test_what_a_name_may_be_is_said_in_words() -> None:
 
 
 @pytest.mark.parametrize("kind", ["step", "sample", "reset", "close"])
-def test_who_only_watches_is_told_so(kind: str) -> None:
+def test_a_request_by_name_that_needs_the_secret_says_so(kind: str) -> None:
     answer = decode_request(encode({"type": kind, "name": "lab", "protocol": PROTOCOL, "seq": 1}))
     assert isinstance(answer, Error)
     assert answer.field == "name"
     assert "you may only watch" in answer.message
 
 
-def test_users_are_told_how_to_show_the_token_and_how_long_a_message_may_be(
+def test_the_documentation_explains_tokens_and_the_length_of_messages(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit):
@@ -299,10 +280,6 @@ def test_users_are_told_how_to_show_the_token_and_how_long_a_message_may_be(
         words = " ".join(text.replace("│", " ").split())
         assert "Authorization: Bearer TOKEN" in words
         assert '["handmap.v1", "bearer.TOKEN"]' in words
-
-
-# -- a tracker that starts again
-# ------------------------------------------------------------------------------------------
 
 
 def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> None:
@@ -320,7 +297,7 @@ def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> Non
     ):
         assert crashed.open("three_finger", **choices).q == (0.0,) * 8
         last = [crashed.step(q=human_q(0.2 * i), wrist=np.eye(4)) for i in range(5)][-1]
-        # Silent from here on; the server has noticed when it says so in the stream.
+        # The client is silent from now on. The stream shows when the server has noticed.
         while (held := crashed.latest(PATIENCE)) is not None and (held.status, held.seq) != (
             "hold",
             last.seq,

@@ -1,4 +1,4 @@
-"""The WebSocket door: the same messages, and who may come in."""
+"""The WebSocket transport: the same messages, and its access rules."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ ENCODE: dict[bool, Callable[[Any], bytes | str]] = {
 def run(
     work: Callable[[ClientConnection], Awaitable[None]], server: Server, **choices: Any
 ) -> None:
-    """Connect, and work."""
+    """Connect, and run a coroutine with the connection."""
 
     async def main() -> None:
         scheme = "wss" if "ssl" in choices else "ws"
@@ -148,7 +148,7 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
 
 
 @pytest.mark.parametrize(
-    ("origin", "is_let_in"),
+    ("origin", "is_admitted"),
     [
         (None, True),
         ("http://localhost:8080", True),
@@ -159,9 +159,9 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
         ("null", False),
     ],
 )
-def test_pages_from_elsewhere_may_not_connect(origin: str | None, is_let_in: bool) -> None:
+def test_pages_from_elsewhere_may_not_connect(origin: str | None, is_admitted: bool) -> None:
     with serving(web=WebSettings(port=0, origins=("https://headset.example",))) as server:
-        if is_let_in:
+        if is_admitted:
             run(nothing, server, origin=None if origin is None else Origin(origin))
         else:
             with pytest.raises(InvalidStatus) as raised:
@@ -176,7 +176,7 @@ def test_a_token_is_asked_for() -> None:
                 run(nothing, server, additional_headers=headers)
             assert raised.value.response.status_code == 401
         run(nothing, server, additional_headers={"Authorization": f"Bearer {TOKEN}"})
-        # The way of browsers, which cannot set headers.
+        # Browsers cannot set headers.
         run(
             nothing,
             server,
@@ -189,7 +189,10 @@ def test_tls(tmp_path: Path) -> None:
     if openssl is None:
         pytest.skip("needs the openssl command to make a certificate")
     key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
-    command = f"{openssl} req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 1 -subj /CN=localhost"
+    command = (
+        f"{openssl} req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 "
+        "-nodes -days 1 -subj /CN=localhost"
+    )
     names = ["-addext", "subjectAltName=IP:127.0.0.1"]
     subprocess.run(
         [*command.split(), *names, "-keyout", str(key), "-out", str(certificate)],

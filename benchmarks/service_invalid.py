@@ -1,7 +1,4 @@
-"""Messages that no honest client sends.
-
-Altered, truncated, and well-formed ones full of nonsense; in msgpack or in JSON.
-"""
+"""Invalid messages in msgpack or JSON: altered, truncated, or well-formed with absurd values."""
 
 from __future__ import annotations
 
@@ -11,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-# After a number that is too high, the session takes no other: that has to be seldom.
-_SELDOM = 500
+# After a very large number, the session refuses all smaller ones: keep that rare.
+_RARELY = 500
 _NUMBERS = (
     0.0,
     -1.0,
@@ -43,19 +40,19 @@ _OTHERS: tuple[Any, ...] = (
 )
 
 
-class Nonsense:
-    """Makes messages.
+class InvalidMessages:
+    """Generate messages to one session.
 
     Args:
-        secret: Of the session that they are for, so that they reach more than the door.
-        name: Its public name, which some of them bear instead.
-        seed: Which ones.
-        is_json: Whether they are JSON; msgpack otherwise.
+        secret: Secret of the session, so that messages get past the look-up.
+        name: Its public name, which some messages use instead.
+        seed: Seed of the generator.
+        is_json: Whether messages are JSON; msgpack otherwise.
     """
 
     def __init__(self, secret: str, name: str, seed: int = 0, *, is_json: bool = False) -> None:
         self._generator = np.random.default_rng(seed)
-        # Of six digits in JSON and five bytes in msgpack, always.
+        # Always six digits in JSON and five bytes in msgpack.
         self._seq = 100_000
         self._templates = _templates(secret, name)
         self._encode = msgspec.json.encode if is_json else msgspec.msgpack.encode
@@ -63,15 +60,15 @@ class Nonsense:
         self._seq_length = 6 if is_json else 5
 
     def __call__(self) -> bytes:
-        """The next message."""
+        """Return the next message."""
         self._seq += 1
         draw = self._generator.random()
         message = dict(self._templates[self._pick(len(self._templates))], seq=self._seq)
         if draw < 0.1:
-            # An honest one, so that there is something to disturb.
+            # A valid message, so that the session does something that can be disturbed.
             return self._encode(message)
         if draw < 0.4:
-            # Well-formed, with one or two values that are not.
+            # A well-formed message with one or two absurd values.
             for _ in range(1 + self._pick(2)):
                 self._spoil(message)
             return self._encode(message)
@@ -83,18 +80,18 @@ class Nonsense:
             kept = payload[number : number + self._seq_length]
             for place in self._generator.integers(0, len(payload), size=1 + self._pick(6)):
                 payload[place] = self._pick(256)
-            if self._pick(_SELDOM):
+            if self._pick(_RARELY):
                 payload[number : number + self._seq_length] = kept
             return bytes(payload)
         return self._generator.bytes(self._pick(400))
 
     def _spoil(self, message: dict[str, Any]) -> None:
-        """Put something else in the place of one value, somewhere inside."""
-        keys = [key for key in message if key != "seq" or not self._pick(_SELDOM)]
+        """Replace one value, at any depth."""
+        keys = [key for key in message if key != "seq" or not self._pick(_RARELY)]
         key = keys[self._pick(len(keys))]
         value = message[key]
         if isinstance(value, list) and value and self._pick(3):
-            # Copied, since the template's is shared.
+            # Copy it, because the template is shared.
             value = [list(item) if isinstance(item, list) else item for item in value]
             place = self._pick(len(value))
             if isinstance(value[place], list) and value[place]:
@@ -121,7 +118,7 @@ class Nonsense:
 
 
 def _templates(secret: str, name: str) -> list[dict[str, Any]]:
-    """An honest message of every kind."""
+    """Return a valid message of every kind."""
     head, by_name = {"protocol": 1, "session": secret}, {"protocol": 1, "name": name}
     wrist = {"position": [0.0, 0.1, 0.2], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
     sample = head | {"time": 1.0, "q": [0.1] * 20, "wrist": wrist}
