@@ -24,6 +24,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits, as_slice
@@ -39,6 +40,9 @@ _AT_REST = 1e-3
 # 1 m). Iterations add up to a bound up to rounding, and solvers up to their tolerance (clarabel and
 # piqp leave up to 1e-7).
 _AT_BOUND = 1e-7
+
+# Shapes farther apart than this do not meet within one step [m].
+_HORIZON = 0.012
 
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
 
@@ -121,6 +125,8 @@ class PointIk:
         hand: The hand.
         options: Weights and settings.
         state: Where the hand is; in its neutral configuration if omitted.
+        contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
+            within 12 mm of each other get a row.
 
     Attributes:
         hand: The hand.
@@ -129,17 +135,27 @@ class PointIk:
         configuration: The present posture; `place` puts the hand somewhere else.
     """
 
-    def __init__(self, hand: Hand, options: IkOptions, state: IkState | None = None) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        options: IkOptions,
+        state: IkState | None = None,
+        *,
+        contacts: ShapePairs | None = None,
+    ) -> None:
         self.hand = hand
         self.options = options
         self.state = state or IkState(hand.configuration())
         self.configuration = self.state.configuration
         nv = self.configuration.nv
         count = len(hand.reference_points)
-        self._collisions = CollisionLimit(hand) if options.avoids_self_collision else None
-        self._solver = make_solver(
-            options.solver, nv, len(self._collisions.pairs) if self._collisions else 0
-        )
+        self._contacts = contacts
+        self._collisions = None
+        if contacts is not None:
+            self._collisions = CollisionLimit(hand, pairs=contacts, horizon=_HORIZON)
+        elif options.avoids_self_collision:
+            self._collisions = CollisionLimit(hand)
+        self._solver = make_solver(options.solver, nv)
         # In the order of the active coordinates, which is the model's and not that of
         # `joint_names`.
         self._order = np.argsort(hand.joint_columns)
@@ -171,12 +187,21 @@ class PointIk:
 
     def with_options(self, options: IkOptions) -> PointIk:
         """Return a solver with other options that moves the same hand on from where it is."""
-        return PointIk(self.hand, options, self.state)
+        return PointIk(self.hand, options, self.state, contacts=self._contacts)
 
-    @property
-    def collision_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Links of the collision shapes that are kept apart, a pair each; the order of `margins`."""
-        return () if self._collisions is None else self._collisions.pairs
+    def on_hand(self, hand: Hand, contacts: ShapePairs | None) -> PointIk:
+        """Return a solver for the same hand with other reference points, going on from here.
+
+        Args:
+            hand: The hand; its joints and its mount are those of this one.
+            contacts: Pairs of shapes to keep apart.
+        """
+        if hand is self.hand:
+            return PointIk(hand, self.options, self.state, contacts=contacts)
+        state = IkState(hand.configuration())
+        state.configuration.place_with_jacobians(self.configuration.q)
+        state.velocity = self.state.velocity
+        return PointIk(hand, self.options, state, contacts=contacts)
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration, at rest.
@@ -207,7 +232,7 @@ class PointIk:
             rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
                 [rad or m], shape (n,); the hand's rest posture if omitted.
             tasks: Further terms of the cost.
-            margins: Distance that each of `collision_pairs` keeps [m]; the hand's own if omitted.
+            margins: Distance that each pair of `contacts` keeps [m]; the hand's own if omitted.
 
         Returns:
             Where it ended. On `failed`, the configuration is the one before the call, except for

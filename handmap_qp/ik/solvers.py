@@ -61,23 +61,20 @@ class QpSolver(Protocol):
 
 
 class DaqpSolver:
-    """DAQP, a dual active-set method.
+    """DAQP, a dual active-set method: exact, warm-started with the last active set.
 
-    Exact, allocation-free, warm-started with the last active set.
+    Problems whose number of rows differs from the last one's start cold.
 
     Args:
         size: Number of variables.
-        row_count: Number of linear rows, the same in every call.
     """
 
-    def __init__(self, size: int, row_count: int = 0) -> None:
+    def __init__(self, size: int) -> None:
         self._size = size
         self._no_rows = np.zeros((0, size))
-        self._sense = np.zeros(size + row_count, dtype=np.int32)
-        self._lower = np.full(size + row_count, -np.inf)
-        self._upper = np.empty(size + row_count)
         self._model = daqp.Model()
-        self._is_set_up = False
+        self._set_up_rows = -1
+        self._resize(0)
 
     def solve(
         self,
@@ -88,58 +85,61 @@ class DaqpSolver:
         rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
-        G = self._no_rows
-        if rows is not None:
+        G, count = self._no_rows, 0
+        if rows is not None and len(rows[1]):
             # DAQP takes the box first and the rows behind it. With rows and a Hessian of 1e11
-            # (targets a thousand kilometres away) it takes feasible problems for infeasible ones;
-            # the solution does not depend on the cost's scale.
-            G, scale = rows[0], 1.0 / H.diagonal().max()
+            # (targets 1000 km away) it reports feasible problems as infeasible. The solution does
+            # not depend on the cost's scale.
+            G, count, scale = rows[0], len(rows[1]), 1.0 / H.diagonal().max()
+            if count != len(self._sense) - self._size:
+                self._resize(count)
             H, c = scale * H, scale * c
-            self._lower[: self._size], self._upper[: self._size], self._upper[self._size :] = (
-                lower,
-                upper,
-                rows[1],
-            )
+            self._lower[: self._size] = lower
+            self._upper[: self._size], self._upper[self._size :] = upper, rows[1]
             lower, upper = self._lower, self._upper
-        if self._is_set_up:
+        elif len(self._sense) != self._size:
+            self._resize(0)
+        if self._set_up_rows == count:
             update = {"H": H, "f": c, "bupper": upper, "blower": lower}
-            if self._model.update(**update if rows is None else {**update, "A": G}) == 0:
+            if self._model.update(**({**update, "A": G} if count else update)) == 0:
                 x, _, flag, _ = self._model.solve()
                 if flag > 0:
                     return x
-        # The first problem, or one that could not be solved from the last one's active set: from
-        # scratch, at a Hessian near one.
+        # The first problem of this size, or one that could not be solved from the last active set:
+        # start cold, with a Hessian near one.
         scale = 1.0 / H.diagonal().max()
         self._model = daqp.Model()
         self._model.settings = {"primal_tol": _PRIMAL_TOLERANCE, "iter_limit": _MOST_ITERATIONS}
         flag, _ = self._model.setup(scale * H, scale * c, G, upper, lower, self._sense)
-        self._is_set_up = flag > 0
-        if self._is_set_up:
+        self._set_up_rows = count if flag > 0 else -1
+        if flag > 0:
             x, _, flag, _ = self._model.solve()
             if flag > 0:
                 return x
         return None
 
+    def _resize(self, row_count: int) -> None:
+        total = self._size + row_count
+        self._sense = np.zeros(total, dtype=np.int32)
+        self._lower, self._upper = np.full(total, -np.inf), np.empty(total)
+
 
 class ProxqpSolver:
     """ProxQP, an augmented-Lagrangian method, warm-started with its last result.
 
+    Problems whose number of rows differs from the last one's start cold.
+
     Args:
         size: Number of variables.
-        row_count: Number of linear rows, the same in every call.
         tolerance: Absolute accuracy; at 1e-6 a warm start can report a wrong active set as solved,
             at 1e-9 not.
     """
 
-    def __init__(self, size: int, row_count: int = 0, tolerance: float = 1e-9) -> None:
+    def __init__(self, size: int, tolerance: float = 1e-9) -> None:
         from proxsuite import proxqp
 
-        self._proxqp = proxqp
-        self._qp = proxqp.dense.QP(size, 0, row_count, True)
-        self._qp.settings.eps_abs = tolerance
-        self._qp.settings.eps_rel = 0.0
-        self._unbounded = np.full(row_count, -1e20)
-        self._is_initialised = False
+        self._proxqp, self._size, self._tolerance = proxqp, size, tolerance
+        self._resize(0)
 
     def solve(
         self,
@@ -150,21 +150,30 @@ class ProxqpSolver:
         rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
-        linear = {} if rows is None else {"C": rows[0], "l": self._unbounded, "u": rows[1]}
+        count = 0 if rows is None else len(rows[1])
+        if count != len(self._unbounded):
+            self._resize(count)
+        linear = {"C": rows[0], "l": self._unbounded, "u": rows[1]} if rows and count else {}
         if self._is_initialised:
             self._qp.update(H=H, g=c, l_box=lower, u_box=upper, **linear)
         else:
             self._qp.init(H=H, g=c, l_box=lower, u_box=upper, **linear)
         self._qp.solve()
         if not self._is_initialised:
-            # Only now: ProxQP 0.8 crashes if it is told to start warm before its first solution.
-            self._qp.settings.initial_guess = (
-                self._proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-            )
+            # ProxQP 0.8 crashes if a warm start is set before its first solution.
+            warm = self._proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+            self._qp.settings.initial_guess = warm
             self._is_initialised = True
         if self._qp.results.info.status != self._proxqp.QPSolverOutput.PROXQP_SOLVED:
             return None
         return np.array(self._qp.results.x)
+
+    def _resize(self, row_count: int) -> None:
+        self._qp = self._proxqp.dense.QP(self._size, 0, row_count, True)
+        self._qp.settings.eps_abs = self._tolerance
+        self._qp.settings.eps_rel = 0.0
+        self._unbounded = np.full(row_count, -1e20)
+        self._is_initialised = False
 
 
 class QpsolversSolver:
@@ -202,14 +211,13 @@ class QpsolversSolver:
             )
 
 
-def make_solver(name: str, size: int, row_count: int = 0) -> QpSolver:
+def make_solver(name: str, size: int) -> QpSolver:
     """A solver by name.
 
     Args:
         name: `daqp` (default everywhere), `proxqp`, or any other that `qpsolvers` lists as
             available.
         size: Number of variables.
-        row_count: Number of linear rows.
 
     Returns:
         A solver for problems of that size.
@@ -218,9 +226,9 @@ def make_solver(name: str, size: int, row_count: int = 0) -> QpSolver:
         InvalidOptionsError: If no such solver is installed.
     """
     if name == "daqp":
-        return DaqpSolver(size, row_count)
+        return DaqpSolver(size)
     if name == "proxqp":
-        return ProxqpSolver(size, row_count)
+        return ProxqpSolver(size)
     import qpsolvers
 
     if name not in qpsolvers.available_solvers:

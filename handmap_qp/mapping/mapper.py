@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 from typing import Unpack
 
@@ -19,6 +20,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
+from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.method import (
     BoundMethod,
     HumanSample,
@@ -63,7 +65,6 @@ class HandMapper:
 
     Attributes:
         human: The hand that leads.
-        robot: The hand that follows.
         dt: Time between samples [s].
         joint_tolerance: As given [rad].
 
@@ -92,20 +93,24 @@ class HandMapper:
                 advice="load it with mount='floating'",
             )
         self.human = human
-        self.robot = robot
         self.dt = _check_dt(dt)
         self.joint_tolerance = _check_tolerance(joint_tolerance)
         self.quat_order: QuatOrder | None = quat_order
+        self._given_robot = robot
         chosen = _method_of(method, options)
-        self._plan = _Plan(
-            chosen, chosen.bind(human, robot), PointIk(robot, ik or IkOptions()), tuple(tasks)
-        )
+        bound = chosen.bind(human, robot)
+        solver = PointIk(bound.robot, ik or IkOptions(), contacts=bound.contacts)
+        self._plan = _Plan(chosen, bound, solver, tuple(tasks))
         self._human = human.configuration()
         self._human_vector = np.zeros(human.model.nq)
-        self._robot = robot.configuration()
         self._start: _Start | None = _Start(robot.rest, None)
         self._course: _Course | None = None
         self._is_released = False
+
+    @property
+    def robot(self) -> Hand:
+        """The hand that follows, with the reference points that the method moves."""
+        return self._plan.bound.robot
 
     @property
     def method(self) -> Method:
@@ -194,6 +199,45 @@ class HandMapper:
         if wrist is None and (needs := self._needs_wrist()):
             raise InvalidInputError(argument="wrist_pose", problem=f"needed for {needs}")
         return self._map(HumanSample(self._check_points(points), wrist), dt, (), started)
+
+    def map_landmarks(
+        self,
+        landmarks: npt.ArrayLike,
+        wrist_pose: PoseLike | None = None,
+        *,
+        dt: float | None = None,
+    ) -> MapStep:
+        """Map one sample of measured landmarks: no joint angles of the human are fitted.
+
+        The reference points are the landmarks themselves. The palm is a rigid fit of its five
+        landmarks, unless the tracker's own wrist pose is given. Scale the human to the person first
+        (`measure_hand`): the fit and the ratios of reach need the person's lengths.
+
+        Args:
+            landmarks: The 21 landmarks in the human's world [m], in MediaPipe's order, shape (21, 3).
+            wrist_pose: Pose of the human model's wrist frame, as in `map_step`; fitted if omitted.
+            dt: Time since the last sample [s]; the mapper's own if omitted.
+
+        Returns:
+            Every stage of the step.
+
+        Raises:
+            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
+            InvalidOptionsError: If a reference point of the human is not a landmark.
+            DegeneratePointsError: If the sample becomes the reference and its points do not
+                determine the motion.
+        """
+        started = perf_counter()
+        wrist = (
+            None
+            if wrist_pose is None
+            else check_pose(wrist_pose, "wrist_pose", self.quat_order)
+        )
+        return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
+
+    @cached_property
+    def _landmarks(self) -> LandmarkReader:
+        return LandmarkReader(self.human)
 
     def _map(
         self,
@@ -314,14 +358,10 @@ class HandMapper:
         plan, course = self._plan, self._course
         if method is not None:
             chosen = _method_of(method, {})
-            plan = replace(plan, method=chosen, bound=chosen.bind(self.human, self.robot))
-            if course is not None:
-                needs = plan.bound.needs_wrist or plan.bound.reference_needs_wrist
-                course = (
-                    None
-                    if needs and course.sample.wrist is None
-                    else replace(course, map=plan.bound.start(course.sample, course.posture))
-                )
+            bound = chosen.bind(self.human, self._given_robot)
+            solver = plan.ik.on_hand(bound.robot, bound.contacts)
+            plan = replace(plan, method=chosen, bound=bound, ik=solver)
+            course = None if course is None else self._recounted(course, bound)
         if ik is not None:
             plan = replace(plan, ik=plan.ik.with_options(ik))
         if tasks is not None:
@@ -337,18 +377,21 @@ class HandMapper:
             vector = self._plan.ik.configuration.q
         else:
             wrist = start.wrist
-            if wrist is None and self.robot.is_floating:
-                wrist = bound.start_palm(sample) @ inverse_pose(self.robot.wrist_to_palm)
-            vector = self.robot.configuration_vector(start.q, wrist)
-        self._robot.place_frames(vector)
-        posture = RobotPosture(
-            vector[self.robot.q_indices],
-            self._robot.points.copy(),
-            self._robot.wrist.homogeneous,
-        )
-        kept = _copied(sample)
+            if wrist is None and bound.robot.is_floating:
+                wrist = bound.start_palm(sample) @ inverse_pose(bound.robot.wrist_to_palm)
+            vector = bound.robot.configuration_vector(start.q, wrist)
+        kept, posture = _copied(sample), _posture(bound.robot, vector)
         begins_at = None if start is None else vector.copy()
         return _Course(kept, posture, bound.start(kept, posture), begins_at)
+
+    def _recounted(self, course: _Course, bound: BoundMethod) -> _Course | None:
+        """Count from the same reference by another method; None if it lacks what that needs."""
+        if (bound.needs_wrist or bound.reference_needs_wrist) and course.sample.wrist is None:
+            return None
+        robot, before = bound.robot, course.posture
+        wrist = before.wrist if robot.is_floating else None
+        posture = _posture(robot, robot.configuration_vector(before.q, wrist))
+        return _Course(course.sample, posture, bound.start(course.sample, posture))
 
     def _begin(self, course: _Course) -> None:
         """Make a course the mapper's, and put the robot where it begins unless it is on its way."""
@@ -491,6 +534,13 @@ def _method_of(method: Method | MappingOptions | None, options: MappingChanges) 
             advice=f"there are {', '.join(MappingOptions.__slots__)}",
         )
     return Homogeneous(replace(method or MappingOptions(), **options))
+
+
+def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
+    """Compute where a robot's points and its wrist are in a configuration."""
+    placed = robot.configuration()
+    placed.place_frames(vector)
+    return RobotPosture(vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous)
 
 
 def _copied(sample: HumanSample) -> HumanSample:

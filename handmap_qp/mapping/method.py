@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.tasks import Task
 
 
@@ -84,12 +85,17 @@ class BoundMethod(Protocol):
     """A method for two given hands.
 
     Attributes:
+        robot: The hand that follows, with the reference points that the method moves.
+        contacts: Pairs of collision shapes that the QP keeps apart; None for the choice of
+            `IkOptions.avoids_self_collision`.
         needs_wrist: What every sample's wrist pose is needed for; empty if for nothing.
         reference_needs_wrist: What the wrist pose of a reference sample is needed for; empty if for
             nothing.
         renews_reference: Whether every sample becomes the reference of the next one (Fig. 3).
     """
 
+    robot: Hand
+    contacts: ShapePairs | None
     needs_wrist: str
     reference_needs_wrist: str
     renews_reference: bool

@@ -118,12 +118,15 @@ class Mirror:
     """A method of a test's own: the robot stays where the reference found it."""
 
     def bind(self, human: Hand, robot: Hand) -> BoundMethod:
-        return StillMethod()
+        return StillMethod(robot)
 
 
 class StillMethod:
-    needs_wrist = reference_needs_wrist = ""
+    contacts, needs_wrist, reference_needs_wrist = None, "", ""
     renews_reference = False
+
+    def __init__(self, robot: Hand) -> None:
+        self.robot = robot
 
     def start_palm(self, sample: HumanSample) -> np.ndarray:
         return affine(np.eye(3), np.array([0.0, 0.0, 1.0]))

@@ -59,6 +59,7 @@ class FingertipVectorDiagnostics(msgspec.Struct, frozen=True, eq=False):
 class BoundFingertipVectors:
     """The method for two hands; see `BoundMethod`."""
 
+    contacts = None
     needs_wrist = "wrist-to-tip vectors"
     reference_needs_wrist = ""
     renews_reference = False

@@ -50,6 +50,8 @@ class HomogeneousDiagnostics(msgspec.Struct, frozen=True, eq=False):
 class BoundHomogeneous:
     """The method for two hands; see `BoundMethod`."""
 
+    contacts = None
+
     def __init__(self, options: MappingOptions, human: Hand, robot: Hand) -> None:
         self.options, self.human, self.robot = options, human, robot
         self.rigid = RIGID_PARTS[options.rigid_from]

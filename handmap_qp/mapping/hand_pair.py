@@ -1,0 +1,254 @@
+"""What a human hand and a robot hand have in common: fingers, ratios of reach, the matched posture.
+
+Everything is measured on the two models, once for each pair of hands.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.pads import Pad, find_pads
+from handmap_qp.hands.spec import PointSpec
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.transform import frozen, inverse_pose, transform_points
+
+KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
+"""Landmark at the base of each finger, by the finger's name."""
+MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
+"""Landmark of the joint in the middle of each finger."""
+TIPS = {f: f"{f}_tip" for f in FINGERS}
+"""Landmark of each fingertip."""
+
+# Weight of the middle joints' position errors against the fingertips' one.
+_MIDDLE_WEIGHT = 0.3
+# The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
+# oppose from different sides, so neither its own base nor the knuckles alone say where it belongs.
+_THUMB_FROM_PINCH, _THUMB_GAIN = 0.3, 0.9
+# The palm stays where it is, and nothing hurries.
+_STILL = IkOptions(
+    wrist_position_weight=1e3,
+    wrist_orientation_weight=1e3,
+    rest_weight=0.05,
+    error_damping=1.5,
+    max_iterations=200,
+    step_tolerance=1e-4,
+    has_velocity_limits=False,
+)
+_PINCHING = IkOptions(
+    point_weight=0.0,
+    wrist_position_weight=1e3,
+    wrist_orientation_weight=1e3,
+    rest_weight=0.3,
+    error_damping=1.5,
+    max_iterations=100,
+    step_tolerance=1e-4,
+    has_velocity_limits=False,
+)
+
+
+class HandPair:
+    """A human and a robot hand, their common fingers, and the robot posture that matches rest.
+
+    Args:
+        human: The hand that leads; its reference points must hold the fingers' landmarks.
+        robot: The hand that follows; its description must name fingers.
+        matched: The robot's joint positions that match the human's rest posture, shape (n,); solved
+            if omitted.
+
+    Attributes:
+        human: The hand that leads.
+        robot: The hand that follows. Its reference points are the fingertips and middle joints of
+            the common fingers, in the order of `partners`.
+        fingers: Names of the common fingers, the thumb first where there is one.
+        chains: The robot's fingers, by name.
+        pads: Their pads.
+        partners: Index of the human reference point that each robot reference point follows, (m,).
+        tips: Index of the human reference point at each common fingertip, shape (f,).
+        knuckles: The same at the base of each common finger.
+        reach_ratios: Robot's reach over the human's, of each common finger, shape (f,).
+        finger_ratio: Their mean without the thumb's.
+        matched: The robot's joint positions that match the human's rest posture, shape (n,).
+        human_rest: Human reference points at rest, in palm axes [m], shape (n_h, 3).
+        robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
+
+    Raises:
+        InvalidOptionsError: If the hands have no finger in common, or the human's reference points
+            lack a landmark of one.
+    """
+
+    def __init__(self, human: Hand, robot: Hand, matched: np.ndarray | None = None) -> None:
+        self.human = human
+        names = {point.name: k for k, point in enumerate(human.reference_points)}
+        self.chains = find_fingers(robot)
+        self.fingers = tuple(
+            finger for finger in FINGERS if finger in self.chains and self.chains[finger].joints
+        )
+        self._check(names)
+        self.pads: dict[str, Pad] = find_pads(robot, self.chains)
+        self.robot = robot.with_points(tuple(_finger_points(robot, self._used_chains())))
+        wanted = [point.partner or point.name for point in self.robot.reference_points]
+        self.partners = np.array([names[partner] for partner in wanted])
+        self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
+        self.knuckles = np.array([names[KNUCKLES[finger]] for finger in self.fingers])
+        self.shape_points = np.array(
+            [names[name] for f in FINGERS for name in (TIPS[f], MIDDLES[f]) if name in names]
+        )
+        self.human_rest = frozen(_points_in_palm(human, human.rest))
+        self.human_reach = np.array([_bone_length(human, finger) for finger in self.fingers])
+        self.robot_reach = np.array([self.chains[finger].reach for finger in self.fingers])
+        self.reach_ratios = self.robot_reach / self.human_reach
+        others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
+        self.finger_ratio = float(self.reach_ratios[others or [0]].mean())
+        self.matched = frozen(self._match() if matched is None else np.array(matched, dtype=float))
+        self.robot_rest = frozen(_points_in_palm(self.robot, self.matched))
+
+    def robot_distance(self, finger: str) -> float:
+        """Return the distance from knuckle to tip of a robot finger in the matched posture [m]."""
+        chain, robot = self.chains[finger], self.robot
+        points = AttachedPoints(robot, [chain.knuckle, chain.tip])
+        configuration = robot.configuration()
+        configuration.place_frames(robot.configuration_vector(self.matched))
+        knuckle, tip = points.positions(configuration)
+        return float(np.linalg.norm(tip - knuckle))
+
+    def _used_chains(self) -> dict[str, FingerChain]:
+        return {finger: self.chains[finger] for finger in self.fingers}
+
+    def _check(self, names: dict[str, int]) -> None:
+        if not self.fingers:
+            raise InvalidOptionsError(
+                option="method",
+                problem="teleoperation needs fingers, and no point of the robot names one",
+                advice="add `finger` to the points of its hand.yaml, or take the preset object",
+            )
+        needed = [table[f] for f in self.fingers for table in (TIPS, MIDDLES, KNUCKLES)]
+        if missing := [name for name in needed if name not in names]:
+            raise InvalidOptionsError(
+                option="human_points",
+                problem=f"teleoperation needs {', '.join(missing)} among the human's points",
+                advice="load the human with points='joints' or points='landmarks'",
+            )
+
+    def _match(self) -> np.ndarray:
+        """Solve the robot posture whose finger vectors are the resting human's, scaled."""
+        robot, palm = self.robot, self.robot.wrist_to_palm
+        targets = np.empty((len(robot.reference_points), 3))
+        knuckles = _points_in_palm_at(robot, [self.chains[f].knuckle for f in self.fingers])
+        for j, point in enumerate(robot.reference_points):
+            i = self.fingers.index(str(point.finger))
+            human = self.human_rest[self.partners[j]]
+            if point.finger == THUMB:
+                targets[j] = self._thumb_target(knuckles, human)
+            else:
+                vector = human - self.human_rest[self.knuckles[i]]
+                targets[j] = knuckles[i] + self.reach_ratios[i] * vector
+        ik = PointIk(robot, _STILL)
+        ik.place(robot.configuration_vector(robot.rest))
+        wrist = ik.configuration.wrist.homogeneous
+        ik.solve(transform_points(wrist @ palm, targets), wrist, 1e3)
+        return ik.configuration.q[robot.q_indices]
+
+    def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
+        """Place the thumb between where it pinches and where it is above the knuckles."""
+        others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
+        gain = _THUMB_GAIN * self.finger_ratio
+        if not others:
+            return knuckles[0] + gain * (tip - self.human_rest[self.knuckles[0]])
+        middle = knuckles[others].mean(axis=0)
+        human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
+        above = middle + gain * (tip - human_middle)
+        pinching = _pinching_thumb(self.robot, self.chains, self.pads)
+        human_chains = find_fingers(self.human)
+        human_pinching = _pinching_thumb(
+            self.human, human_chains, find_pads(self.human, human_chains)
+        )
+        return (
+            _THUMB_FROM_PINCH * (pinching + gain * (tip - human_pinching))
+            + (1.0 - _THUMB_FROM_PINCH) * above
+        )
+
+
+@lru_cache(maxsize=32)
+def hand_pair(human: Hand, robot: Hand, matched: tuple[float, ...] | None = None) -> HandPair:
+    """Return the pair of two hands, solved once; arguments as of `HandPair`."""
+    return HandPair(human, robot, None if matched is None else np.array(matched))
+
+
+def _finger_points(robot: Hand, chains: dict[str, FingerChain]) -> list[PointSpec]:
+    """Make reference points of the fingertips, and of the middle joints except the thumb's."""
+    points = []
+    for finger, chain in chains.items():
+        points.append(_point(robot, finger, TIPS[finger], chain.tip, 1.0))
+    for finger, chain in chains.items():
+        apart = np.linalg.norm(
+            np.subtract(*_points_in_palm_at(robot, [chain.middle, chain.knuckle]))
+        )
+        if finger != THUMB and len(chain.joints) > 1 and apart > 0.1 * chain.reach:
+            # Weights count squared in the cost.
+            points.append(_point(robot, finger, MIDDLES[finger], chain.middle, _MIDDLE_WEIGHT**2))
+    return points
+
+
+def _point(
+    robot: Hand, finger: str, name: str, place: tuple[int, np.ndarray], weight: float
+) -> PointSpec:
+    """Describe a point on a joint of the model as one on a link of the URDF."""
+    joint, offset = place
+    frame = next(
+        frame
+        for frame in robot.model.frames
+        if frame.parentJoint == joint and frame.type == pin.FrameType.BODY
+    )
+    xyz = frame.placement.actInv(offset).tolist()
+    return PointSpec(name, frame.name, (xyz[0], xyz[1], xyz[2]), finger, weight, name)
+
+
+def _points_in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """Return a hand's reference points in palm axes [m], shape (m, 3)."""
+    return transform_points(inverse_pose(hand.frame_pose("palm", q)), hand.points(q))
+
+
+def _points_in_palm_at(hand: Hand, places: list[tuple[int, np.ndarray]]) -> np.ndarray:
+    """Return points on joints in palm axes with the hand at rest [m], shape (k, 3)."""
+    configuration = hand.configuration()
+    configuration.place_frames(hand.configuration_vector(hand.rest))
+    points = AttachedPoints(hand, places).positions(configuration)
+    return transform_points(inverse_pose(hand.frame_pose("palm", hand.rest)), points)
+
+
+def _bone_length(human: Hand, finger: str) -> float:
+    """Return the sum of a human finger's bones, which is its reach [m]."""
+    named = {point.name: point for point in human.spec.points}
+    last = ("cmc", "mcp", "ip", "tip") if finger == THUMB else ("mcp", "pip", "dip", "tip")
+    joints = human.with_points(tuple(named[f"{finger}_{joint}"] for joint in last))
+    points = joints.points(human.rest)
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _pinching_thumb(hand: Hand, chains: dict[str, FingerChain], pads: dict[str, Pad]) -> np.ndarray:
+    """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
+    others = [finger for finger in chains if finger != THUMB]
+    ik, tips = PointIk(hand, _PINCHING), []
+    start = hand.configuration_vector(hand.rest)
+    place = AttachedPoints(hand, [chains[THUMB].tip])
+    for finger in others:
+        ends = AttachedPoints(
+            hand, [(pad.joint, pad.offset) for pad in (pads[THUMB], pads[finger])]
+        )
+        touching = pads[THUMB].radius + pads[finger].radius
+        ik.place(start)
+        wrist = ik.configuration.wrist.homogeneous
+        task = PointDistances(ends, [(0, 1)], [touching], [3.0])
+        ik.solve(ik.configuration.points.copy(), wrist, 1e3, tasks=[task])
+        palm = ik.configuration.wrist.homogeneous @ hand.wrist_to_palm
+        tips.append(transform_points(inverse_pose(palm), place.positions(ik.configuration))[0])
+    return np.mean(tips, axis=0)

@@ -1,0 +1,64 @@
+"""Measured landmarks as a human sample: the palm by a rigid fit, the points as they come."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.method import HumanSample
+from handmap_qp.transform import FARTHEST, as_floats, rigid_fit
+
+_PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
+"""Landmarks that move as one rigid body."""
+
+
+class LandmarkReader:
+    """Turns the 21 landmarks of a tracker into samples of a human hand.
+
+    Args:
+        human: The human hand, scaled to the person.
+
+    Raises:
+        InvalidOptionsError: If a reference point of the hand is not a landmark.
+    """
+
+    def __init__(self, human: Hand) -> None:
+        names = human.spec.sets.get("landmarks", ())
+        known = {name: i for i, name in enumerate(names)}
+        missing = [point.name for point in human.reference_points if point.name not in known]
+        if missing or not set(_PALM) <= set(known):
+            raise InvalidOptionsError(
+                option="human_points",
+                problem=f"{', '.join(missing) or human.name} cannot be read from landmarks",
+                advice="choose reference points among the landmarks, or call map_points",
+            )
+        self._count = len(names)
+        self._used = np.array([known[point.name] for point in human.reference_points])
+        self._palm = np.array([known[name] for name in _PALM])
+        self._model = human.with_points(_PALM).points(human.rest)
+
+    def read(self, landmarks: npt.ArrayLike, wrist: np.ndarray | None) -> HumanSample:
+        """Return a sample.
+
+        Args:
+            landmarks: In MediaPipe's order, in the human's world [m], shape (21, 3).
+            wrist: The tracker's own wrist pose, shape (4, 4); fitted to the landmarks of the palm
+                (Kabsch 1976) if None.
+
+        Raises:
+            InvalidInputError: On a wrong shape, or coordinates that are not finite.
+        """
+        points = as_floats(landmarks, "landmarks")
+        if points.shape != (self._count, 3):
+            raise InvalidInputError(
+                argument="landmarks", expected=f"shape ({self._count}, 3)", got=f"{points.shape}"
+            )
+        if not (np.abs(points) <= FARTHEST).all():
+            raise InvalidInputError(
+                argument="landmarks", expected=f"finite coordinates within {FARTHEST:g} m"
+            )
+        if wrist is None:
+            wrist = rigid_fit(self._model, points[self._palm])
+        return HumanSample(points[self._used], wrist)

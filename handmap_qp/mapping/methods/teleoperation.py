@@ -1,0 +1,250 @@
+"""Teleoperation: the robot's fingers do what the human's do, finger by finger.
+
+The paper's T is estimated in palm axes, from the human's rest posture to now, and imposed on the
+robot's matched posture. What T cannot express, each finger's residual, goes to the partner on the
+robot in full, scaled by the ratio of reaches. Distance rows in the same QP show what positions cannot:
+how far each finger is extended, and that thumb and finger touch. Contact rows keep links apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import msgspec
+import numpy as np
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.fingers import THUMB
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import all_pairs
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
+from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.palm import PalmFollower, palm_of
+
+# Thumb-finger gaps [m] from which on a pinch row begins, and over which it comes to its full weight.
+_PINCH_FROM, _PINCH_OVER = 0.045, 0.025
+# Pads of a closed pinch overlap by this, so that they press on each other [m].
+_SQUEEZE = 0.004
+# Margin between thumb and finger: least, per human gap beyond where it begins, most [m].
+_CONTACT_MARGIN, _CONTACT_SLOPE, _CONTACT_FROM, _CONTACT_MOST = 0.0005, 0.25, 0.018, 0.005
+# Margin between all other links [m].
+_LINK_MARGIN = 0.001
+
+
+@dataclass(frozen=True)
+class Teleoperation:
+    """Follow a tracked hand, finger by finger.
+
+    Attributes:
+        residual_gain: Part of each finger's residual to T that its partner takes over, 0 to 1.
+        extension_weight: Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.
+        thumb_extension_weight: The same of the thumb, whose position says less: thumbs oppose from
+            different sides.
+        pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
+        contact_gap: Distance between the tracker's thumb and finger landmarks where the skin touches
+            [m]: 1 to 5 mm for gloves, 10 to 20 for cameras. `handmap calibrate` measures it.
+        ridge: Pull of T towards a rotation.
+        avoids_contact: Whether links of the robot are kept apart.
+
+    Raises:
+        InvalidOptionsError: If a number has no meaning.
+    """
+
+    residual_gain: float = 1.0
+    extension_weight: float = 0.5
+    thumb_extension_weight: float = 3.0
+    pinch_weight: float = 8.0
+    contact_gap: float = 0.013
+    ridge: float = 0.1
+    avoids_contact: bool = True
+
+    def __post_init__(self) -> None:
+        """Reject values without a meaning."""
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name == "avoids_contact":
+                continue
+            most = {"residual_gain": 1.0, "contact_gap": 0.04}.get(item.name, 1e3)
+            if not (isinstance(value, int | float) and 0.0 <= value <= most):
+                raise InvalidOptionsError(
+                    option=item.name, expected=f"a number in [0, {most:g}]", value=value
+                )
+        if self.ridge == 0.0:
+            raise InvalidOptionsError(option="ridge", expected="a number > 0", value=self.ridge)
+
+    def bind(self, human: Hand, robot: Hand) -> BoundTeleoperation:
+        """Measure both hands and match their postures; see `Method.bind`."""
+        return BoundTeleoperation(self, human, robot)
+
+
+class TeleoperationDiagnostics(msgspec.Struct, frozen=True, eq=False):
+    """How the targets of one sample came about.
+
+    Attributes:
+        estimate: T from the human's rest posture to now, in palm axes, and how it fits.
+        palm_before: The human's palm at the reference, shape (4, 4).
+        palm: The human's palm now, shape (4, 4).
+        gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
+        pinching: Weight of each pinch row as a share of its full weight, shape (p,).
+        extensions: Human knuckle-to-tip distance of each common finger as a share of its reach, (f,).
+    """
+
+    estimate: MotionEstimate
+    palm_before: np.ndarray
+    palm: np.ndarray
+    gaps: np.ndarray
+    pinching: np.ndarray
+    extensions: np.ndarray
+
+
+class BoundTeleoperation:
+    """The method for two hands; see `BoundMethod`."""
+
+    needs_wrist = "the pose of the palm"
+    reference_needs_wrist = ""
+    renews_reference = False
+
+    def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
+        self.choices, self.human = choices, human
+        self.pair = pair = hand_pair(human, robot)
+        self.robot = pair.robot
+        self.contacts = all_pairs(pair.robot, pair.chains) if choices.avoids_contact else None
+        self.estimator = MotionEstimator(pair.human_rest[pair.shape_points], ridge=choices.ridge)
+        self.pinched = tuple(f for f in pair.fingers if f != THUMB) if THUMB in pair.fingers else ()
+        self._prepare_distances()
+        self._prepare_margins()
+
+    def start_palm(self, sample: HumanSample) -> np.ndarray:
+        """Return the human's palm: the robot's lies on it."""
+        return palm_of(sample, self.human)
+
+    def start(self, sample: HumanSample, robot: RobotPosture) -> TeleoperationMap:
+        """Count the palm's displacement from here; the fingers start from the matched posture."""
+        return TeleoperationMap(self, sample, robot)
+
+    def _prepare_distances(self) -> None:
+        """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
+        pair, choices = self.pair, self.choices
+        places, pairs = [], []
+        for finger in pair.fingers:
+            chain = pair.chains[finger]
+            pairs.append((len(places), len(places) + 1))
+            places += [chain.knuckle, chain.tip]
+        pads = [pair.pads[f] for f in (THUMB, *self.pinched)] if self.pinched else []
+        first = len(places)
+        pairs += [(first, first + k) for k in range(1, len(pads))]
+        places += [(pad.joint, pad.offset) for pad in pads]
+        points = AttachedPoints(pair.robot, places)
+        self.distances = PointDistances(points, pairs, np.zeros(len(pairs)))
+        self.extension_weights = np.array(
+            [
+                choices.thumb_extension_weight if finger == THUMB else choices.extension_weight
+                for finger in pair.fingers
+            ]
+        )
+        self.touching = np.array([pads[0].radius + pad.radius - _SQUEEZE for pad in pads[1:]])
+        self.human_extension = (
+            np.linalg.norm(pair.human_rest[pair.tips] - pair.human_rest[pair.knuckles], axis=1)
+            / pair.human_reach
+        )
+        self.robot_extension = (
+            np.array([pair.robot_distance(finger) for finger in pair.fingers]) / pair.robot_reach
+        )
+        self.pinch_ratio = float(pair.reach_ratios.mean())
+
+    def _prepare_margins(self) -> None:
+        """Say which contact pair belongs to which pinch."""
+        fingers = () if self.contacts is None else self.contacts.fingers
+        self.base_margins = np.full(len(fingers), _LINK_MARGIN)
+        self.pinch_of_pair = np.array(
+            [self.pinched.index(f) if f in self.pinched else -1 for f in fingers], dtype=int
+        )
+        self.is_pinch_pair = self.pinch_of_pair >= 0
+
+
+class TeleoperationMap:
+    """From samples to targets; see `TargetMap`."""
+
+    def __init__(
+        self, method: BoundTeleoperation, sample: HumanSample, robot: RobotPosture
+    ) -> None:
+        pair = method.pair
+        self.rest = pair.matched
+        self._method, self._pair = method, pair
+        self._follower = PalmFollower(method.human, pair.robot, sample, robot)
+        self._palm_before = palm_of(sample, method.human)
+        self._thumb = pair.fingers.index(THUMB) if THUMB in pair.fingers else -1
+        self._others = [i for i, finger in enumerate(pair.fingers) if finger != THUMB]
+        self._human_partners = pair.human_rest[pair.partners]
+        self._pivot = pair.robot_rest.mean(axis=0)
+        self._offsets = pair.robot_rest - self._pivot
+
+    def targets(self, sample: HumanSample) -> Targets:
+        """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
+        method, pair = self._method, self._pair
+        human_palm, palm = self._follower.palms(sample)
+        now = (sample.points - human_palm[:3, 3]).dot(human_palm[:3, :3])
+        estimate = method.estimator.estimate(now[pair.shape_points])
+        in_palm = self._points(estimate, now)
+        tips = now[pair.tips]
+        extensions = np.linalg.norm(tips - now[pair.knuckles], axis=1) / pair.human_reach
+        gaps = (
+            np.linalg.norm(tips[self._others] - tips[self._thumb], axis=1)
+            if method.pinched
+            else _NONE
+        )
+        pinching = smoothstep((_PINCH_FROM - gaps) / _PINCH_OVER)
+        return Targets(
+            in_palm.dot(palm[:3, :3].T) + palm[:3, 3],
+            self._follower.wrist(palm),
+            TeleoperationDiagnostics(
+                estimate, self._palm_before, human_palm, gaps, pinching, extensions
+            ),
+            (self._distance_task(extensions, gaps, pinching),),
+            self._margins(gaps),
+        )
+
+    def _points(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
+        """Move the matched points by T, and add each finger's residual; palm axes, shape (m, 3)."""
+        pair, ratio = self._pair, self._pair.finger_ratio
+        shift = ratio * (estimate.centroid_after - estimate.centroid_before)
+        moved = self._offsets.dot(estimate.linear.T) + (self._pivot + shift)
+        partners_moved = (self._human_partners - estimate.centroid_before).dot(
+            estimate.linear.T
+        ) + estimate.centroid_after
+        residual = now[pair.partners] - partners_moved
+        return moved + self._method.choices.residual_gain * ratio * residual
+
+    def _distance_task(
+        self, extensions: np.ndarray, gaps: np.ndarray, pinching: np.ndarray
+    ) -> PointDistances:
+        """Aim the distance rows: the change of each extension, and the gap of each pinch."""
+        method, pair = self._method, self._pair
+        share = method.robot_extension + (extensions - method.human_extension)
+        stretched = pair.robot_reach * np.minimum(np.maximum(share, 0.0), 1.0)
+        open_by = method.pinch_ratio * np.maximum(gaps - method.choices.contact_gap, 0.0)
+        return method.distances.aimed_at(
+            np.concatenate([stretched, method.touching + open_by]),
+            np.concatenate([method.extension_weights, method.choices.pinch_weight * pinching]),
+        )
+
+    def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
+        """Open the margin between thumb and finger with the human's gap, so that nothing touches."""
+        method = self._method
+        if method.contacts is None:
+            return None
+        wide = np.minimum(np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST)
+        margins, pinch = method.base_margins.copy(), method.is_pinch_pair
+        margins[pinch] = _CONTACT_MARGIN + wide[method.pinch_of_pair[pinch]]
+        return margins
+
+
+def smoothstep(x: np.ndarray) -> np.ndarray:
+    """Go smoothly from 0 at 0 to 1 at 1."""
+    x = np.minimum(np.maximum(x, 0.0), 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+_NONE = np.zeros(0)
