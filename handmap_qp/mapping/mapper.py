@@ -229,9 +229,7 @@ class HandMapper:
         """
         started = perf_counter()
         wrist = (
-            None
-            if wrist_pose is None
-            else check_pose(wrist_pose, "wrist_pose", self.quat_order)
+            None if wrist_pose is None else check_pose(wrist_pose, "wrist_pose", self.quat_order)
         )
         return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
 
