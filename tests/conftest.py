@@ -40,7 +40,7 @@ def recordings() -> Path:
     folder = Path(named) if named else TESTS.parents[1] / "shared" / "recordings"
     if not any(folder.glob("*.npz")):
         pytest.skip(
-            f"no recordings (*.npz) in {folder}: set HANDMAP_RECORDINGS to the folder that holds them"
+            f"no recordings (*.npz) in {folder}: set HANDMAP_RECORDINGS to the folder of them"
         )
     return folder
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -285,7 +286,7 @@ def test_quaternions_are_normalised_first(quat: np.ndarray, length: float) -> No
         None,
     ],
 )
-def test_what_is_no_quaternion_is_refused(quat: Any) -> None:
+def test_what_is_not_a_quaternion_is_rejected(quat: Any) -> None:
     with pytest.raises(InvalidInputError, match="quat_wxyz: expected"):
         rotation_from_quat_wxyz(quat)
 
@@ -316,7 +317,7 @@ def test_xyzw_is_the_order_of_pinocchio() -> None:
     "values", [np.zeros(6), np.zeros(8), np.zeros((1, 7)), np.zeros(7), ["a"] * 7, None, 7.0]
 )
 @pytest.mark.parametrize("order", ORDERS)
-def test_what_is_no_pose_of_seven_numbers_is_refused(values: Any, order: QuatOrder) -> None:
+def test_what_is_not_a_pose_of_seven_numbers_is_rejected(values: Any, order: QuatOrder) -> None:
     with pytest.raises(InvalidInputError):
         pose_from_xyz_quat(values, order)
 
@@ -330,12 +331,12 @@ def test_seven_numbers_must_be_finite(index: int, bad: float, order: QuatOrder) 
 
 
 @pytest.mark.parametrize("order", ["wzyx", "WXYZ", "", 3])
-def test_an_unknown_quaternion_order_is_refused(order: Any) -> None:
+def test_an_unknown_quaternion_order_is_rejected(order: Any) -> None:
     with pytest.raises(InvalidInputError, match="order: expected 'wxyz' or 'xyzw'"):
         pose_from_xyz_quat([0, 0, 0, 1, 0, 0, 0], order)
 
 
-def test_seven_numbers_without_a_named_order_are_refused() -> None:
+def test_seven_numbers_without_a_named_order_are_rejected() -> None:
     with pytest.raises(InvalidInputError, match=r"wrist: expected .* 7 numbers need quat_order"):
         check_pose([0, 0, 0, 1, 0, 0, 0], "wrist")
 
@@ -405,7 +406,7 @@ def test_the_last_row_must_be_0_0_0_1(pose: np.ndarray, column: int, change: flo
 
 
 @given(poses, st.integers(0, 2))
-def test_a_mirrored_pose_is_refused(pose: np.ndarray, column: int) -> None:
+def test_a_mirrored_pose_is_rejected(pose: np.ndarray, column: int) -> None:
     pose = pose.copy()
     pose[:3, column] *= -1.0
     with pytest.raises(InvalidInputError, match="expected a rotation"):
@@ -448,7 +449,7 @@ def test_what_scales_or_shears_is_no_pose(linear: np.ndarray) -> None:
         None,
     ],
 )
-def test_a_pose_of_wrong_shape_is_refused(value: Any) -> None:
+def test_a_pose_of_wrong_shape_is_rejected(value: Any) -> None:
     with pytest.raises(InvalidInputError, match=r"wrist: expected"):
         check_pose(value, "wrist", "wxyz")
 
@@ -466,7 +467,7 @@ def test_a_pose_of_wrong_shape_is_refused(value: Any) -> None:
         np.array(["x"] * 7),
     ],
 )
-def test_a_pose_of_anything_but_numbers_is_refused(value: Any) -> None:
+def test_a_pose_of_anything_but_numbers_is_rejected(value: Any) -> None:
     with pytest.raises(InvalidInputError, match="wrist: expected numbers"):
         check_pose(value, "wrist", "wxyz")
 
@@ -480,3 +481,98 @@ def test_errors_name_the_pose_at_fault(bad: list[float]) -> None:
 def test_floats_are_passed_on_without_a_copy() -> None:
     values = np.array([1.0, 2.0])
     assert as_floats(values, "values") is values
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_poses_beyond_the_farthest_coordinate_are_rejected(axis: int) -> None:
+    pose = np.eye(4)
+    for sign in (1.0, -1.0):
+        pose[axis, 3] = sign * 0.99e9
+        np.testing.assert_array_equal(check_pose(pose), pose)
+        pose[axis, 3] = sign * 1.01e9
+        with pytest.raises(InvalidInputError, match="within 1e"):
+            check_pose(pose)
+
+
+# --- what every function rejects
+
+BAD: tuple[Any, ...] = (
+    "x",
+    None,
+    ["1", "2", "3"],
+    [[1.0], [1.0, 2.0]],
+    1j * np.eye(3),
+    np.full((3, 3), np.nan),
+    np.full((3, 3), np.inf),
+    np.zeros((2, 2)),
+    np.zeros((3, 3, 3)),
+    np.full((3, 3), None),
+    np.full((3, 3), "1", dtype=object),
+    5,
+    {},
+)
+CHECKED: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "points": (lambda bad: rigid_fit(bad, np.eye(3)), "points"),
+    "onto": (lambda bad: rigid_fit(np.eye(3), bad), "onto"),
+    "weights": (
+        lambda bad: rigid_fit(np.eye(3), np.eye(3), [1.0] if bad is None else bad),
+        "weights",
+    ),
+    "rotation_from_rpy": (rotation_from_rpy, "rpy"),
+    "rpy_from_rotation": (rpy_from_rotation, "rotation"),
+    "rotation_from_quat_wxyz": (rotation_from_quat_wxyz, "quat_wxyz"),
+    "quat_wxyz_from_rotation": (quat_wxyz_from_rotation, "rotation"),
+    "pose_from_xyz_quat": (lambda bad: pose_from_xyz_quat(bad, "wxyz"), "values"),
+    "check_pose": (check_pose, "pose"),
+    "as_floats": (lambda bad: as_floats(bad, "q", shape=(3,), is_finite=True), "q"),
+}
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_what_enters_is_checked_and_named(name: str) -> None:
+    call, argument = CHECKED[name]
+    for bad in BAD:
+        with pytest.raises(InvalidInputError) as caught:
+            call(bad)
+        assert caught.value.argument.startswith(argument), bad
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("weights", [[0.0, 0.0, 0.0], [1.0, -1.0, 1.0]], ids=["zero", "negative"])
+def test_weights_that_cannot_weigh_are_rejected(weights: list[float]) -> None:
+    with pytest.raises(InvalidInputError, match="weights: expected numbers >= 0"):
+        rigid_fit(np.eye(3), np.eye(3), weights)
+    with pytest.raises(InvalidInputError, match="points: expected at least one"):
+        rigid_fit(np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+@pytest.mark.parametrize(
+    "bad", [np.full((3, 3), np.nan), np.full((3, 3), np.inf), np.eye(2), np.eye(4), "x", None, 5.0]
+)
+def test_functions_without_checks_raise_nothing_else(bad: Any) -> None:
+    for call in (svd3, nearest_rotation):
+        with pytest.raises(InvalidInputError, match="matrix: expected"):
+            call(bad)
+    if not (isinstance(bad, np.ndarray) and bad.shape == (3, 3)):
+        with pytest.raises(InvalidInputError, match="matrix: expected"):
+            determinant(bad)
+    if isinstance(bad, str):
+        calls: tuple[Callable[[], Any], ...] = (
+            lambda: affine(bad, np.zeros(3)),
+            lambda: affine(np.eye(3), bad),
+            lambda: transform_points(bad, np.zeros((2, 3))),
+            lambda: transform_points(np.eye(4), bad),
+            lambda: inverse_pose(bad),
+        )
+        for call_with in calls:
+            with pytest.raises(InvalidInputError):
+                call_with()
+
+
+def test_as_floats_names_the_entry_at_fault() -> None:
+    with pytest.raises(InvalidInputError, match=r"q: expected finite numbers, got nan at \[1, 0\]"):
+        as_floats([[0.0, 1.0], [np.nan, np.inf]], "q", is_finite=True)
+    with pytest.raises(InvalidInputError, match=r"of shape \(n, 3\), got shape \(2, 2\)"):
+        as_floats(np.eye(2), "points", shape=("n", 3))
+    with pytest.raises(InvalidInputError, match="dt: expected a number, got shape"):
+        as_floats([0.1], "dt", shape=())

@@ -240,7 +240,7 @@ def test_a_spec_takes_what_numpy_gives_and_keeps_nothing_of_the_caller() -> None
 
 
 @pytest.mark.parametrize("name", ["a\0b", "\0.yaml", "x" * 5000, "", ".", "x" * 5000 + ".yaml"])
-def test_names_that_are_no_files_are_refused(name: str) -> None:
+def test_names_that_are_not_files_are_rejected(name: str) -> None:
     with pytest.raises(HandError):
         load_hand(name)
 
@@ -258,7 +258,7 @@ def test_names_that_are_no_files_are_refused(name: str) -> None:
         "urdf: {a: b}",
     ],
 )
-def test_odd_descriptions_are_refused_in_one_line(tmp_path: Path, text: str) -> None:
+def test_odd_descriptions_are_rejected_in_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "hand.yaml"
     path.write_text(text)
     with pytest.raises(HandmapError) as caught:
@@ -267,7 +267,7 @@ def test_odd_descriptions_are_refused_in_one_line(tmp_path: Path, text: str) -> 
     assert str(path.parent) in str(caught.value)
 
 
-def test_points_of_one_name_are_refused() -> None:
+def test_points_of_one_name_are_rejected() -> None:
     with pytest.raises(HandError, match="'index_tip' is given twice"):
         load_hand("human", points=("index_tip", "index_tip"))
 

@@ -116,7 +116,7 @@ def test_an_arm_keeps_its_own_limits(arm: str) -> None:
 
 @every_arm
 def test_a_stretched_arm_stays_bounded_and_still(arm: str) -> None:
-    """Asked for a place two metres beyond its reach an arm ends stretched, singular, and at rest there."""
+    """A target two metres beyond its reach leaves an arm stretched, singular and at rest."""
     hand = ON_ARM[arm]
     # Levers of a metre want more of this damping than those of fingers.
     ik = PointIk(hand, IkOptions())
@@ -153,7 +153,8 @@ def test_hand_and_arm_are_one_description_in_a_file() -> None:
 def test_links_of_the_same_name_do_not_meet() -> None:
     """Hand and arm both have a `world`, a `base_link` and materials; the hand keeps its names."""
     text = '<robot name="g"><link name="base_link"/><link name="tool0"/>{}</robot>'.format(
-        '<joint name="grip" type="revolute"><parent link="base_link"/><child link="tool0"/><axis xyz="0 0 1"/>'
+        '<joint name="grip" type="revolute">'
+        '<parent link="base_link"/><child link="tool0"/><axis xyz="0 0 1"/>'
         '<origin xyz="0 0 0.1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
     )
     spec = HandSpec(
@@ -218,8 +219,10 @@ def test_a_locked_joint_stands_where_it_was_put(
 ) -> None:
     direction, rpy = axis.normal(size=3), [float(rpy_from_rotation(pose)[0]), pitch, 0.4]
     text = (
-        f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="{kind}"><parent link="a"/><child link="b"/>'
-        f'<origin xyz="0.1 0.2 0.3" rpy="{" ".join(map(repr, rpy))}"/><axis xyz="{" ".join(map(repr, direction.tolist()))}"/>'
+        f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="{kind}">'
+        '<parent link="a"/><child link="b"/>'
+        f'<origin xyz="0.1 0.2 0.3" rpy="{" ".join(map(repr, rpy))}"/>'
+        f'<axis xyz="{" ".join(map(repr, direction.tolist()))}"/>'
         '<limit lower="-4" upper="4" effort="1" velocity="1"/></joint></robot>'
     )
     free = pin.buildModelFromXML(text)
@@ -304,7 +307,7 @@ def test_files_extend_others_and_keep_their_paths(tmp_path: Path) -> None:
     )
 
 
-def test_files_that_extend_each_other_are_refused(tmp_path: Path) -> None:
+def test_files_that_extend_each_other_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("extends: b.yaml\n")
     (tmp_path / "b.yaml").write_text("extends: a.yaml\n")
     with pytest.raises(HandError, match="circle"):

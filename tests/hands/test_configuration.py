@@ -26,7 +26,7 @@ every_jacobian = pytest.mark.parametrize("jacobian", JACOBIANS.values(), ids=JAC
 
 
 @every_jacobian
-def test_a_jacobian_of_an_earlier_posture_is_refused(
+def test_a_jacobian_of_an_earlier_posture_is_rejected(
     jacobian: Callable[[Configuration], np.ndarray],
 ) -> None:
     # On an arm, so that the wrist's Jacobian depends on the posture too.

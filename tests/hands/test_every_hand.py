@@ -85,7 +85,7 @@ def check_limits(robot: Hand, q: np.ndarray, dt: np.ndarray) -> None:
 
 @cache
 def lively_motion(side: str) -> tuple[Hand, np.ndarray, np.ndarray]:
-    """Two seconds in which a person moves every joint at a pace of its own, while the wrist goes round and turns."""
+    """Two seconds of motion, every joint at its own pace, while the wrist circles and turns."""
     human = load_hand("human" if side == "right" else "human_left")
     time = _DT * np.arange(120)
     pace = np.random.default_rng(7).uniform(0.4, 1.6, len(human.rest))

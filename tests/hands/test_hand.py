@@ -61,7 +61,7 @@ def test_point_jacobian_is_the_derivative_of_the_points(hand: Hand, data: st.Dat
 @given(data=st.data())
 def test_the_wrist_pose_carries_every_point(hand: Hand, data: st.DataObject) -> None:
     if not hand.is_floating:
-        pytest.skip(f"an arm carries {hand.name}; see test_mounting.py")
+        pytest.skip(f"an arm carries {hand.name}; see test_compose.py")
     q, pose = data.draw(postures(hand)), data.draw(poses)
     np.testing.assert_allclose(
         hand.points(q, pose), transform_points(pose, hand.points(q)), atol=1e-12
@@ -82,7 +82,7 @@ def test_a_point_lies_on_its_link_where_the_description_says(hand: Hand) -> None
 
 @every_hand
 def test_palm_axes_are_what_anatomy_calls_them(hand: Hand) -> None:
-    """Stretched fingers point distally, and closing them moves their tips to the palm's side and back."""
+    """Stretched fingers point distally, and closing them moves their tips to the palm's side."""
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
     tips = hand.with_points("fingertips")
     if "middle" not in {point.finger for point in tips.reference_points}:
@@ -143,7 +143,7 @@ def test_a_wrist_away_from_the_root_carries_the_hand(
     )
 
 
-def test_a_fixed_hand_refuses_a_wrist_pose() -> None:
+def test_a_fixed_hand_rejects_a_wrist_pose() -> None:
     fixed = load_hand("three_finger", mount="fixed")
     assert fixed.model.nv == len(fixed.joint_names)
     np.testing.assert_allclose(
@@ -167,7 +167,7 @@ def test_points_can_be_chosen_by_set_by_name_and_by_place() -> None:
 @pytest.mark.parametrize(
     "q", [np.zeros(3), np.zeros((8, 1)), 0.0], ids=["too few", "two-dimensional", "scalar"]
 )
-def test_a_posture_of_another_shape_is_refused(q: np.ndarray) -> None:
+def test_a_posture_of_another_shape_is_rejected(q: np.ndarray) -> None:
     with pytest.raises(InvalidInputError, match="shape"):
         HANDS["three_finger"].points(q)
 
@@ -250,7 +250,7 @@ def test_a_broken_description_is_named_by_file_and_key(
 @pytest.mark.parametrize(
     "text", ["", "- 1", "a: [", "\x00"], ids=["empty", "list", "torn", "binary"]
 )
-def test_a_file_that_is_no_description_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_not_a_description_is_rejected(tmp_path: Path, text: str) -> None:
     path = tmp_path / "hand.yaml"
     path.write_text(text)
     with pytest.raises(HandError, match=r"hand\.yaml"):
@@ -260,13 +260,13 @@ def test_a_file_that_is_no_description_is_refused(tmp_path: Path, text: str) -> 
 @pytest.mark.parametrize(
     "urdf", ["<robot", "<robot name='x'/>", ""], ids=["torn", "empty robot", "empty"]
 )
-def test_a_urdf_that_cannot_be_used_is_refused(tmp_path: Path, urdf: str) -> None:
+def test_a_urdf_that_cannot_be_used_is_rejected(tmp_path: Path, urdf: str) -> None:
     (tmp_path / "x.urdf").write_text(urdf)
     with pytest.raises(HandError):
         load_hand(broken(tmp_path, {"urdf": "x.urdf"}))
 
 
-def test_names_and_paths_that_lead_nowhere_are_refused(tmp_path: Path) -> None:
+def test_names_and_paths_that_lead_nowhere_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(HandError, match="three_finger"):
         load_hand("no_such_hand")
     with pytest.raises(HandError, match="cannot be read"):

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -165,6 +165,7 @@ def test_scaled_hand_has_the_lengths_asked_for(person: HumanLengths, angles: np.
     )
 
 
+@settings(max_examples=15)
 @given(person=persons())
 def test_scaling_forgets_earlier_scaling(person: HumanLengths) -> None:
     again = scaled_human_urdf(scaled_human_urdf(HUMAN, person), DEFAULT)
@@ -173,6 +174,7 @@ def test_scaling_forgets_earlier_scaling(person: HumanLengths) -> None:
     np.testing.assert_array_equal(back.segments, DEFAULT.segments)
 
 
+@settings(max_examples=15)
 @given(person=persons())
 def test_capsules_and_metacarpals_still_end_at_their_joints(person: HumanLengths) -> None:
     text = scaled_human_urdf(HUMAN, person)

@@ -22,7 +22,8 @@ MIXED = """
 <robot name="mixed">
   <link name="root"/>
   <joint name="a" type="revolute">
-    <parent link="root"/><child link="la"/><origin xyz="0.1 -0.2 0.3" rpy="0.4 -0.5 0.6"/><axis xyz="0.48 0.6 0.64"/>
+    <parent link="root"/><child link="la"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.4 -0.5 0.6"/><axis xyz="0.48 0.6 0.64"/>
     <limit lower="-3" upper="3" effort="1" velocity="1"/>
   </joint>
   <link name="la">
@@ -30,7 +31,10 @@ MIXED = """
       <origin xyz="0.01 0.02 0.03" rpy="0.1 0.2 0.3"/><mass value="0.5"/>
       <inertia ixx="0.010" ixy="0.001" ixz="-0.002" iyy="0.012" iyz="0.0015" izz="0.014"/>
     </inertial>
-    <visual><origin xyz="0.01 0 0" rpy="1 2 3"/><geometry><cylinder radius="0.01" length="0.03"/></geometry></visual>
+    <visual>
+      <origin xyz="0.01 0 0" rpy="1 2 3"/>
+      <geometry><cylinder radius="0.01" length="0.03"/></geometry>
+    </visual>
   </link>
   <joint name="b" type="prismatic">
     <parent link="la"/><child link="lb"/><origin xyz="0 0.1 0" rpy="1 0.3 -2"/>
@@ -42,7 +46,9 @@ MIXED = """
     <limit effort="1" velocity="1"/>
   </joint>
   <link name="lc"/>
-  <joint name="d" type="fixed"><parent link="lc"/><child link="tip"/><origin xyz="0.05 0.06 0.07" rpy="-1 0.2 0.9"/></joint>
+  <joint name="d" type="fixed">
+    <parent link="lc"/><child link="tip"/><origin xyz="0.05 0.06 0.07" rpy="-1 0.2 0.9"/>
+  </joint>
   <link name="tip"/>
 </robot>
 """
@@ -128,7 +134,8 @@ def test_output_has_no_minus_zero() -> None:
         ("<robot>", "not valid XML"),
         ("<mujoco/>", "root <robot>"),
         (
-            '<robot><link name="a"><visual><geometry><mesh filename="a.stl"/></geometry></visual></link></robot>',
+            '<robot><link name="a"><visual><geometry><mesh filename="a.stl"/></geometry></visual>'
+            "</link></robot>",
             "<mesh>",
         ),
         ('<robot><joint name="j" type="planar"/></robot>', "j: a planar joint"),

@@ -59,7 +59,7 @@ def snapshot(hand: Hand) -> list[np.ndarray]:
 
 
 def overwrite(array: np.ndarray) -> None:
-    """Write into an array, unless it refuses."""
+    """Write into an array, unless it is read-only."""
     with suppress(ValueError):
         array[...] = 77
 
@@ -78,14 +78,14 @@ def test_writing_into_any_array_of_a_hand_changes_nothing(name: str) -> None:
         np.testing.assert_array_equal(array, expected)
 
 
-def test_writing_into_a_workspaces_views_is_refused() -> None:
+def test_writing_into_a_workspaces_views_is_rejected() -> None:
     workspace = load_hand("three_finger").configuration()
     for array in (workspace.q, workspace.points, workspace.support):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 77
 
 
-def test_writing_into_what_is_human_is_refused() -> None:
+def test_writing_into_what_is_human_is_rejected() -> None:
     lengths = HumanLengths.from_hand_length(0.19)
     for array in arrays_in((lengths, load_synergies())):
         with pytest.raises(ValueError, match="read-only"):

@@ -26,7 +26,7 @@ from handmap_qp.transform import affine
 def synthetic(
     side: Side, lengths: HumanLengths, count: int = 60
 ) -> tuple[Recording, np.ndarray, np.ndarray]:
-    """A recording of a hand of known lengths in known motion, with its joint angles and wrist poses."""
+    """Record a hand of known lengths in known motion; return joint angles and wrist poses too."""
     hand = load_hand(human_name(side), points="landmarks", lengths=lengths)
     phase = np.linspace(0.0, 2.0 * np.pi, count)
     swing = 0.3 * np.minimum(hand.upper_limits - hand.rest, hand.rest - hand.lower_limits)
@@ -68,15 +68,28 @@ def test_a_hand_of_the_standard_shape_is_measured_where_it_is(side: Side, size: 
     np.testing.assert_allclose(measured.segments, lengths.segments, atol=1e-9)
 
 
-def test_a_mirrored_recording_is_of_the_same_person() -> None:
-    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.19))
+def handedness(bases: np.ndarray) -> float:
+    """Signed volume that the thumb's base spans with three knuckles [m^3]; a mirror changes it."""
+    return float(np.linalg.det(bases[[0, 2, 4]] - bases[1]))
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_palm_that_is_not_flat_is_measured_the_right_way_round(side: Side) -> None:
+    """A flat palm turned over is its own mirror image, so the thumb lies 25 mm below this one."""
+    standard = HumanLengths.from_urdf(load_hand("human").urdf_text)
+    depth = np.array([-0.025, 0.0, 0.004, 0.002, -0.004])
+    bases = standard.bases + depth[:, None] * (0.0, 0.0, 1.0)
+    lengths = HumanLengths(bases=bases, segments=standard.segments)
+    recording = synthetic(side, lengths)[0]
+    measured = measure_hand(recording)
+    assert handedness(measured.bases) == pytest.approx(handedness(bases), rel=1e-6)
+    # The palm's axes are those of the standard one, up to the angle that its arch makes.
+    np.testing.assert_allclose(measured.bases, bases, atol=0.006)
+    other: Side = "left" if side == "right" else "right"
     mirrored = recording.landmarks * (-1.0, 1.0, 1.0)
-    right = measure_hand(recording)
-    left = measure_hand(replace(recording, landmarks=mirrored, side="left"))
-    np.testing.assert_allclose(left.bases, right.bases, atol=1e-12)
-    np.testing.assert_allclose(left.segments, right.segments, atol=1e-12)
-    # The thumb is on the index finger's side, centimetres from the middle of the knuckles.
-    assert right.bases[0, 0] < right.bases[1:, 0].mean() - 0.01
+    again = measure_hand(replace(recording, landmarks=mirrored, side=other))
+    np.testing.assert_allclose(again.bases, measured.bases, atol=1e-12)
+    np.testing.assert_allclose(again.segments, measured.segments, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -91,6 +104,15 @@ def test_joint_angles_are_recovered(side: Side) -> None:
         assert error.max() < 2e-4
         np.testing.assert_allclose(angles, q[i], atol=0.02)
         np.testing.assert_allclose(pose, poses[i], atol=0.005)
+
+
+def test_what_cannot_be_fitted_exactly_is_fitted_closest_at_the_tips() -> None:
+    # A hand a tenth larger than the model.
+    recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.209))
+    fitter = LandmarkFitter("right", HumanLengths.from_hand_length(0.19))
+    errors = np.array([fitter.fit(landmarks)[2] for landmarks in recording.landmarks[:20]])
+    others = np.setdiff1d(np.arange(21), TIPS)
+    assert errors[:, TIPS].mean() < 0.7 * errors[:, others].mean()
 
 
 def test_samples_without_a_hand_hold_the_posture_before() -> None:
@@ -159,7 +181,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
-def test_bad_landmarks_are_refused_and_change_nothing(bad: Any) -> None:
+def test_bad_landmarks_are_rejected_and_change_nothing(bad: Any) -> None:
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.18))
     disturbed, calm = LandmarkFitter(), LandmarkFitter()
     for fitter in (disturbed, calm):
@@ -196,5 +218,5 @@ def test_real_hands_are_fitted_within_their_limits(recordings: Path) -> None:
         np.testing.assert_array_equal(motion.valid, recording.valid)
         assert (motion.q >= motion.human.lower_limits - 1e-9).all()
         assert (motion.q <= motion.human.upper_limits + 1e-9).all()
-        # The issue's bound is 6 mm; what is measured is 0.5 to 2.1 mm, the most on the noisy video.
+        # Measured: 0.5 to 2.1 mm, the most on the noisy video.
         assert np.nanmean(motion.fit_error[:, TIPS]) < 3e-3, path.stem

@@ -1,7 +1,4 @@
-"""Reading recordings.
-
-What is there is read as it is, and what cannot be used is refused in one line.
-"""
+"""Recordings: read as they are; unusable ones are rejected in one line."""
 
 import pickle
 from dataclasses import fields, replace
@@ -47,8 +44,14 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
 def test_samples_with_holes_are_not_valid(tmp_path: Path) -> None:
     landmarks = arrays()["landmarks"]
     landmarks[2, 7, 1] = np.nan
-    recording = read_recording(write(tmp_path, landmarks=landmarks, valid=None))
-    np.testing.assert_array_equal(recording.valid, [True, True, False, True, True])
+    for valid in (None, np.ones(5, dtype=bool), np.ones(5, dtype=int)):
+        recording = read_recording(write(tmp_path, landmarks=landmarks, valid=valid))
+        np.testing.assert_array_equal(recording.valid, [True, True, False, True, True])
+
+
+def test_the_first_step_is_the_median_of_the_others(tmp_path: Path) -> None:
+    recording = read_recording(write(tmp_path, time=np.array([0.0, 0.01, 0.03, 0.05, 0.5])))
+    np.testing.assert_allclose(recording.steps, [0.02, 0.01, 0.02, 0.02, 0.45])
 
 
 BAD = {
@@ -80,7 +83,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("changes", BAD.values(), ids=BAD.keys())
-def test_a_bad_recording_is_refused_in_one_line(tmp_path: Path, changes: dict) -> None:
+def test_a_bad_recording_is_rejected_in_one_line(tmp_path: Path, changes: dict) -> None:
     path = write(tmp_path, **changes)
     with pytest.raises(RecordingError) as caught:
         read_recording(path)
@@ -91,14 +94,14 @@ def test_a_bad_recording_is_refused_in_one_line(tmp_path: Path, changes: dict) -
 @pytest.mark.parametrize(
     "content", [b"", b"not a zip", b"PK\x03\x04torn"], ids=["empty", "text", "torn"]
 )
-def test_a_file_that_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_recording_is_rejected(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "hand.npz"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"hand\.npz"):
         read_recording(path)
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_rejected(tmp_path: Path) -> None:
     for path in (tmp_path / "absent.npz", tmp_path):
         with pytest.raises(RecordingError, match="cannot be read"):
             read_recording(path)
