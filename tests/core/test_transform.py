@@ -556,17 +556,23 @@ def test_functions_without_checks_raise_nothing_else(bad: Any) -> None:
     if not (isinstance(bad, np.ndarray) and bad.shape == (3, 3)):
         with pytest.raises(InvalidInputError, match="matrix: expected"):
             determinant(bad)
-    if isinstance(bad, str):
-        calls: tuple[Callable[[], Any], ...] = (
-            lambda: affine(bad, np.zeros(3)),
-            lambda: affine(np.eye(3), bad),
-            lambda: transform_points(bad, np.zeros((2, 3))),
-            lambda: transform_points(np.eye(4), bad),
-            lambda: inverse_pose(bad),
-        )
-        for call_with in calls:
-            with pytest.raises(InvalidInputError):
-                call_with()
+
+
+def test_arrays_that_do_not_fit_are_rejected() -> None:
+    word: Any = "x"
+    calls: tuple[Callable[[], Any], ...] = (
+        lambda: affine(word, np.zeros(3)),
+        lambda: affine(np.eye(3), word),
+        lambda: affine(np.eye(2), np.zeros(3)),
+        lambda: transform_points(word, np.zeros((2, 3))),
+        lambda: transform_points(np.eye(4), word),
+        lambda: transform_points(np.eye(4), np.zeros((2, 2))),
+        lambda: inverse_pose(word),
+        lambda: inverse_pose(np.zeros(3)),
+    )
+    for call in calls:
+        with pytest.raises(InvalidInputError, match="expected shape"):
+            call()
 
 
 def test_as_floats_names_the_entry_at_fault() -> None:
