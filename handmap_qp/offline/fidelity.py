@@ -8,10 +8,11 @@ that counts is the reference of all metrics that need one.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import THUMB
@@ -187,7 +188,7 @@ def assess_fidelity(
     correlations = np.array([f.extension_correlation for f in fingers.values()])
     rotation, stretch, translation = object_motion_error(h, r, shared)
     palm_deg, palm_mm = palm_error(h.palm, r.palm)
-    results: dict[str, float] = {}
+    results: dict[str, Any] = {}
     if gaps is not None:
         results |= _gap_metrics(h, gaps, counts)
         results["pinch_order"] = pinch_order(h, r)
@@ -324,7 +325,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
     near = a < NEAR
     if near.sum() < 3 or np.ptp(a[near]) == 0.0 or np.ptp(b[near]) == 0.0:
         return float("nan")
-    return float(spearmanr(a[near], b[near])[0])
+    return float(np.corrcoef(rankdata(a[near]), rankdata(b[near]))[0, 1])
 
 
 def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
@@ -354,7 +355,7 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
     step = grid[1] - grid[0]
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
     lags = np.arange(-most, most + 1)
-    values = np.array([_lagged_correlation(a, b, lag) for lag in lags])
+    values = np.array([_lagged_correlation(a, b, int(lag)) for lag in lags])
     if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
         return float("nan")
     best = int(np.argmax(values))
@@ -422,13 +423,13 @@ def _object_motion(
     return rotations, stretches, centroids - centroids[0]
 
 
-def _gap_metrics(human: HandTrace, gaps: SurfaceGaps, counts: np.ndarray) -> dict[str, float]:
+def _gap_metrics(human: HandTrace, gaps: SurfaceGaps, counts: np.ndarray) -> dict[str, Any]:
     wanted = pinch_gaps(human)
     shared = [name for name in wanted if name in gaps.pinches]
     h = np.concatenate([wanted[name] for name in shared] or [np.empty(0)])
     r = np.concatenate([gaps.pinches[name][counts] for name in shared] or [np.empty(0)])
     pinched, apart = r[h < PINCH], r[h > OPEN]
-    results: dict[str, float] = {"pinch_samples": len(pinched)}
+    results: dict[str, Any] = {"pinch_samples": len(pinched)}
     results["self_penetration"] = float((gaps.nearest[counts] < -TOUCHING).mean())
     if len(pinched):
         results |= {

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from handmap_qp.hands.fingers import THUMB, FingerChain
 from handmap_qp.hands.hand import Hand
@@ -101,7 +101,7 @@ def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float
     shares = []
     for name, points in workspace.items():
         if name in robot.fingers:
-            path = cKDTree(robot.in_palm(robot.fingers[name].tip))
+            path = KDTree(robot.in_palm(robot.fingers[name].tip))
             distances, _ = path.query(points)
             shares.append(float((distances <= WORKSPACE_RADIUS).mean()))
     return float(np.mean(shares)) if shares else float("nan")
