@@ -10,7 +10,7 @@ from handmap_qp.hands.spec import MimicSpec
 
 
 def coupled_hand() -> Hand:
-    """The three-fingered hand with distal joints that copy their proximal ones, as on the Barrett hand."""
+    """Return the three-fingered hand with distal joints that mimic their proximal ones."""
     spec = load_hand("three_finger").spec
     copies = {f"f{i}_distal": MimicSpec(f"f{i}_proximal", 0.7, 0.1) for i in (1, 2, 3)}
     kept = tuple(joint for joint in spec.joints if joint not in copies)

@@ -65,7 +65,12 @@ DISTINCT_HANDS: tuple[tuple[str, str, str | None], ...] = tuple(
     )
 )
 each_distinct_hand = pytest.mark.parametrize(
-    "which", DISTINCT_HANDS, ids=lambda which: "-".join(filter(None, which))
+    "which",
+    [
+        pytest.param(which, marks=pytest.mark.slow if which[0] == "ur5_allegro" else ())
+        for which in DISTINCT_HANDS
+    ],
+    ids=lambda which: "-".join(filter(None, which)),
 )
 # Without followers, and without a whole robot's arm, whose levers of half a metre make the weighted
 # task too badly conditioned for statements about vanishing weights.

@@ -1,4 +1,4 @@
-"""The benchmarks run, and what they share does what it says."""
+"""The benchmarks run, and their shared functions are correct."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def run(script: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[dict[str, ModuleType]]:
-    """The modules beside the scripts, which find each other because a script's folder is on the path."""
+    """Import the modules beside the scripts, with their folder on the path as for a script."""
     sys.path.insert(0, str(FOLDER))
     try:
         yield {name: importlib.import_module(name) for name in ("common", "scenes")}

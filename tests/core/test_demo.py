@@ -1,8 +1,4 @@
-"""The demo.
-
-The paper's arc, a robot that follows it within its limits and comes home, and files all there or
-not at all.
-"""
+"""The demo: the paper's arc, the robot's limits and errors, and atomic output of its files."""
 
 from importlib.metadata import version
 from pathlib import Path
@@ -158,7 +154,7 @@ def test_the_pictures_show_something(result: DemoResult) -> None:
 
 @pytest.fixture
 def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Empty pictures, where the test is about files."""
+    """Replace the pictures by empty ones, for tests of files."""
     from matplotlib.figure import Figure
 
     for name in ("hands_figure", "errors_figure", "joints_figure"):

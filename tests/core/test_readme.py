@@ -1,4 +1,4 @@
-"""The README tells the truth about today's tree."""
+"""Examples, commands, files and names in the README exist and work."""
 
 import re
 import shlex

@@ -1,7 +1,4 @@
-"""Grasps.
-
-Statics against the toolbox's figures and against the equations themselves, and contacts on hands.
-"""
+"""Statics of grasps against the toolbox's numbers and the equations, and contacts on hands."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ def figures(load_data: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
 
 @dataclasses.dataclass
 class Problem:
-    """A made-up grasp: J, G, S and the three stiffnesses as matrices."""
+    """A random grasp: J, G, S and the three stiffnesses as matrices."""
 
     J: np.ndarray
     G: np.ndarray
@@ -83,10 +80,7 @@ def problems(draw: st.DrawFn) -> Problem:
 
 
 def close_to(expected: Any, relative: float) -> Any:
-    """Equal within a part of the largest number.
-
-    Single entries may be zeros that came out as rounding.
-    """
+    """Approximate relative to the largest entry, as single entries may be rounding errors."""
     expected = np.asarray(expected)
     return pytest.approx(expected, rel=0.0, abs=relative * max(np.abs(expected).max(), 1e-300))
 

@@ -1,4 +1,4 @@
-"""Closing hands by their collision shapes, planning grasps, and rating them."""
+"""Closing hands on objects, planning grasps and rating them."""
 
 from __future__ import annotations
 
@@ -47,9 +47,13 @@ def load(name: str) -> Hand:
 
 @pytest.fixture(
     scope="module",
-    # The left hand mirrors the right one; see the test of the mirror below.
+    # The left hand mirrors the right one (see the test of the mirror below), and the Allegro hand
+    # has the largest meshes.
     params=[
-        pytest.param(name, marks=pytest.mark.slow if name == "human_left" else ()) for name in HANDS
+        pytest.param(
+            name, marks=pytest.mark.slow if name in ("human_left", "allegro_right") else ()
+        )
+        for name in HANDS
     ],
 )
 def plan(request: pytest.FixtureRequest) -> list[PlannedGrasp]:
@@ -63,7 +67,7 @@ def plan(request: pytest.FixtureRequest) -> list[PlannedGrasp]:
 
 
 def distance_from(shape: Shape, point: np.ndarray) -> tuple[float, np.ndarray]:
-    """Of a point outside a shape, in the shape's frame: how far, and where the shape is nearest."""
+    """Distance of a point outside a shape, and the nearest point of the shape, in its frame."""
     match shape:
         case Box(size):
             nearest = np.clip(point, -0.5 * np.array(size), 0.5 * np.array(size))
@@ -76,7 +80,7 @@ def distance_from(shape: Shape, point: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def carried_by(hand: Hand, joint: int, links: Sequence[str]) -> set[str]:
-    """Links that a joint moves, found by moving it."""
+    """Return the links that a joint moves, by moving it."""
     q = np.array(hand.rest)
     before = hand.link_poses(links, q)
     q[joint] += 0.1
@@ -97,7 +101,7 @@ def closer_for(grasp: Grasp) -> HandCloser:
 
 def test_closing_never_reaches_into_the_object(plan: Sequence[PlannedGrasp]) -> None:
     for grasp in (one.grasp for one in plan):
-        # A link that touches is one margin away, but for the last microradian.
+        # A link that touches is one margin away, up to the last microradian.
         assert closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 1e-6
 
 
@@ -227,7 +231,7 @@ def test_a_closing_has_to_fit_its_hand(change: dict[str, np.ndarray], what: str)
 @pytest.mark.parametrize("name", ["three_finger", "human"])
 def test_geometry_finds_the_joints_that_the_toolbox_closes(name: str) -> None:
     hand = load(name)
-    # Under another name, the hand has no figures of its own.
+    # Under another name, the hand has no `grasp_cube50.json`.
     stranger = Hand(msgspec.structs.replace(hand.spec, name="stranger"))
     found, known = default_preshape(stranger).direction, default_preshape(hand).direction
     fingers = [i for i, joint in enumerate(hand.joint_names) if not joint.startswith("thumb")]

@@ -1,4 +1,4 @@
-"""How faithful a motion is: fingers, palm and smoothness against numbers known beforehand."""
+"""Quality of a mapped motion: fingers, palm and smoothness of motions with known values."""
 
 from dataclasses import replace
 
@@ -71,7 +71,7 @@ def test_the_same_motion_is_perfectly_faithful() -> None:
     assert quality.correlation == pytest.approx(1.0, abs=1e-12)
     assert quality.range_ratio == pytest.approx(1.0, abs=1e-12)
     assert quality.wrist_distance == pytest.approx(0.0, abs=1e-12)
-    # The angle of a rotation that is one up to rounding is the root of the rounding.
+    # Near the identity, the angle is as inaccurate as the square root of the rounding error.
     assert quality.wrist_angle == pytest.approx(0.0, abs=1e-7)
     assert (quality.speed, quality.jerk) == (quality.human_speed, quality.human_jerk)
     assert quality.share_at_limit == 0.0

@@ -1,7 +1,4 @@
-"""The paper's experiment (Sec. IV).
-
-Its numbers against an earlier reproduction, and what holds whatever the numbers are.
-"""
+"""The paper's experiment (Sec. IV): an earlier reproduction's numbers, and general properties."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -61,7 +58,6 @@ def run(scene: Scene, synergy: int, **choices: Any) -> Run:
 
 
 # -- the reference numbers
-# ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
@@ -128,9 +124,9 @@ def test_one_metre_from_the_origin(
 def test_about_the_origin_the_deformation_is_lost(
     scene: Scene, table: dict[str, Any], synergy: int
 ) -> None:
-    # The table does not say in which direction its metre goes, and the result is no smooth function
-    # of it (see below): 42 and 10.5 mm come out along x within 15 %, 7.3 mm does not, and any of
-    # them is many times what the centroid gives.
+    # The table does not give the direction of its 1 m offset, and the result is ill-conditioned in
+    # it (see below). Along x, 42 and 10.5 mm are reproduced within 15 %, 7.3 mm is not. All of them
+    # are several times the error about the centroid.
     far = object_error(run(scene.moved(METRE), synergy, pivot="origin"))
     assert far > 4.0 * object_error(run(scene.moved(METRE), synergy))
     if synergy != 2:
@@ -152,12 +148,11 @@ def test_our_hand_differs_by_its_joints_only(scene: Scene) -> None:
     for synergy in SYNERGIES:
         one, other = run(scene, synergy), run(ours, synergy)
         assert object_error(other) == pytest.approx(object_error(one), abs=1e-5)
-        # Its Jacobian weighs the joints otherwise, which the springs in them feel.
+        # Its Jacobian differs, so the compliance of its joints has another effect.
         assert object_error(other, UNIT) == pytest.approx(object_error(one, UNIT), rel=0.06)
 
 
 # -- the scene
-# ----------------------------------------------------------------------------------------------------------
 
 
 def test_the_toolbox_hand_reaches_its_contacts_at_its_angles(scene: Scene) -> None:
@@ -184,7 +179,6 @@ def test_without_a_synergy_everything_goes_with_the_wrist(scene: Scene) -> None:
 
 
 # -- followers
-# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
@@ -199,7 +193,7 @@ def test_without_limits_in_reach_the_qp_is_the_pseudoinverse_of_its_cost(
 
 @pytest.fixture(scope="module")
 def tight() -> Scene:
-    """The scene with joints that may move by four degrees."""
+    """The scene with joint limits four degrees from the start posture."""
     base, room = paper_scene("ours"), np.radians(4.0)
     return replace(
         base,
@@ -242,7 +236,6 @@ def test_the_experiment_does_what_the_mapper_does(scene: Scene) -> None:
 
 
 # -- the first step
-# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
@@ -276,7 +269,6 @@ def test_objects_move_in_comparable_directions(is_rigid: bool) -> None:
 
 
 # -- the trends of Fig. 7
-# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -304,8 +296,8 @@ def test_points_tell_fingers_that_follow_from_frozen_ones_and_the_object_does_no
 
 
 def test_the_seven_contacts_miss_a_linear_motion_by_millimetres() -> None:
-    # Eq. (5) is an assumption: over the whole way it holds to a few millimetres in contacts 50 mm
-    # apart.
+    # Eq. (5) is an assumption: over the whole path the residuals are a few millimetres, for
+    # contacts 50 mm apart.
     done = run(paper_scene("ours"), 3)
     before, after = done.human.points[0], human_motion(paper_scene("ours"), done.setting).points[-1]
     fitted = np.linalg.lstsq(np.column_stack([before, np.ones(7)]), after, rcond=None)[0]

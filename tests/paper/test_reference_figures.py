@@ -1,8 +1,4 @@
-"""Eqs.
-
-(5)-(8) against figures of the toolbox that the paper was computed with (`data/eq5_8.json`,
-millimetres).
-"""
+"""Eqs. (5) to (8) against numbers of the paper's toolbox (`data/eq5_8.json`, in millimetres)."""
 
 from __future__ import annotations
 
@@ -36,10 +32,7 @@ def motion_from(rows: list[list[float]]) -> np.ndarray:
 
 
 def assert_close(actual: np.ndarray, expected: Any, relative: float = 1e-8) -> None:
-    """Equal within `relative` of the largest number.
-
-    Single entries may be zeros that came out as rounding.
-    """
+    """Assert equality relative to the largest entry, as single entries may be rounding errors."""
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=relative * np.abs(expected).max())
 
 
@@ -51,12 +44,11 @@ def system_of_eq_6(points: np.ndarray) -> np.ndarray:
 def pivot_of(
     split: str, T: np.ndarray, human_points: np.ndarray, robot_points: np.ndarray
 ) -> np.ndarray:
-    """The pivot of ours that is the toolbox's way to place T_rb and T_def."""
+    """Return the pivot that corresponds to the toolbox's placement of T_rb and T_def."""
     if split == "origin_b":
         return np.zeros(3)
     if split == "Uinv_b":
-        # A T_def without translation fixes the origin, which is the image of the pivot: T(pivot) =
-        # 0.
+        # T_def without translation keeps the origin, the image of the pivot: T(pivot) = 0.
         return -np.linalg.solve(T[:3, :3], T[:3, 3])
     return (human_points if split == "centroid_h" else robot_points).mean(axis=0)
 
@@ -90,8 +82,8 @@ def test_three_points_do_not_determine_the_motion(figures: dict[str, Any]) -> No
 def test_minimum_norm_solutions_of_eq_6_are_the_toolbox_ones_for_three_points(
     figures: dict[str, Any], variant: str
 ) -> None:
-    # They depend on the coordinates (`raw`) or on what the missing part is filled with: why such
-    # points are refused.
+    # They depend on the coordinates (`raw`) or on the choice of the undetermined part. So such
+    # points are rejected.
     case = figures["cases"]["three_points_syn1"]
     before, after = np.array(case["p"]), np.array(case["f"])
     centre = before.mean(axis=0) if variant == "cinc" else np.zeros(3)
@@ -145,7 +137,7 @@ def test_robot_targets_and_joint_steps_are_the_toolbox_ones(
     dq = np.linalg.pinv(J) @ (targets - rigid_targets).ravel()  # eq. (8) with xi = 0
     assert_close(rigid_targets, expected["splits"][split]["p_rb"])
     assert_close(targets, expected["p_f"])
-    # Differences and what follows from them are only as good as the targets they are taken from.
+    # The tolerance on differences follows from the rounding of the targets.
     lengths = np.abs(targets).max()
     np.testing.assert_allclose(
         targets - rigid_targets, expected["splits"][split]["dp"], rtol=0.0, atol=1e-11 * lengths
