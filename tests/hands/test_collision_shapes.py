@@ -12,7 +12,7 @@ import trimesh
 
 from handmap_qp import Hand, HandError, HandSpec, IkOptions, PointSpec
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.spec import CollisionSpec, PalmSpec, WristSpec
+from handmap_qp.hands.spec import ArmSpec, CollisionSpec, PalmSpec, WristSpec, mounted
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.onboarding.detect import detect
 from handmap_qp.onboarding.measure import colliding_links
@@ -69,6 +69,31 @@ def test_meshes_are_found_from_the_urdf(tmp_path: Path, mesh: str, place: str, m
     np.testing.assert_allclose(palm.geometry.aabb_local.max_, [0.02, 0.01, 0.01], atol=1e-6)
     # The check of a description and the mapping find the same meshes.
     assert colliding_links(hand, hand.rest) == ()
+
+
+@pytest.mark.parametrize("mesh", ["part.stl", "package://arm_description/part.stl"])
+def test_meshes_of_an_arm_are_found_from_its_own_urdf(tmp_path: Path, mesh: str) -> None:
+    for name, size in (("hand", 0.02), ("arm_description", 0.04)):
+        (tmp_path / name).mkdir()
+        trimesh.creation.box((size, size, size)).export(tmp_path / name / "part.stl")
+    (tmp_path / "hand" / "hand.urdf").write_text(FINGER.format(mesh="part.stl"))
+    lift = FINGER.replace('"tip"', '"flange"').replace('"bend"', '"lift"')
+    (tmp_path / "arm_description" / "arm.urdf").write_text(lift.format(mesh=mesh))
+    arm = ArmSpec(
+        name="arm",
+        urdf="arm.urdf",
+        tip="flange",
+        joints=("lift",),
+        rest={"lift": 0.0},
+        directory=tmp_path / "arm_description",
+    )
+    hand = Hand(mounted(msgspec.structs.replace(SPEC, directory=tmp_path / "hand"), arm))
+    sizes = {}
+    for shape in read_collision_shapes(hand).geometryObjects:
+        shape.geometry.computeLocalAABB()
+        sizes[shape.name] = 2.0 * shape.geometry.aabb_local.max_[0]
+    assert sizes["arm_palm_0"] == pytest.approx(0.04)
+    assert sizes["palm_0"] == pytest.approx(0.02)
 
 
 def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:

@@ -143,6 +143,18 @@ def test_a_wrist_away_from_the_root_carries_the_hand(
     )
 
 
+def test_of_a_link_and_a_joint_of_one_name_the_link_is_found() -> None:
+    robot = ET.fromstring(HANDS["three_finger"].urdf_text)
+    ET.SubElement(robot, "link", {"name": SPEC.joints[0]})
+    joint = ET.SubElement(robot, "joint", {"name": "fixture", "type": "fixed"})
+    ET.SubElement(joint, "parent", {"link": "palm"})
+    ET.SubElement(joint, "child", {"link": SPEC.joints[0]})
+    ET.SubElement(joint, "origin", {"xyz": "0.5 0.6 0.7"})
+    hand = Hand(SPEC, urdf_text=ET.tostring(robot, encoding="unicode"))
+    position = hand.frame_pose(SPEC.joints[0], hand.rest)[:3, 3]
+    np.testing.assert_allclose(position, [0.5, 0.6, 0.7], atol=1e-12)
+
+
 def test_a_fixed_hand_rejects_a_wrist_pose() -> None:
     fixed = load_hand("three_finger", mount="fixed")
     assert fixed.model.nv == len(fixed.joint_names)
