@@ -146,6 +146,16 @@ def test_scaling_by_own_lengths_changes_no_shape() -> None:
     np.testing.assert_allclose(after[1], before[1], atol=1e-8)
 
 
+def test_thickness_follows_the_length_of_the_hand() -> None:
+    long = HumanLengths(bases=1.3 * DEFAULT.bases, segments=1.3 * DEFAULT.segments)
+    for path, key in (("cylinder", "radius"), ("sphere", "radius"), ("box", "size")):
+        before, after = (
+            [float(x) for e in ET.fromstring(text).iter(path) for x in e.attrib[key].split()]
+            for text in (HUMAN, scaled_human_urdf(HUMAN, long))
+        )
+        np.testing.assert_allclose(after, 1.3 * np.array(before), rtol=1e-6)
+
+
 def shape_poses(text: str) -> tuple[np.ndarray, np.ndarray]:
     """Centres and z axes of all shapes, in their joints' coordinates."""
     model = pin.buildModelFromXML(text)
