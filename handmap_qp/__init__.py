@@ -23,37 +23,52 @@ from handmap_qp.hands.library import hand_names, load_hand
 from handmap_qp.hands.spec import HandSpec, PointSpec
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances, Task, TaskRows
 from handmap_qp.mapping.decomposition import Decomposition, Primitives, decompose, primitives
 from handmap_qp.mapping.estimation import MotionEstimate, estimate_motion
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.method import Method
+from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
+from handmap_qp.mapping.methods.homogeneous import Homogeneous
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import TELEMANIPULATION, MappingOptions
+from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.step import MapStep, RobotCommand
 from handmap_qp.trackers.recording import Recording, read_recording
 
 __version__ = version("handmap-qp")
 
 __all__ = [
+    "PRESETS",
     "TELEMANIPULATION",
+    "AttachedPoints",
     "Decomposition",
     "DegeneratePointsError",
+    "FingertipVectors",
     "Hand",
     "HandError",
     "HandMapper",
     "HandSpec",
     "HandmapError",
+    "Homogeneous",
     "HumanLengths",
     "IkOptions",
     "InvalidInputError",
     "InvalidOptionsError",
     "MapStep",
     "MappingOptions",
+    "Method",
     "MissingExtraError",
     "MotionEstimate",
+    "PointDistances",
     "PointSpec",
     "Primitives",
     "Recording",
     "RecordingError",
     "RobotCommand",
+    "Task",
+    "TaskRows",
+    "Teleoperation",
     "decompose",
     "estimate_motion",
     "hand_names",

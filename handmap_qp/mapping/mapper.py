@@ -30,6 +30,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.options import MappingChanges, MappingOptions
+from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.mapping.step import MapStep, RobotCommand
 from handmap_qp.transform import (
     FARTHEST,
@@ -52,9 +53,11 @@ class HandMapper:
         human: The hand that leads, with a floating wrist; its reference points are the method's
             input.
         robot: The hand that follows.
-        method: How a sample becomes targets: a `Method`, or `MappingOptions` for the paper's
-            `Homogeneous`. The paper's with its defaults if omitted.
-        ik: Weights and settings of the QP; defaults if omitted.
+        method: How a sample becomes targets: a `Method`, the name of a preset (`teleoperation`,
+            `object` or `paper`), or `MappingOptions` for the paper's `Homogeneous`. If omitted,
+            `teleoperation` where the robot's fingers have partners on the human hand, else
+            `object`.
+        ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
         dt: Time between samples [s], where a step gives none of its own.
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
@@ -77,7 +80,7 @@ class HandMapper:
         self,
         human: Hand,
         robot: Hand,
-        method: Method | MappingOptions | None = None,
+        method: Method | MappingOptions | str | None = None,
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] = (),
@@ -97,9 +100,11 @@ class HandMapper:
         self.joint_tolerance = _check_tolerance(joint_tolerance)
         self.quat_order: QuatOrder | None = quat_order
         self._given_robot = robot
-        chosen = _method_of(method, options)
+        if method is None and not options:
+            method = default_preset(human, robot)
+        chosen, weights = _method_of(method, options)
         bound = chosen.bind(human, robot)
-        solver = PointIk(bound.robot, ik or IkOptions(), contacts=bound.contacts)
+        solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self._plan = _Plan(chosen, bound, solver, tuple(tasks))
         self._human = human.configuration()
         self._human_vector = np.zeros(human.model.nq)
@@ -332,7 +337,7 @@ class HandMapper:
 
     def configure(
         self,
-        method: Method | MappingOptions | None = None,
+        method: Method | MappingOptions | str | None = None,
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] | None = None,
@@ -343,8 +348,9 @@ class HandMapper:
         the next sample then takes its place.
 
         Args:
-            method: How a sample becomes targets; as it is if omitted.
-            ik: Weights and settings of the QP; as they are if omitted.
+            method: How a sample becomes targets, as of `HandMapper`; as it is if omitted.
+            ik: Weights and settings of the QP; as they are if omitted, or those of a preset that
+                `method` names.
             tasks: Further terms of the QP's cost; as they are if omitted.
 
         Raises:
@@ -355,7 +361,8 @@ class HandMapper:
         """
         plan, course = self._plan, self._course
         if method is not None:
-            chosen = _method_of(method, {})
+            chosen, weights = _method_of(method, {})
+            ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
             solver = plan.ik.on_hand(bound.robot, bound.contacts)
             plan = replace(plan, method=chosen, bound=bound, ik=solver)
@@ -515,14 +522,19 @@ class _Course:
     begins_at: np.ndarray | None = None
 
 
-def _method_of(method: Method | MappingOptions | None, options: MappingChanges) -> Method:
-    """Return the method that the arguments of `HandMapper` ask for."""
+def _method_of(
+    method: Method | MappingOptions | str | None, options: MappingChanges
+) -> tuple[Method, IkOptions]:
+    """Return the method that the arguments of `HandMapper` ask for, and the QP weights with it."""
+    if isinstance(method, str) and not options:
+        preset = get_preset(method)
+        return preset.method, preset.ik
     if isinstance(method, Method) and not options:
-        return method
+        return method, IkOptions()
     if method is not None and not isinstance(method, MappingOptions):
         raise InvalidOptionsError(
             option="method",
-            expected="a method, MappingOptions, or single options of it",
+            expected="a method, the name of a preset, MappingOptions, or single options of it",
             value=method,
         )
     if unknown := set(options) - set(MappingOptions.__slots__):
@@ -531,7 +543,7 @@ def _method_of(method: Method | MappingOptions | None, options: MappingChanges) 
             problem="no such option",
             advice=f"there are {', '.join(MappingOptions.__slots__)}",
         )
-    return Homogeneous(replace(method or MappingOptions(), **options))
+    return Homogeneous(replace(method or MappingOptions(), **options)), IkOptions()
 
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:

@@ -36,7 +36,7 @@ def sample(phase: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("change", CHANGES, ids=str)
 def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, Any]) -> None:
-    changed, other = HandMapper(HUMAN, ALLEGRO), HandMapper(HUMAN, ALLEGRO, **change)
+    changed, other = HandMapper(HUMAN, ALLEGRO, "paper"), HandMapper(HUMAN, ALLEGRO, **change)
     # Both start with the robot away from rest, and its wrist somewhere of its own.
     start = ALLEGRO.rest + 0.2 * (ALLEGRO.upper_limits - ALLEGRO.rest)
     for mapper in (changed, other):
@@ -65,7 +65,7 @@ def test_configuring_what_is_there_changes_nothing(ik: IkOptions, reference: Any
 
 
 def test_weights_of_the_qp_count_from_the_next_sample() -> None:
-    mapper = HandMapper(HUMAN, ALLEGRO)
+    mapper = HandMapper(HUMAN, ALLEGRO, "paper")
     mapper.map_step(*sample(0.0))
     before = mapper.map_step(*sample(0.2)).command.q
     mapper.configure(ik=IkOptions(rest_weight=100.0, has_velocity_limits=False))
@@ -75,7 +75,7 @@ def test_weights_of_the_qp_count_from_the_next_sample() -> None:
 
 
 def test_a_reference_without_wrist_is_given_up_where_the_wrist_is_needed() -> None:
-    mapper, points = HandMapper(HUMAN, ALLEGRO), HUMAN.points(*sample(0.1))
+    mapper, points = HandMapper(HUMAN, ALLEGRO, "paper"), HUMAN.points(*sample(0.1))
     mapper.reset(robot_wrist=np.eye(4))
     mapper.map_points(points)
     mapper.configure(MappingOptions(ridge=0.3))

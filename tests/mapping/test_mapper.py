@@ -41,7 +41,7 @@ def small_postures(amount: float = 0.3) -> st.SearchStrategy[np.ndarray]:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_human_motion_is_no_robot_motion(name: str) -> None:
     robot = load_hand(name)
-    mapper = HandMapper(HUMAN, robot, ik=IkOptions(rest_weight=0.0))
+    mapper = HandMapper(HUMAN, robot, "paper", ik=IkOptions(rest_weight=0.0))
     first = mapper.map_step(HUMAN.rest, np.eye(4))
     step = [mapper.map_step(HUMAN.rest, np.eye(4)) for _ in range(5)][-1]
     assert step.status == "converged"
@@ -65,7 +65,7 @@ def test_rigid_motion_of_the_human_moves_the_robot_rigidly(pose: np.ndarray) -> 
 def test_moving_the_humans_world_carries_the_wrist_and_leaves_the_joints(
     pose: np.ndarray, q: np.ndarray
 ) -> None:
-    here, there = HandMapper(HUMAN, THREE), HandMapper(HUMAN, THREE)
+    here, there = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
     here.map_step(HUMAN.rest, np.eye(4))
     there.map_step(HUMAN.rest, pose)
     moved = affine(pin.exp3(np.array([0.1, -0.2, 0.05])), np.array([0.02, 0.01, -0.03]))
@@ -98,7 +98,7 @@ def test_palm_alignment_makes_the_joints_independent_of_where_the_robot_stands(
 
 @given(q=small_postures())
 def test_initial_reference_returns_home_when_the_human_does(q: np.ndarray) -> None:
-    mapper = HandMapper(HUMAN, THREE, ik=SETTLE)
+    mapper = HandMapper(HUMAN, THREE, "paper", ik=SETTLE)
     home = mapper.map_step(HUMAN.rest, np.eye(4))
     mapper.map_step(q, affine(np.eye(3), np.array([0.1, 0.0, 0.05])))
     back = mapper.map_step(HUMAN.rest, np.eye(4))
@@ -108,7 +108,7 @@ def test_initial_reference_returns_home_when_the_human_does(q: np.ndarray) -> No
 @pytest.mark.parametrize("name", ROBOTS)
 def test_limits_hold_on_a_violent_motion(name: str) -> None:
     robot, rng = load_hand(name), np.random.default_rng(0)
-    mapper = HandMapper(HUMAN, robot, dt=0.01)
+    mapper = HandMapper(HUMAN, robot, "paper", dt=0.01)
     last = None
     for _ in range(300):
         q = rng.uniform(HUMAN.lower_limits, HUMAN.upper_limits)
@@ -128,7 +128,7 @@ def test_limits_hold_on_a_violent_motion(name: str) -> None:
 
 
 def test_map_points_agrees_with_map_step() -> None:
-    by_joints, by_points = HandMapper(HUMAN, THREE), HandMapper(HUMAN, THREE)
+    by_joints, by_points = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
     for share in (0.0, 0.1, 0.2):
         pose = affine(pin.exp3(np.array([0.0, share, 0.0])), np.array([share, 0.0, 0.0]))
         expected = by_joints.map_step(posture(share), pose)
@@ -137,7 +137,7 @@ def test_map_points_agrees_with_map_step() -> None:
 
 
 def test_released_robot_holds_still_and_goes_on_from_there() -> None:
-    mapper = HandMapper(HUMAN, THREE, ik=IkOptions(rest_weight=0.0))
+    mapper = HandMapper(HUMAN, THREE, "paper", ik=IkOptions(rest_weight=0.0))
     mapper.map_step(HUMAN.rest, np.eye(4))
     before = mapper.map_step(posture(0.2), np.eye(4))
     mapper.release()
@@ -155,7 +155,7 @@ def test_wrist_pose_is_taken_in_every_form() -> None:
     pose = pin.SE3(pin.exp3(np.array([0.1, 0.2, 0.3])), np.array([0.1, 0.2, 0.3]))
     xyz_quat_xyzw = pin.SE3ToXYZQUAT(pose)
     commands = [
-        HandMapper(HUMAN, THREE, quat_order="xyzw").map_step(HUMAN.rest, form).command
+        HandMapper(HUMAN, THREE, "paper", quat_order="xyzw").map_step(HUMAN.rest, form).command
         for form in (pose, pose.homogeneous, pose.homogeneous.tolist(), xyz_quat_xyzw)
     ]
     for command in commands[1:]:
@@ -189,7 +189,7 @@ def test_bad_wrist_poses_are_refused_and_change_nothing(bad: np.ndarray) -> None
 
 
 def _assert_refused_without_a_trace(q: np.ndarray, wrist: np.ndarray) -> None:
-    disturbed, calm = HandMapper(HUMAN, THREE), HandMapper(HUMAN, THREE)
+    disturbed, calm = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
     for mapper in (disturbed, calm):
         mapper.map_step(HUMAN.rest, np.eye(4))
     with pytest.raises(InvalidInputError):
@@ -200,7 +200,7 @@ def _assert_refused_without_a_trace(q: np.ndarray, wrist: np.ndarray) -> None:
 
 
 def test_angles_a_little_outside_are_used_and_named() -> None:
-    mapper = HandMapper(HUMAN, THREE)
+    mapper = HandMapper(HUMAN, THREE, "paper")
     q = HUMAN.rest.copy()
     q[5] = HUMAN.upper_limits[5] + 0.2
     step = mapper.map_step(q, np.eye(4))
@@ -241,7 +241,7 @@ def test_options_that_make_no_sense_are_refused(options: dict) -> None:
 
 def test_a_fixed_wrist_takes_no_rigid_part() -> None:
     with pytest.raises(InvalidOptionsError, match="mount='floating'"):
-        HandMapper(HUMAN, load_hand("three_finger", mount="fixed"))
+        HandMapper(HUMAN, load_hand("three_finger", mount="fixed"), "paper")
     mapper = HandMapper(
         HUMAN, load_hand("three_finger", mount="fixed"), rigid_from="none", alignment="palm"
     )
@@ -254,11 +254,11 @@ def test_a_fixed_wrist_takes_no_rigid_part() -> None:
 @pytest.mark.parametrize("dt", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_time_step_must_be_positive(dt: float) -> None:
     with pytest.raises(InvalidInputError):
-        HandMapper(HUMAN, THREE).map_step(HUMAN.rest, np.eye(4), dt=dt)
+        HandMapper(HUMAN, THREE, "paper").map_step(HUMAN.rest, np.eye(4), dt=dt)
 
 
 def test_reset_puts_the_robot_where_it_is_told() -> None:
-    mapper = HandMapper(HUMAN, THREE, ik=IkOptions(rest_weight=0.0))
+    mapper = HandMapper(HUMAN, THREE, "paper", ik=IkOptions(rest_weight=0.0))
     q, wrist = 0.5 * (THREE.rest + THREE.upper_limits), affine(np.eye(3), np.array([0.0, 0.5, 0.0]))
     mapper.reset(HUMAN.rest, np.eye(4), robot_q=q, robot_wrist=wrist)
     step = mapper.map_step(HUMAN.rest, np.eye(4))

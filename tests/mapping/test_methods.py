@@ -107,7 +107,7 @@ def test_writing_into_results_and_arguments_changes_nothing(method: Any) -> None
 
 def test_points_that_are_written_to_after_the_step_change_nothing() -> None:
     points = HUMAN.points(HUMAN.rest)
-    mapper, given = HandMapper(HUMAN, THREE), points.copy()
+    mapper, given = HandMapper(HUMAN, THREE, "paper"), points.copy()
     mapper.map_points(given, np.eye(4))
     given[:] = 5.0
     step = mapper.map_points(points, np.eye(4))
@@ -319,13 +319,13 @@ def test_the_residual_gives_back_what_gain_and_clamping_take_away() -> None:
         (lambda m: m.reset(robot_wrist="x"), "robot_wrist"),
         (lambda m: m.reset(HUMAN.rest), "wrist_pose"),
         (lambda m: m.reset(wrist_pose=np.eye(4)), "human_q"),
-        (lambda m: HandMapper(HUMAN, THREE, dt="x"), "dt"),
-        (lambda m: HandMapper(HUMAN, THREE, joint_tolerance=-1.0), "joint_tolerance"),
+        (lambda m: HandMapper(HUMAN, THREE, "paper", dt="x"), "dt"),
+        (lambda m: HandMapper(HUMAN, THREE, "paper", joint_tolerance=-1.0), "joint_tolerance"),
         (lambda m: HUMAN.points(["a"] * 20), "q"),
     ],
 )
 def test_what_cannot_be_used_is_named_and_changes_nothing(call: Any, argument: str) -> None:
-    mapper, untouched = HandMapper(HUMAN, THREE), HandMapper(HUMAN, THREE)
+    mapper, untouched = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
     for each in (mapper, untouched):
         each.map_step(HUMAN.rest, np.eye(4))
     with pytest.raises(InvalidInputError) as raised:

@@ -47,7 +47,7 @@ def waving(count: int = 40) -> HumanMotion:
 
 def same_motion(motion: HumanMotion) -> Trajectory:
     """The trajectory of a robot that is the human's hand and does the same."""
-    mapped = map_motion(HandMapper(HUMAN, HUMAN), motion)
+    mapped = map_motion(HandMapper(HUMAN, HUMAN, "paper"), motion)
     still = np.zeros_like(mapped.point_error)
     return replace(
         mapped,

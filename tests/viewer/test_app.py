@@ -76,7 +76,7 @@ def seek(viewer: ReplayViewer, index: int) -> None:
 
 def test_replay_gives_the_commands_of_map_motion() -> None:
     replay, motion = make_replay(), closing_motion()
-    expected = map_motion(HandMapper(motion.human, replay.robot), motion)
+    expected = map_motion(HandMapper(motion.human, replay.robot, "paper"), motion)
     np.testing.assert_allclose(
         [sample.robot_q for sample in replay.samples], expected.q, atol=1e-12
     )
