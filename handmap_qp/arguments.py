@@ -5,15 +5,20 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Annotated, Any
 
 import tyro
 
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.method import Method
+from handmap_qp.mapping.methods.homogeneous import Homogeneous
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.presets import PRESETS, Preset, PresetName, default_preset
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
@@ -28,18 +33,60 @@ class MappingArguments:
     """What a command needs to know to map a human hand to a robot hand.
 
     Attributes:
+        preset: What the mapping is for. `teleoperation`: gestures and pinches, finger by finger.
+            `object`: in-hand motion, without partners. `paper`: eqs. (5)-(8) as published. If
+            omitted, teleoperation where fingers correspond, else object; paper where one of its
+            options is given.
         human_points: Set of reference points on the human hand; `handmap hands human` lists them.
         robot_points: Set of reference points on the robot hand; `handmap hands HAND` lists them.
-        mapping: How the human's motion becomes the robot's.
+            Teleoperation takes fingertips and middle joints by itself.
+        mapping: How T is estimated and imposed; for the presets paper and object.
+        teleoperation: How fingers follow fingers; for the preset teleoperation.
         ik: Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.
+            Those not given are the preset's.
     """
 
+    preset: PresetName | None = None
     human_points: PointSet = None
     robot_points: PointSet = None
     mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(
         default_factory=MappingOptions
     )
+    teleoperation: Annotated[Teleoperation, tyro.conf.arg(name="teleoperation")] = field(
+        default_factory=Teleoperation
+    )
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
+
+    def preset_for(self, human: Hand, robot: Hand, contact_gap: float | None = None) -> Preset:
+        """Return the chosen method and QP weights for two hands.
+
+        Args:
+            human: The hand that leads.
+            robot: The hand that follows.
+            contact_gap: The measured contact gap [m], used unless one is given.
+
+        Raises:
+            InvalidInputError: If an option is given that the preset does not have.
+        """
+        mapping = _given(self.mapping, MappingOptions())
+        fingers = _given(self.teleoperation, Teleoperation())
+        name = self.preset or ("paper" if mapping else default_preset(human, robot))
+        chosen = PRESETS[name]
+        foreign = fingers if isinstance(chosen.method, Homogeneous) else mapping
+        if foreign:
+            prefix = "--teleoperation." if foreign is fingers else "--"
+            raise InvalidInputError(
+                argument=prefix + min(foreign).replace("_", "-"),
+                problem=f"the preset {name} has no such option",
+                advice="choose another --preset, or leave it out",
+            )
+        if contact_gap is not None:
+            fingers = {"contact_gap": contact_gap, **fingers}
+        method: Method = Teleoperation(**fingers)
+        if isinstance(chosen.method, Homogeneous):
+            method = Homogeneous(replace(chosen.method.options, **mapping))
+        ik = replace(chosen.ik, **_given(self.ik, IkOptions()))
+        return chosen._replace(method=method, ik=ik)
 
     def load_robot(self, name: str) -> Hand:
         """Load a robot hand with the chosen reference points.
@@ -51,17 +98,18 @@ class MappingArguments:
 
     def changed(self) -> list[str]:
         """Return the options that differ from their defaults, as `--ridge` or `--ik.damping`."""
-        return _changed(self, MappingArguments(), "--")
+        usual, names = MappingArguments(), []
+        for item in fields(self):
+            value, default = getattr(self, item.name), getattr(usual, item.name)
+            if is_dataclass(value):
+                prefix = "--" if item.name == "mapping" else f"--{item.name}."
+                names += [prefix + name.replace("_", "-") for name in _given(value, default)]
+            elif value != default:
+                names.append("--" + item.name.replace("_", "-"))
+        return names
 
 
-def _changed(given: Any, default: Any, prefix: str) -> list[str]:
-    names = []
-    for item in fields(given):
-        value, usual = getattr(given, item.name), getattr(default, item.name)
-        if value == usual:
-            continue
-        if is_dataclass(value):
-            names += _changed(value, usual, f"{prefix}ik." if item.name == "ik" else prefix)
-        else:
-            names.append(prefix + item.name.replace("_", "-"))
-    return names
+def _given(options: Any, default: Any) -> dict[str, Any]:
+    """Return the fields of options that differ from their defaults, by name."""
+    values = {item.name: getattr(options, item.name) for item in fields(options)}
+    return {name: value for name, value in values.items() if value != getattr(default, name)}

@@ -75,13 +75,13 @@ class Demo:
 class Map:
     """Map a recording of a human hand to a robot hand.
 
-    Measures the human hand, fits its joint angles to the landmarks, maps every sample, and prints a
-    summary of errors [mm] and times [us]. Writes an .npz file with time [s], joint_names, q [rad or
+    Measures the human hand, maps the landmarks of every sample, and prints a summary of errors [mm]
+    and times [us]. Writes an .npz file with time [s], joint_names, q [rad or
     m], wrist (poses), targets and points [m], point_error [m], valid, versions and more.
 
     Examples:
         handmap map recording.npz --robot three_finger
-        handmap map recording.npz --robot my_hand.yaml --rigid-from wrist --json
+        handmap map recording.npz --robot my_hand.yaml --preset object --json
 
     Attributes:
         recording: Recording of a human hand: an .npz file with handedness, time [s] of shape (T,)
@@ -107,8 +107,8 @@ class Map:
         """Read, fit and map the recording, write the trajectory, and print a summary."""
         from handmap_qp.mapping.mapper import HandMapper
         from handmap_qp.offline.summary import summarise, table_rows
-        from handmap_qp.offline.trajectory import map_motion, save_npz
-        from handmap_qp.trackers.landmarks import fit_recording
+        from handmap_qp.offline.trajectory import map_recording, save_npz
+        from handmap_qp.trackers.landmarks import measure_contact_gap, scaled_human
         from handmap_qp.trackers.recording import read_recording
 
         recording = read_recording(self.recording)
@@ -116,14 +116,13 @@ class Map:
         out = check_output(
             "--out", self.out or Path(f"{recording.name}_{robot.name}.npz"), (".npz",)
         )
-        with progress("fitting the human hand", len(recording)) as advance:
-            motion = fit_recording(recording, advance)
-        human = motion.human.with_points(self.arguments.human_points)
-        mapper = HandMapper(human, robot, self.arguments.mapping, ik=self.arguments.ik)
+        human = scaled_human(recording, points=self.arguments.human_points)
+        preset = self.arguments.preset_for(human, robot, measure_contact_gap(recording))
+        mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
-            trajectory = map_motion(mapper, motion, advance)
+            trajectory = map_recording(mapper, recording, advance)
         save_npz(out, trajectory.columns)
-        summary = {"recording": recording.name, **summarise(motion, trajectory), "out": str(out)}
+        summary = {"recording": recording.name, **summarise(trajectory), "out": str(out)}
         if self.json:
             print(json.dumps(summary, allow_nan=False))
             return

@@ -33,6 +33,13 @@ _MIDDLE_WEIGHT = 0.3
 # The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
 # oppose from different sides, so neither its own base nor the knuckles alone say where it belongs.
 _THUMB_FROM_PINCH, _THUMB_GAIN = 0.3, 0.9
+# The model's own resting thumb lies farther in front of the palm than any recorded one [rad].
+_RESTING_THUMB = {
+    "thumb_TM_abduction": 0.65,
+    "thumb_TM_flexion": 0.45,
+    "thumb_MCP_flexion": 0.1,
+    "thumb_IP_flexion": -0.2,
+}
 # The palm stays where it is, and nothing hurries.
 _STILL = IkOptions(
     wrist_position_weight=1e3,
@@ -79,6 +86,9 @@ class HandPair:
         matched: The robot's joint positions that match the human's rest posture, shape (n,).
         human_rest: Human reference points at rest, in palm axes [m], shape (n_h, 3).
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
+        human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
+        robot_knuckles: The same of the robot.
+        robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
 
     Raises:
         InvalidOptionsError: If the hands have no finger in common, or the human's reference points
@@ -102,7 +112,7 @@ class HandPair:
         self.shape_points = np.array(
             [names[name] for f in FINGERS for name in (TIPS[f], MIDDLES[f]) if name in names]
         )
-        self.human_rest = frozen(_points_in_palm(human, human.rest))
+        self.human_rest = frozen(_points_in_palm(human, _resting(human)))
         self.human_reach = np.array([_bone_length(human, finger) for finger in self.fingers])
         self.robot_reach = np.array([self.chains[finger].reach for finger in self.fingers])
         self.reach_ratios = self.robot_reach / self.human_reach
@@ -110,6 +120,19 @@ class HandPair:
         self.finger_ratio = float(self.reach_ratios[others or [0]].mean())
         self.matched = frozen(self._match() if matched is None else np.array(matched, dtype=float))
         self.robot_rest = frozen(_points_in_palm(self.robot, self.matched))
+        self._measure_centres()
+
+    def _measure_centres(self) -> None:
+        """Find the centres of the knuckles, and of the robot's tips and middle joints."""
+        others = [i for i, finger in enumerate(self.fingers) if finger != THUMB] or [0]
+        places = [self.chains[f].knuckle for f in self.fingers]
+        at_rest = _points_in_palm_at(self.robot, places, self.matched)
+        self.robot_knuckles = frozen(at_rest[others].mean(axis=0))
+        self.human_knuckles = frozen(self.human_rest[self.knuckles[others]].mean(axis=0))
+        used = self._used_chains().values()
+        points = [place for chain in used for place in (chain.tip, chain.middle)]
+        centre = _points_in_palm_at(self.robot, points, self.matched).mean(axis=0)
+        self.robot_centre = frozen(centre)
 
     def robot_distance(self, finger: str) -> float:
         """Return the distance from knuckle to tip of a robot finger in the matched posture [m]."""
@@ -217,12 +240,24 @@ def _points_in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
     return transform_points(inverse_pose(hand.frame_pose("palm", q)), hand.points(q))
 
 
-def _points_in_palm_at(hand: Hand, places: list[tuple[int, np.ndarray]]) -> np.ndarray:
-    """Return points on joints in palm axes with the hand at rest [m], shape (k, 3)."""
+def _points_in_palm_at(
+    hand: Hand, places: list[tuple[int, np.ndarray]], q: np.ndarray | None = None
+) -> np.ndarray:
+    """Return points on joints in palm axes, at rest if no posture is given [m], shape (k, 3)."""
+    posture = hand.rest if q is None else q
     configuration = hand.configuration()
-    configuration.place_frames(hand.configuration_vector(hand.rest))
+    configuration.place_frames(hand.configuration_vector(posture))
     points = AttachedPoints(hand, places).positions(configuration)
-    return transform_points(inverse_pose(hand.frame_pose("palm", hand.rest)), points)
+    return transform_points(inverse_pose(hand.frame_pose("palm", posture)), points)
+
+
+def _resting(human: Hand) -> np.ndarray:
+    """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
+    q = human.rest.copy()
+    for joint, angle in _RESTING_THUMB.items():
+        if joint in human.joint_names:
+            q[human.joint_names.index(joint)] = angle
+    return q
 
 
 def _bone_length(human: Hand, finger: str) -> float:

@@ -7,31 +7,45 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanSample, RobotPosture
-from handmap_qp.transform import affine, inverse_pose
+from handmap_qp.transform import affine, frozen, inverse_pose
+
+_ORIGIN = frozen(np.zeros(3))
 
 
 class PalmFollower:
     """Moves the robot's palm as the human's palm moves from a reference on.
 
-    Rotations and translations are the same in the axes of both worlds. Where the robot's palm lies
-    on the human's at the reference, it stays there. A robot whose wrist cannot move keeps its palm.
+    Both turn and translate alike in the axes of both worlds; what translates alike is an anchor on
+    each palm. Where the anchors and the axes of both palms coincide at the reference, they stay
+    together. A robot whose wrist cannot move keeps its palm.
 
     Args:
         human: The hand that leads.
         robot: The hand that follows.
         sample: The human hand at the reference.
         posture: The robot hand at the reference.
+        human_anchor: The human's anchor in its palm frame [m], shape (3,); the origin if omitted.
+        robot_anchor: The robot's, likewise.
     """
 
     def __init__(
-        self, human: Hand, robot: Hand, sample: HumanSample, posture: RobotPosture
+        self,
+        human: Hand,
+        robot: Hand,
+        sample: HumanSample,
+        posture: RobotPosture,
+        human_anchor: np.ndarray = _ORIGIN,
+        robot_anchor: np.ndarray = _ORIGIN,
     ) -> None:
         self._human_wrist_to_palm = human.wrist_to_palm
         self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
         self._is_still = not robot.has_moving_wrist
         before, self._start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
         self._rotation = before[:3, :3].T @ self._start[:3, :3]
-        self._offset = self._start[:3, 3] - before[:3, 3]
+        self._human_anchor, self._robot_anchor = human_anchor, robot_anchor
+        self._offset = transform_point(self._start, robot_anchor) - transform_point(
+            before, human_anchor
+        )
 
     def palms(self, sample: HumanSample) -> tuple[np.ndarray, np.ndarray]:
         """Return the human's palm and the target of the robot's palm, shape (4, 4) each."""
@@ -42,7 +56,8 @@ class PalmFollower:
         if self._is_still:
             return human_palm, self._start
         rotation = human_palm[:3, :3].dot(self._rotation)
-        return human_palm, affine(rotation, human_palm[:3, 3] + self._offset)
+        anchor = transform_point(human_palm, self._human_anchor) + self._offset
+        return human_palm, affine(rotation, anchor - rotation.dot(self._robot_anchor))
 
     def wrist(self, palm: np.ndarray) -> np.ndarray:
         """Return the robot's wrist pose for a pose of its palm, shape (4, 4)."""
@@ -58,6 +73,11 @@ def palm_of(sample: HumanSample, human: Hand) -> np.ndarray:
     if sample.wrist is None:
         raise _missing_wrist()
     return sample.wrist @ human.wrist_to_palm
+
+
+def transform_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Apply a pose (4, 4) to one point (3,)."""
+    return pose[:3, :3].dot(point) + pose[:3, 3]
 
 
 def _missing_wrist() -> InvalidInputError:

@@ -40,7 +40,6 @@ PRESETS: dict[str, Preset] = {
             wrist_position_weight=10.0,
             wrist_orientation_weight=10.0,
             rest_weight=0.05,
-            error_damping=1.5,
         ),
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",

@@ -7,16 +7,13 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.offline.trajectory import Trajectory
-from handmap_qp.trackers.landmarks import TIPS
-from handmap_qp.trackers.recording import HumanMotion
 
 
-def summarise(motion: HumanMotion, trajectory: Trajectory) -> dict[str, Any]:
+def summarise(trajectory: Trajectory) -> dict[str, Any]:
     """Summarise a mapped motion.
 
     Args:
-        motion: The human motion.
-        trajectory: The robot's trajectory of the same samples.
+        trajectory: The robot's trajectory.
 
     Returns:
         Numbers by name, with the unit in the name. Errors and times are taken over the valid
@@ -24,7 +21,6 @@ def summarise(motion: HumanMotion, trajectory: Trajectory) -> dict[str, Any]:
     """
     seen = trajectory.valid
     points = 1e3 * trajectory.point_error[seen]
-    fit = 1e3 * motion.fit_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
     return {
         "robot": trajectory.robot.name,
@@ -38,15 +34,6 @@ def summarise(motion: HumanMotion, trajectory: Trajectory) -> dict[str, Any]:
         "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error[seen].mean()),
         "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
         "limit_violation_max": trajectory.limit_violation,
-        "fit_error_mm_mean": float(fit.mean()),
-        "fit_error_tips_mm_mean": float(fit[:, TIPS].mean()),
-        "fit_error_mm_per_landmark": dict(
-            zip(
-                [point.name for point in motion.human.reference_points],
-                fit.mean(axis=0).round(3).tolist(),
-                strict=True,
-            )
-        ),
     }
 
 
@@ -60,12 +47,6 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
         Formatted values, with their units, by label.
     """
     number = summary
-    landmarks = number["fit_error_mm_per_landmark"]
-    fingers = ("thumb", "index", "middle", "ring", "little")
-    per_finger = [
-        ", ".join(f"{value:.1f}" for name, value in landmarks.items() if name.startswith(finger))
-        for finger in fingers
-    ]
     return {
         "samples": f"{number['samples']}, {number['held']} without a hand (robot held still)",
         "step, CPU time": (
@@ -78,12 +59,4 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
         "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
         "samples at a limit": f"{number['samples_at_limit']}",
         "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
-        "human fit error": (
-            f"{number['fit_error_mm_mean']:.2f} mm mean, "
-            f"{number['fit_error_tips_mm_mean']:.2f} mm at the tips"
-        ),
-        **{
-            f"  {finger}, base to tip": f"{values} mm"
-            for finger, values in zip(fingers, per_finger, strict=True)
-        },
     }

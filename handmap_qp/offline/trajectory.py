@@ -1,4 +1,4 @@
-"""Map a recorded human motion to a robot: `map_motion` returns a `Trajectory`."""
+"""Map a recorded motion to a robot: `map_motion` and `map_recording` return a `Trajectory`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.trackers.recording import HumanMotion
+from handmap_qp.trackers.recording import HumanMotion, Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Trajectory:
         valid: Whether the tracker saw the hand, shape (T,). The robot holds still where it did not.
         at_limit: Whether each joint is at one of its position limits, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
-        step_cpu: CPU time of each `map_step` [s], shape (T,); NaN where the robot was held.
+        step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
     """
 
     robot: Hand
@@ -104,14 +104,58 @@ def map_motion(
     Raises:
         InvalidInputError: If no sample of `motion` is valid, or a sample cannot be mapped.
     """
-    count = len(motion.time)
+    return _map_samples(
+        mapper,
+        motion.time,
+        motion.valid,
+        lambda i: mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i]),
+        progress,
+    )
+
+
+def map_recording(
+    mapper: HandMapper, recording: Recording, progress: Callable[[int], None] | None = None
+) -> Trajectory:
+    """Map the landmarks of a recording, without joint angles of the human.
+
+    The robot holds its last posture in samples that are not valid.
+
+    Args:
+        mapper: The mapper; its human hand must be scaled to the person.
+        recording: The recording.
+        progress: Called after each sample with the number of samples done.
+
+    Returns:
+        The robot's trajectory, with one entry per sample of `recording`.
+
+    Raises:
+        InvalidInputError: If no sample is valid, or a sample cannot be mapped.
+    """
+    steps = recording.steps
+    return _map_samples(
+        mapper,
+        recording.time,
+        recording.valid,
+        lambda i: mapper.map_landmarks(recording.landmarks[i], dt=steps[i]),
+        progress,
+    )
+
+
+def _map_samples(
+    mapper: HandMapper,
+    time: np.ndarray,
+    valid: np.ndarray,
+    map_sample: Callable[[int], MapStep],
+    progress: Callable[[int], None] | None,
+) -> Trajectory:
+    """Map every valid sample, by index, and hold the last posture in the others."""
+    count = len(time)
     steps: list[MapStep | None] = []
     step_cpu = np.full(count, np.nan)
-    dt = motion.dt
     for i in range(count):
-        if motion.valid[i]:
+        if valid[i]:
             started = thread_time_ns()
-            step = mapper.map_step(motion.q[i], motion.wrist[i], dt=dt[i])
+            step = map_sample(i)
             step_cpu[i] = 1e-9 * (thread_time_ns() - started)
             steps.append(step)
         else:
@@ -129,15 +173,15 @@ def map_motion(
     wrist_targets = np.array([step.wrist_target for step in filled])
     return Trajectory(
         robot=mapper.robot,
-        time=motion.time,
+        time=time,
         q=q,
         wrist=wrist,
         targets=np.array([step.targets for step in filled]),
         points=np.array([step.points for step in filled]),
         point_error=np.array([step.point_error for step in filled]),
         wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
-        valid=motion.valid,
-        at_limit=(q <= mapper.robot.lower_limits + 1e-6) | (q >= mapper.robot.upper_limits - 1e-6),
+        valid=valid,
+        at_limit=mapper.robot.at_position_limit(q),
         status=np.array([step.status for step in filled]),
         step_cpu=step_cpu,
     )

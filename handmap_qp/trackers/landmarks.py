@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import PointSpec, Side, check_side
@@ -25,6 +26,8 @@ PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
 FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
 """First joint of every finger: thumb CMC and the four MCPs."""
+CONTACT_GAPS = (0.012, 0.020)
+"""Least and largest contact gap that `measure_contact_gap` gives [m]."""
 TIPS = np.array([4, 8, 12, 16, 20])
 """The fingertips."""
 HAND_LENGTHS = (0.08, 0.35)
@@ -195,6 +198,37 @@ def measure_hand(recording: Recording) -> HumanLengths:
         palm = palm - palm[0]
     bases = np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0)
     return HumanLengths(bases=bases, segments=segments)
+
+
+def scaled_human(recording: Recording, *, points: str | None = None) -> Hand:
+    """Load the human hand of a recording's side, scaled to the person.
+
+    Args:
+        recording: The recording.
+        points: Name of a set of reference points; the hand's own if omitted.
+
+    Raises:
+        InvalidInputError: If the landmarks are not those of a hand in metres.
+        HandError: If there is no such set.
+    """
+    return load_hand(human_name(recording.side), points=points, lengths=measure_hand(recording))
+
+
+def measure_contact_gap(recording: Recording) -> float:
+    """Measure the distance between thumb and finger landmarks where the skin touches.
+
+    People touch thumb and finger now and then, so the 1st percentile of the smallest gap is taken.
+    A person who never does gives a large number, so it is bounded.
+
+    Args:
+        recording: The recording.
+
+    Returns:
+        The contact gap of tracker and person, from 12 to 20 mm [m].
+    """
+    landmarks = recording.landmarks[recording.valid]
+    gaps = np.linalg.norm(landmarks[:, TIPS[1:]] - landmarks[:, TIPS[:1]], axis=2).min(axis=1)
+    return float(np.clip(np.percentile(gaps, 1.0), *CONTACT_GAPS))
 
 
 def fit_recording(

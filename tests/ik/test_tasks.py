@@ -141,7 +141,10 @@ def test_the_end_is_a_minimum_of_the_cost_with_its_tasks() -> None:
 def test_tasks_of_ones_own_reach_the_qp_through_the_mapper() -> None:
     human, robot = load_hand("human"), load_hand("three_finger")
     task = Height(0, -0.05, 1000.0)
-    plain, tasked = HandMapper(human, robot, "paper"), HandMapper(human, robot, "paper", tasks=[task])
+    plain, tasked = (
+        HandMapper(human, robot, "paper"),
+        HandMapper(human, robot, "paper", tasks=[task]),
+    )
     for _ in range(60):
         without, within = (mapper.map_step(human.rest, np.eye(4)) for mapper in (plain, tasked))
     assert abs(without.points[0, 2] + 0.05) > 0.01

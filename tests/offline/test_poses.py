@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,14 +155,18 @@ def test_pose_that_is_held_wins_over_one_in_passing() -> None:
 
 def test_start_and_lost_samples_are_not_used() -> None:
     recording = recording_of((OPEN, 0.5))
-    recording.valid[:10] = False
-    recording.landmarks[:60] = POINTING
+    valid, landmarks = recording.valid.copy(), recording.landmarks.copy()
+    valid[:10] = False
+    landmarks[:60] = POINTING
     # Valid from 0.2 s on: used from 0.7 s, which is past the last sample that points but two.
-    recording.landmarks[33:] = OPEN
-    assert find_poses(recording)["pointing"] is None
+    landmarks[33:] = OPEN
+    late = replace(recording, valid=valid, landmarks=landmarks)
+    assert find_poses(late)["pointing"] is None
     lost = recording_of((POINTING, 0.5))
-    lost.valid[30:] = False
-    lost.landmarks[30:] = np.nan
+    valid, landmarks = lost.valid.copy(), lost.landmarks.copy()
+    valid[30:] = False
+    landmarks[30:] = np.nan
+    lost = replace(lost, valid=valid, landmarks=landmarks)
     assert find_poses(lost) == dict.fromkeys(POSES)
 
 

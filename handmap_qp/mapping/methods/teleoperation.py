@@ -24,9 +24,9 @@ from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 
 # Thumb-finger gaps [m] from which on a pinch row begins, and over which it comes to its full weight.
-_PINCH_FROM, _PINCH_OVER = 0.045, 0.025
+_PINCH_FROM, _PINCH_OVER = 0.070, 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
-_SQUEEZE = 0.004
+_SQUEEZE = 0.003
 # Margin between thumb and finger: least, per human gap beyond where it begins, most [m].
 _CONTACT_MARGIN, _CONTACT_SLOPE, _CONTACT_FROM, _CONTACT_MOST = 0.0005, 0.25, 0.018, 0.005
 # Margin between all other links [m].
@@ -53,9 +53,9 @@ class Teleoperation:
     """
 
     residual_gain: float = 1.0
-    extension_weight: float = 0.5
+    extension_weight: float = 2.0
     thumb_extension_weight: float = 3.0
-    pinch_weight: float = 8.0
+    pinch_weight: float = 5.0
     contact_gap: float = 0.013
     ridge: float = 0.1
     avoids_contact: bool = True
@@ -117,8 +117,10 @@ class BoundTeleoperation:
         self._prepare_margins()
 
     def start_palm(self, sample: HumanSample) -> np.ndarray:
-        """Return the human's palm: the robot's lies on it."""
-        return palm_of(sample, self.human)
+        """Return the human's palm, moved so that the knuckles of both hands have one centre."""
+        palm = palm_of(sample, self.human)
+        palm[:3, 3] += palm[:3, :3] @ (self.pair.human_knuckles - self.pair.robot_knuckles)
+        return palm
 
     def start(self, sample: HumanSample, robot: RobotPosture) -> TeleoperationMap:
         """Count the palm's displacement from here; the fingers start from the matched posture."""
@@ -173,12 +175,14 @@ class TeleoperationMap:
         pair = method.pair
         self.rest = pair.matched
         self._method, self._pair = method, pair
-        self._follower = PalmFollower(method.human, pair.robot, sample, robot)
+        self._follower = PalmFollower(
+            method.human, pair.robot, sample, robot, pair.human_knuckles, pair.robot_knuckles
+        )
         self._palm_before = palm_of(sample, method.human)
         self._thumb = pair.fingers.index(THUMB) if THUMB in pair.fingers else -1
         self._others = [i for i, finger in enumerate(pair.fingers) if finger != THUMB]
         self._human_partners = pair.human_rest[pair.partners]
-        self._pivot = pair.robot_rest.mean(axis=0)
+        self._pivot = pair.robot_centre
         self._offsets = pair.robot_rest - self._pivot
 
     def targets(self, sample: HumanSample) -> Targets:
