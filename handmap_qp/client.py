@@ -965,6 +965,8 @@ class AsyncClient(_Core):
 
     async def _is_ready(self, socket: zmq.asyncio.Socket, event: int, until: float) -> bool:
         """Return whether the event comes in time; False if another task closes the socket."""
+        if int(socket.EVENTS) & event:
+            return True
         poller = zmq.asyncio.Poller()
         poller.register(socket, event)
         # Closing the socket cancels this future. `wait` keeps that apart from a cancelled task.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -93,5 +94,44 @@ def test_a_task_that_waits_for_commands_takes_the_stream_that_another_task_opens
             await asyncio.sleep(0)
             await client.close()
             await asyncio.wait_for(waiting, 30.0)
+
+    asyncio.run(main())
+
+
+def test_closing_ends_a_wait_whose_command_arrives_just_then(server: Server) -> None:
+    async def main(turns: int) -> None:
+        client = AsyncClient(address_of(server), timeout=30.0)
+        await client.watch("lab")
+        waiting = asyncio.create_task(client.latest(60.0))
+        await asyncio.sleep(0.05)
+        # The command arrives while the event loop is blocked. The wait ends some turns later.
+        tracker.step(q=human_q(), wrist=WRIST)
+        time.sleep(0.02)
+        for _ in range(turns):
+            await asyncio.sleep(0.0)
+        await client.close()
+        await asyncio.wait_for(waiting, 30.0)
+
+    with connected(server, name="lab", watchdog=10.0) as tracker:
+        for turns in range(8):
+            asyncio.run(main(turns))
+
+
+def test_a_message_taken_by_another_task_is_not_an_error(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def main() -> None:
+        async with AsyncClient(address_of(server), timeout=30.0) as client:
+            await client.open("three_finger")
+            events = iter([True, True, False])
+
+            async def is_ready(*_: object) -> bool:
+                return next(events)
+
+            # The event comes, but the message is gone.
+            with monkeypatch.context() as patched:
+                patched.setattr(client, "_is_ready", is_ready)
+                assert await client._receive(client._socket("stream"), 0.0) is None
+            assert list(events) == []
 
     asyncio.run(main())

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from patience import PATIENCE, wait_until
@@ -206,3 +207,32 @@ def test_a_release_that_only_the_watchdog_told_of_outlives_the_server(free_port:
     with serving(LOCAL, port=free_port), tracker:
         after = tracker.step(q=human_q(2.0), wrist=WRIST)
         assert (tracker.reopened, after.status, after.q) == (1, "released", before.q)
+
+
+def test_a_session_that_is_lost_twice_keeps_the_last_posture(server: Server) -> None:
+    with connected(server, name="lab", watchdog=10.0) as tracker:
+        # Empty the stream, so that the client must remember the command.
+        last = wait_until(
+            lambda: tracker.step(q=human_q(), wrist=WRIST) and tracker.latest(timeout=0.1)
+        )
+        for reopened in (1, 2):
+            # As by a restart without --state.
+            in_loop(server, server.dispatcher.sessions.entries.clear)
+            assert tracker.status().q == pytest.approx(last.q, abs=1e-9)
+            assert tracker.reopened == reopened
+        request = tracker._reopen_request()
+        assert request["robot_q"] == pytest.approx(last.q, abs=1e-9)
+        assert request["robot_wrist"] == last.wrist
+
+
+def test_a_command_of_an_earlier_sample_does_not_undo_a_release(server: Server) -> None:
+    with connected(server, name="lab") as tracker:
+        earlier = tracker.step(q=human_q(), wrist=WRIST)
+        tracker.release()
+        # The stream may deliver the earlier command after the answer to the release.
+        payload = b"lab\0" + msgspec.msgpack.encode(earlier)
+        tracker._read(payload, "stream")
+        assert tracker._reopen_request()["is_released"]
+        after = msgspec.structs.replace(earlier, seq=earlier.seq + 2)
+        tracker._read(b"lab\0" + msgspec.msgpack.encode(after), "stream")
+        assert not tracker._reopen_request()["is_released"]

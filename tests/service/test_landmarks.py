@@ -115,3 +115,21 @@ def test_a_hand_of_another_size_is_not_mapped(scale: float, is_known: bool) -> N
     np.testing.assert_array_equal(session.posture[0], before)
     assert session.step(sample(landmarks=landmarks_of()), 1.0 + PERIOD).status != "failed"
     assert session.counts["steps"] == counts + 1
+
+
+def test_a_release_during_the_measurement_holds_after_it() -> None:
+    session, sample = make_session(input="landmarks"), Sampler()
+    session.step(sample(landmarks=landmarks_of()), 0.0)
+    session.release()
+    before = session.posture[0].copy()
+    commands = [
+        session.step(sample(landmarks=landmarks_of(phase=0.05 * i)), i * PERIOD)
+        for i in range(1, CALIBRATION_SAMPLES + 10)
+    ]
+    assert commands[-1].status == "released"
+    session.clutch()
+    now = (CALIBRATION_SAMPLES + 10) * PERIOD
+    command = session.step(sample(landmarks=landmarks_of(phase=2.0)), now)
+    # The reference is this sample, so the robot has nowhere to go.
+    assert "slewing" not in command.flags
+    np.testing.assert_allclose(session.posture[0], before, atol=1e-3)

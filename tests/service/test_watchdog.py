@@ -90,3 +90,13 @@ def test_commands_are_repeated_once_a_period(state: SessionState, waits: list[fl
 @pytest.mark.parametrize("state", [SessionState.WAITING, *ACTIVE], ids=lambda state: state.name)
 def test_no_command_is_repeated_while_samples_arrive(state: SessionState) -> None:
     assert not watchdog().take_turn(state, 1e6)
+
+
+@pytest.mark.parametrize("state", ACTIVE, ids=lambda state: state.name)
+def test_the_first_command_of_a_hold_is_due_at_once(state: SessionState) -> None:
+    # Shorter than the period of the heartbeats, which started with the last sample.
+    dog = Watchdog(0.2 * HEARTBEAT, None, 0.0)
+    dog.feed(5.0)
+    now = 5.0 + 0.3 * HEARTBEAT
+    assert dog.event(state, now, is_at_rest=False) is Event.SILENCE
+    assert dog.take_turn(next_state(state, Event.SILENCE), now)
