@@ -256,7 +256,9 @@ class PointIk:
             )
             step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
-            if step is None:
+            length = math.nan if step is None else math.sqrt(step.dot(step))
+            # Extreme weights or targets overflow, and solvers then return NaN.
+            if step is None or not math.isfinite(length):
                 # A joint outside its limits still comes back: zero is then no displacement that the
                 # box allows.
                 total = np.minimum(np.maximum(self._zero_step, lower), upper)
@@ -264,7 +266,7 @@ class PointIk:
             else:
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
-                last_step = math.sqrt(step.dot(step))
+                last_step = length
             # One displacement from the start, not a chain of steps: a floating wrist's twist then
             # keeps its limits exactly.
             configuration.displace(start, total)
