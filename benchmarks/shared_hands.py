@@ -1,7 +1,8 @@
 """Robot hands whose URDFs lie outside the repository: LEAP and SCHUNK SVH, by name.
 
-Their descriptions are in `benchmarks/hands/`; the URDFs are looked for in the folder that the
-environment variable `HANDMAP_HANDS` names, else in `shared/hands` beside the repository.
+Their descriptions are in `benchmarks/hands/`. Commands take them by path, with the environment
+variable `HANDMAP_HANDS` set to the folder of the URDFs. `shared_hand_spec` also looks for that
+folder at `shared/hands` beside the repository.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import msgspec
 from handmap_qp.hands.spec import HandSpec, read_hand_spec
 
 DESCRIPTIONS = Path(__file__).resolve().parent / "hands"
-FOLDERS = {"leap_right": "leap_hand", "svh_right": "schunk_hand"}
-"""Names of the hands, and the folder of each one's URDF."""
+NAMES = ("leap_right", "svh_right")
+"""Names of the hands."""
 
 
 def shared_hands_folder() -> Path | None:
@@ -36,7 +37,7 @@ def shared_hand_spec(name: str) -> HandSpec:
     """Read the description of a hand whose URDF lies outside the repository.
 
     Args:
-        name: One of `FOLDERS`.
+        name: One of `NAMES`.
 
     Returns:
         The description, for `load_hand`.
@@ -48,4 +49,5 @@ def shared_hand_spec(name: str) -> HandSpec:
     if folder is None:
         raise FileNotFoundError("no folder with shared hands: set HANDMAP_HANDS")
     spec = read_hand_spec(DESCRIPTIONS / f"{name}.yaml")
-    return msgspec.structs.replace(spec, directory=folder / FOLDERS[name])
+    urdf = spec.urdf.replace("${HANDMAP_HANDS}", str(folder))
+    return msgspec.structs.replace(spec, urdf=urdf)

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,14 +27,13 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.landmarks import PALM, measure_hand
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.recording import Recording, mirrored
 from handmap_qp.transform import inverse_pose, rigid_fit
 from peers import build, runner
 
 ROBOTS = ("allegro_hand_right", "leap_hand_right", "schunk_svh_hand_right")
 """Robots that the peers are run with, by the names of their configuration files."""
 _OWN_NAMES = {"allegro_right": "allegro_hand_right"}
-_MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,15 +219,6 @@ def peer_robot(robot: Hand) -> str:
         value=robot.name,
         got=f"{robot.name} ({robot.side})",
         advice="the peers have no configuration for it",
-    )
-
-
-def mirrored(recording: Recording) -> Recording:
-    """The recording of the other hand, mirrored: x becomes -x."""
-    return replace(
-        recording,
-        landmarks=recording.landmarks * _MIRROR,
-        side="left" if recording.side == "right" else "right",
     )
 
 

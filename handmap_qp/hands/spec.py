@@ -159,7 +159,8 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         name: Short name of the hand.
         urdf: Path of the URDF relative to `directory`, absolute, or `package://PACKAGE/path` inside
-            an installed package's `share` folder.
+            an installed package's `share` folder. It may begin with an environment variable, as in
+            `${FOLDER}/hand.urdf`.
         side: `right` or `left`.
         palm: The palm frame.
         wrist: The wrist frame and its mount.
@@ -437,7 +438,7 @@ def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...])
         message = "files extend each other in a circle"
         raise HandError(message, file=path, key="extends", value=str(other))
     base = _read_document(other, (*extending, path.resolve(), other))
-    if "urdf" not in own and not str(base.get("urdf")).startswith("package://"):
+    if "urdf" not in own and not str(base.get("urdf")).startswith(("package://", "$")):
         own["urdf"] = str(other.parent / str(base.get("urdf")))
     return {**base, **own}
 

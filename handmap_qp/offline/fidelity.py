@@ -73,6 +73,9 @@ class FingerFidelity:
         wrist_direction_deg: The same from the palm's origin to the tip [deg].
         tip_error_mm: Mean distance of the robot's tip, scaled by the ratio of hand sizes, from the
             human's, both in palm frames [mm of the human's hand].
+        tip_error_knuckles_mm: The same with each hand's tips relative to the centre of its
+            knuckles, scaled by the mean ratio of reaches. It does not depend on the origin of the
+            palm frame, which is a convention of each robot's description.
     """
 
     extension_correlation: float
@@ -81,6 +84,7 @@ class FingerFidelity:
     direction_deg: float
     wrist_direction_deg: float
     tip_error_mm: float
+    tip_error_knuckles_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +98,8 @@ class Fidelity:
         finger_direction_deg: Mean over fingers and samples, from knuckle to tip [deg].
         wrist_direction_deg: The same from the palm's origin to the tip [deg].
         tip_error_mm: Mean over fingers and samples [mm of the human's hand].
+        tip_error_knuckles_mm: The same from the centre of the knuckles, scaled by the mean ratio of
+            reaches [mm of the human's hand].
         object_rotation_deg: Mean angle between the rotations of both hands' T, which is estimated
             on tips and middle joints in the world with ridge 0.1 [deg].
         object_stretch: Mean Frobenius norm of the difference of both log-stretches.
@@ -125,6 +131,7 @@ class Fidelity:
     finger_direction_deg: float
     wrist_direction_deg: float
     tip_error_mm: float
+    tip_error_knuckles_mm: float
     object_rotation_deg: float
     object_stretch: float
     object_translation_mm: float
@@ -183,7 +190,7 @@ def assess_fidelity(
     counts = _counting(time, seen)
     _check(human, robot, time, seen, shared, counts)
     h, r = human.at(counts), robot.at(counts)
-    fingers = {name: _finger_fidelity(h, r, name) for name in shared}
+    fingers = {name: _finger_fidelity(h, r, name, shared) for name in shared}
     weights = np.array([f.extension_range for f in fingers.values()])
     correlations = np.array([f.extension_correlation for f in fingers.values()])
     rotation, stretch, translation = object_motion_error(h, r, shared)
@@ -201,6 +208,7 @@ def assess_fidelity(
         float(np.mean([f.direction_deg for f in fingers.values()])),
         float(np.mean([f.wrist_direction_deg for f in fingers.values()])),
         float(np.mean([f.tip_error_mm for f in fingers.values()])),
+        float(np.mean([f.tip_error_knuckles_mm for f in fingers.values()])),
         rotation,
         stretch,
         translation,
@@ -385,7 +393,23 @@ def rms_jerk(q: np.ndarray, time: np.ndarray, usable: np.ndarray) -> float:
     return _rms(values[good]) if good.any() else float("nan")
 
 
-def _finger_fidelity(human: HandTrace, robot: HandTrace, name: str) -> FingerFidelity:
+def knuckle_centre(hand: HandTrace, fingers: list[str]) -> np.ndarray:
+    """Centre of the knuckles in the palm frame, without the thumb's if there are others.
+
+    Args:
+        hand: The hand.
+        fingers: Fingers that count.
+
+    Returns:
+        The centre in every sample [m], shape (T, 3).
+    """
+    others = [name for name in fingers if name != THUMB] or fingers
+    return np.mean([hand.in_palm(hand.fingers[name].knuckle) for name in others], axis=0)
+
+
+def _finger_fidelity(
+    human: HandTrace, robot: HandTrace, name: str, shared: list[str]
+) -> FingerFidelity:
     one, other = human.fingers[name], robot.fingers[name]
     correlation, rms, spread = extension_match(one, other)
     tip_h, tip_r = human.in_palm(one.tip), robot.in_palm(other.tip)
@@ -393,6 +417,9 @@ def _finger_fidelity(human: HandTrace, robot: HandTrace, name: str) -> FingerFid
         tip_h - human.in_palm(one.knuckle), tip_r - robot.in_palm(other.knuckle)
     )
     scaled = tip_r * (human.size / robot.size)
+    ratio = float(np.mean([robot.fingers[f].reach / human.fingers[f].reach for f in shared]))
+    from_centre = (tip_r - knuckle_centre(robot, shared)) / ratio
+    wanted = tip_h - knuckle_centre(human, shared)
     return FingerFidelity(
         correlation,
         rms,
@@ -400,6 +427,7 @@ def _finger_fidelity(human: HandTrace, robot: HandTrace, name: str) -> FingerFid
         float(from_knuckle.mean()),
         float(angles_between(tip_h, tip_r).mean()),
         float(1e3 * np.linalg.norm(scaled - tip_h, axis=1).mean()),
+        float(1e3 * np.linalg.norm(from_centre - wanted, axis=1).mean()),
     )
 
 

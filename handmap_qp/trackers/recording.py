@@ -3,13 +3,14 @@
 A recording is an `.npz` file with at least `time (T,)` [s], `landmarks (T, 21, 3)` [m] and
 `handedness`; `valid (T,)` marks the samples in which the hand was seen. Landmarks come in the order
 of MediaPipe: wrist; thumb CMC, MCP, IP, tip; index, middle, ring and little MCP, PIP, DIP, tip.
+`wrist_pose (T, 7)` may hold the tracker's own wrist poses (`read_wrist_poses`).
 """
 
 from __future__ import annotations
 
 import os
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.transform import as_floats
+from handmap_qp.transform import as_floats, pose_from_xyz_quat
 
 LANDMARK_COUNT = 21
 
@@ -166,6 +167,48 @@ def read_recording(path: Path | str) -> Recording:
     except InvalidInputError as error:
         array = "handedness" if error.argument == "side" else error.argument
         raise RecordingError(error.what, file=file, array=array) from error
+
+
+def read_wrist_poses(path: Path | str, recording: Recording) -> np.ndarray | None:
+    """Read the tracker's own wrist poses of a recording.
+
+    They are the optional array `wrist_pose (T, 7)` of the file: position [m], then a quaternion in
+    the order w, x, y, z. Their axes are the tracker's own.
+
+    Args:
+        path: The `.npz` file.
+        recording: What `read_recording` read from it.
+
+    Returns:
+        Poses in the tracker's world, shape (T, 4, 4). Samples that are not valid have the identity.
+        None if the file has no wrist poses, or a valid sample has none.
+
+    Raises:
+        RecordingError: If the file cannot be read, or the array is not one of poses.
+    """
+    file = Path(path)
+    values = _load(file).get("wrist_pose")
+    if values is None:
+        return None
+    try:
+        rows = as_floats(values, "wrist_pose", shape=(len(recording), 7))
+        if not np.isfinite(rows[recording.valid]).all():
+            return None
+        poses = np.tile(np.eye(4), (len(rows), 1, 1))
+        for i in np.flatnonzero(recording.valid):
+            poses[i] = pose_from_xyz_quat(rows[i], "wxyz")
+    except InvalidInputError as error:
+        raise RecordingError(error.what, file=file, array="wrist_pose") from error
+    return poses
+
+
+def mirrored(recording: Recording) -> Recording:
+    """Return the recording of the other hand: x becomes -x."""
+    return replace(
+        recording,
+        landmarks=recording.landmarks * (-1.0, 1.0, 1.0),
+        side="left" if recording.side == "right" else "right",
+    )
 
 
 def _load(file: Path) -> dict[str, np.ndarray]:

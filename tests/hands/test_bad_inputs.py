@@ -24,6 +24,7 @@ from handmap_qp import (
 from handmap_qp.hands.human import scaled_human_urdf
 from handmap_qp.hands.spec import MimicSpec, PalmSpec, check_point, read_hand_spec
 from handmap_qp.hands.synergies import Synergies, load_synergies
+from handmap_qp.hands.urdf.package_data import urdf_directory
 
 HAND = load_hand("three_finger")
 CHAINED = load_hand("hey5")
@@ -278,3 +279,15 @@ def test_points_may_be_called_as_frames_and_links_are() -> None:
     hand = load_hand("human", points=points)
     np.testing.assert_allclose(hand.points(hand.rest), list(offsets.values()), atol=1e-12)
     np.testing.assert_allclose(hand.frame_pose("wrist", hand.rest), np.eye(4), atol=1e-12)
+
+
+def test_environment_variables_in_the_path_of_a_urdf(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = read_hand_spec(urdf_directory() / "three_finger" / "hand.yaml")
+    spec = msgspec.structs.replace(spec, urdf="${HANDMAP_TEST}/hand.urdf")
+    monkeypatch.delenv("HANDMAP_TEST", raising=False)
+    with pytest.raises(HandError, match="set the environment variable HANDMAP_TEST"):
+        load_hand(spec)
+    monkeypatch.setenv("HANDMAP_TEST", str(urdf_directory() / "three_finger"))
+    assert load_hand(spec).name == "three_finger"

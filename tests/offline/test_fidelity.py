@@ -112,7 +112,8 @@ def test_the_same_motion_is_perfect(trace: HandTrace) -> None:
     result = assess(trace, trace)
     assert result.extension_correlation == pytest.approx(1.0)
     assert result.pinch_order is not None
-    for name in ("extension_rms", "finger_direction_deg", "wrist_direction_deg", "tip_error_mm"):
+    zeros = ("extension_rms", "finger_direction_deg", "wrist_direction_deg")
+    for name in (*zeros, "tip_error_mm", "tip_error_knuckles_mm"):
         assert getattr(result, name) == pytest.approx(0.0, abs=1e-9), name
     for name in ("object_rotation_deg", "object_stretch", "object_translation_mm"):
         assert getattr(result, name) == pytest.approx(0.0, abs=1e-6), name
@@ -130,9 +131,39 @@ def test_a_larger_hand_that_does_the_same_is_perfect_too(trace: HandTrace) -> No
     result = assess(trace, scaled(trace, 1.6))
     assert result.extension_correlation == pytest.approx(1.0)
     assert result.tip_error_mm == pytest.approx(0.0, abs=1e-9)
+    assert result.tip_error_knuckles_mm == pytest.approx(0.0, abs=1e-9)
     assert result.finger_direction_deg == pytest.approx(0.0, abs=1e-5)
     assert result.key_vectors is not None
     assert result.key_vectors.cosine == pytest.approx(1.0)
+
+
+def test_tips_from_the_knuckles_do_not_depend_on_the_palms_origin(trace: HandTrace) -> None:
+    shift = np.eye(4)
+    shift[:3, 3] = [0.01, -0.03, 0.02]
+    other = HandTrace(trace.fingers, trace.palm @ shift, trace.size)
+    result = assess(trace, other)
+    assert result.tip_error_mm > 30.0
+    assert result.tip_error_knuckles_mm == pytest.approx(0.0, abs=1e-9)
+    # One finger of five is moved aside by 5 mm: that finger alone is wrong, by that much.
+    ring = trace.fingers["ring"]
+    aside = dataclasses.replace(ring, tip=ring.tip + np.array([0.003, 0.0, -0.004]))
+    result = assess(trace, HandTrace({**trace.fingers, "ring": aside}, trace.palm, trace.size))
+    assert result.fingers["ring"].tip_error_knuckles_mm == pytest.approx(5.0)
+    assert result.tip_error_knuckles_mm == pytest.approx(1.0)
+
+
+def test_tips_from_the_knuckles_are_scaled_by_reach(trace: HandTrace) -> None:
+    longer = {
+        name: FingerTrace(
+            name, f.knuckle, f.middle, f.knuckle + 1.5 * (f.tip - f.knuckle), 1.5 * f.reach
+        )
+        for name, f in trace.fingers.items()
+    }
+    alike = assess(trace, HandTrace(longer, trace.palm, trace.size))
+    unscaled = {name: dataclasses.replace(f, reach=f.reach / 1.5) for name, f in longer.items()}
+    other = assess(trace, HandTrace(unscaled, trace.palm, trace.size))
+    # The knuckles keep their distances, so that some error remains.
+    assert alike.tip_error_knuckles_mm < 0.6 * other.tip_error_knuckles_mm
 
 
 def test_worlds_that_lie_apart_do_not_matter(trace: HandTrace) -> None:

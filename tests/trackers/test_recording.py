@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, read_recording
-from handmap_qp.trackers.recording import HumanMotion
+from handmap_qp.trackers.recording import HumanMotion, mirrored, read_wrist_poses
 
 
 def arrays(count: int = 5) -> dict[str, np.ndarray]:
@@ -52,6 +52,40 @@ def test_samples_with_holes_are_not_valid(tmp_path: Path) -> None:
 def test_the_first_step_is_the_median_of_the_others(tmp_path: Path) -> None:
     recording = read_recording(write(tmp_path, time=np.array([0.0, 0.01, 0.03, 0.05, 0.5])))
     np.testing.assert_allclose(recording.steps, [0.02, 0.01, 0.02, 0.02, 0.45])
+
+
+def test_wrist_poses_are_xyz_and_wxyz(tmp_path: Path) -> None:
+    rows = np.tile([0.1, 0.2, 0.3, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], (5, 1))
+    rows[1] = np.nan
+    valid = np.array([True, False, True, True, True])
+    path = write(tmp_path, wrist_pose=rows, valid=valid)
+    poses = read_wrist_poses(path, read_recording(path))
+    assert poses is not None
+    quarter = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(poses[[0, 2, 3, 4]], [quarter] * 4, atol=1e-12)
+    np.testing.assert_array_equal(poses[1], np.eye(4))
+
+
+def test_wrist_poses_may_be_missing_and_must_be_poses(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    assert read_wrist_poses(path, read_recording(path)) is None
+    rows = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (5, 1))
+    rows[3] = np.nan
+    path = write(tmp_path, wrist_pose=rows)
+    assert read_wrist_poses(path, read_recording(path)) is None
+    for bad in (rows[:, :6], rows[:4], np.zeros((5, 7))):
+        path = write(tmp_path, wrist_pose=bad)
+        with pytest.raises(RecordingError) as caught:
+            read_wrist_poses(path, read_recording(path))
+        assert caught.value.array == "wrist_pose"
+
+
+def test_mirror_makes_the_other_hand(tmp_path: Path) -> None:
+    right = read_recording(write(tmp_path))
+    left = mirrored(right)
+    assert left.side == "left"
+    np.testing.assert_array_equal(left.landmarks, right.landmarks * [-1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(mirrored(left).landmarks, right.landmarks)
 
 
 BAD = {

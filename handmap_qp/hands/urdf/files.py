@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -25,7 +27,9 @@ def read_urdf(spec: HandSpec | ArmSpec) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
-        message = f"the URDF cannot be read: {error}"
+        unset = re.search(r"\$\{(\w+)\}", str(path))
+        reason = f"set the environment variable {unset[1]}" if unset else error
+        message = f"the URDF cannot be read: {reason}"
         if isinstance(spec, ArmSpec):
             raise HandError(message, key="arm.urdf", value=spec.urdf) from error
         raise spec.error(message, key="urdf", value=spec.urdf) from error
@@ -34,13 +38,15 @@ def read_urdf(spec: HandSpec | ArmSpec) -> str:
 def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     """Return the path of the URDF of a hand or an arm, which need not exist.
 
+    Environment variables in it, such as `${FOLDER}/hand.urdf`, are replaced by their values.
+
     Raises:
         MissingExtraError: If it lies in a package that is not installed.
     """
     if spec.urdf.startswith("package://"):
         package, _, inside = spec.urdf.removeprefix("package://").partition("/")
         return package_share(package) / package / inside
-    return (spec.directory or Path()) / spec.urdf
+    return (spec.directory or Path()) / os.path.expandvars(spec.urdf)
 
 
 def package_share(package: str) -> Path:
