@@ -33,6 +33,7 @@ from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import TELEMANIPULATION, MappingOptions
 from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.mapping.smoothing import Smoothing
 from handmap_qp.mapping.step import MapStep, RobotCommand
 from handmap_qp.trackers.recording import Recording, read_recording
 
@@ -66,6 +67,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "RobotCommand",
+    "Smoothing",
     "Task",
     "TaskRows",
     "Teleoperation",

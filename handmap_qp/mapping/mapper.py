@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Unpack
+from typing import Literal, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,7 @@ from handmap_qp.mapping.method import (
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.options import MappingChanges, MappingOptions
 from handmap_qp.mapping.presets import default_preset, get_preset
+from handmap_qp.mapping.smoothing import Smoothing, SmoothState, smooth_sample
 from handmap_qp.mapping.step import MapStep, RobotCommand
 from handmap_qp.transform import (
     FARTHEST,
@@ -59,6 +60,7 @@ class HandMapper:
             `object`.
         ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
+        smoothing: How samples are smoothed before they are mapped; not at all if omitted.
         dt: Time between samples [s], where a step gives none of its own.
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
         joint_tolerance: How far a human joint may be outside its limits before the sample is
@@ -84,6 +86,7 @@ class HandMapper:
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] = (),
+        smoothing: Smoothing | None = None,
         dt: float = 1.0 / 60.0,
         quat_order: QuatOrder | None = None,
         joint_tolerance: float = 0.25,
@@ -105,11 +108,12 @@ class HandMapper:
         chosen, weights = _method_of(method, options)
         bound = chosen.bind(human, robot)
         solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
-        self._plan = _Plan(chosen, bound, solver, tuple(tasks))
+        self._plan = _Plan(chosen, bound, solver, tuple(tasks), smoothing)
         self._human = human.configuration()
         self._human_vector = np.zeros(human.model.nq)
         self._start: _Start | None = _Start(robot.rest, None)
         self._course: _Course | None = None
+        self._smooth: SmoothState | None = None
         self._is_released = False
 
     @property
@@ -121,6 +125,11 @@ class HandMapper:
     def method(self) -> Method:
         """How a sample becomes targets."""
         return self._plan.method
+
+    @property
+    def smoothing(self) -> Smoothing | None:
+        """How samples are smoothed."""
+        return self._plan.smoothing
 
     @property
     def options(self) -> MappingOptions:
@@ -251,13 +260,17 @@ class HandMapper:
     ) -> MapStep:
         """Map one sample whose points are known: targets by the method, motion by the QP."""
         dt = self.dt if dt is None else _check_dt(dt)
-        plan, course = self._plan, self._course or self._course_from(sample)
+        plan, smooth = self._plan, None
+        if plan.smoothing is not None:
+            sample, smooth = smooth_sample(plan.smoothing, self._smooth, sample, dt)
+        course = self._course or self._course_from(sample)
         asked = course.map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, course.posture)
         if course is not self._course:
             self._begin(course)
+        self._smooth = smooth
         if self._is_released:
             result = plan.ik.hold()
         else:
@@ -322,7 +335,7 @@ class HandMapper:
             sample = self._human_sample(self._check_joints(human_q)[0], wrist)
             course = self._course_from(sample, start)
         self._start, self._is_released = start, False
-        self._course = None
+        self._course = self._smooth = None
         if course is not None:
             self._begin(course)
 
@@ -341,6 +354,7 @@ class HandMapper:
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] | None = None,
+        smoothing: Smoothing | Literal["none"] | None = None,
     ) -> None:
         """Change options on the way: the reference stays, and the robot goes on from where it is.
 
@@ -352,6 +366,7 @@ class HandMapper:
             ik: Weights and settings of the QP; as they are if omitted, or those of a preset that
                 `method` names.
             tasks: Further terms of the QP's cost; as they are if omitted.
+            smoothing: How samples are smoothed, `"none"` for not at all; as it is if omitted.
 
         Raises:
             InvalidOptionsError: If choices contradict each other or the hands; the mapper is then
@@ -371,6 +386,8 @@ class HandMapper:
             plan = replace(plan, ik=plan.ik.with_options(ik))
         if tasks is not None:
             plan = replace(plan, tasks=tuple(tasks))
+        if smoothing is not None:
+            plan = replace(plan, smoothing=None if smoothing == "none" else smoothing)
         self._plan, self._course = plan, course
 
     # -- the reference
@@ -502,6 +519,7 @@ class _Plan:
     bound: BoundMethod
     ik: PointIk
     tasks: tuple[Task, ...]
+    smoothing: Smoothing | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

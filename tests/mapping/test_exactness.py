@@ -71,7 +71,10 @@ def test_a_hand_mapped_to_itself_returns_its_own_points(
     for _ in range(3):
         step = mapper.map_step(near_rest(generator, 0.3), little_pose(generator))
         np.testing.assert_allclose(step.targets, step.human_points, atol=1e-12)
-        np.testing.assert_allclose(step.points, step.human_points, atol=TENTH_OF_A_MILLIMETRE)
+        # Tip and middle joint leave two postures of a finger, and the limit of its last joint may
+        # stop it on the way from one to the other.
+        bound = 1e-3 if step.at_bound.any() else TENTH_OF_A_MILLIMETRE
+        np.testing.assert_allclose(step.points, step.human_points, atol=bound)
 
 
 @pytest.mark.slow

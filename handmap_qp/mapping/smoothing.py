@@ -1,0 +1,134 @@
+"""Smoothing of human samples before they are mapped: the one-euro filter, aware of time.
+
+A low-pass filter whose cutoff rises with speed (Casiez, Roussel and Vogel, CHI 2012): a still hand is
+smoothed much, a quick one hardly lags. Targets follow from samples, so smooth samples give smooth
+targets, and the QP's speed limits hold for what the robot does. Filtered commands would break them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.mapping.method import HumanSample
+from handmap_qp.transform import affine
+
+# A gap in time longer than this starts the filter again [s].
+_LONGEST_GAP = 0.5
+# Lever that turns the wrist's angular speed into a speed of points [m].
+_HAND = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothing:
+    """How samples are smoothed.
+
+    Attributes:
+        min_cutoff: Cutoff frequency of a point at rest [Hz].
+        speed_gain: Rise of the cutoff with the speed of a point [Hz per m/s].
+        speed_cutoff: Cutoff frequency of the speed estimate [Hz].
+
+    Raises:
+        InvalidOptionsError: If a number is not finite and > 0 (`speed_gain`: >= 0).
+    """
+
+    min_cutoff: float = 1.0
+    speed_gain: float = 60.0
+    speed_cutoff: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Reject numbers without a meaning."""
+        for item in fields(self):
+            value, may_be_zero = getattr(self, item.name), item.name == "speed_gain"
+            is_number = isinstance(value, int | float) and math.isfinite(value)
+            if not (is_number and (value > 0.0 or (may_be_zero and value == 0.0))):
+                raise InvalidOptionsError(
+                    option=item.name,
+                    expected=f"a finite number {'>=' if may_be_zero else '>'} 0",
+                    value=value,
+                )
+
+
+class SmoothState(NamedTuple):
+    """What the filter remembers of the sample before.
+
+    Attributes:
+        points: Smoothed points in wrist axes, or in the world without a wrist [m], shape (n, 3).
+        speeds: Smoothed velocity of each point [m/s], shape (n, 3).
+        wrist: Smoothed wrist pose, shape (4, 4); None without a wrist.
+        twist: Smoothed velocity of the wrist, linear and angular, in its axes, shape (6,).
+    """
+
+    points: np.ndarray
+    speeds: np.ndarray
+    wrist: np.ndarray | None
+    twist: np.ndarray
+
+
+def smooth_sample(
+    options: Smoothing, before: SmoothState | None, sample: HumanSample, dt: float
+) -> tuple[HumanSample, SmoothState]:
+    """Smooth one sample; the fingers in the axes of the wrist, and the wrist itself.
+
+    Args:
+        options: How.
+        before: State after the sample before; None for the first sample.
+        sample: The human hand.
+        dt: Time since the sample before [s].
+
+    Returns:
+        The smoothed sample, and the state for the next one.
+    """
+    points = _in_wrist_axes(sample)
+    is_first = (
+        before is None or dt > _LONGEST_GAP or (before.wrist is None) != (sample.wrist is None)
+    )
+    if is_first or before is None:
+        state = SmoothState(points, np.zeros_like(points), sample.wrist, np.zeros(6))
+        return sample, state
+    speeds = _blend(before.speeds, (points - before.points) / dt, options.speed_cutoff, dt)
+    lengths = np.sqrt(np.einsum("ij,ij->i", speeds, speeds))[:, None]
+    cutoff = options.min_cutoff + options.speed_gain * lengths
+    smooth = _blend(before.points, points, cutoff, dt)
+    if sample.wrist is None or before.wrist is None:
+        state = SmoothState(smooth, speeds, None, before.twist)
+        return HumanSample(smooth, None), state
+    wrist, twist = _smooth_wrist(options, before.wrist, before.twist, sample.wrist, dt)
+    placed = smooth.dot(wrist[:3, :3].T) + wrist[:3, 3]
+    return HumanSample(placed, wrist), SmoothState(smooth, speeds, wrist, twist)
+
+
+def _smooth_wrist(
+    options: Smoothing, before: np.ndarray, twist: np.ndarray, now: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the smoothed wrist pose and its smoothed velocity."""
+    turn = pin.log3(before[:3, :3].T @ now[:3, :3])
+    shift = now[:3, 3] - before[:3, 3]
+    twist = _blend(twist, np.concatenate([shift, turn]) / dt, options.speed_cutoff, dt)
+    linear = options.min_cutoff + options.speed_gain * math.sqrt(twist[:3].dot(twist[:3]))
+    angular = options.min_cutoff + options.speed_gain * _HAND * math.sqrt(twist[3:].dot(twist[3:]))
+    rotation = before[:3, :3] @ pin.exp3(_share(angular, dt) * turn)
+    return affine(rotation, before[:3, 3] + _share(linear, dt) * shift), twist
+
+
+def _in_wrist_axes(sample: HumanSample) -> np.ndarray:
+    if sample.wrist is None:
+        return sample.points.copy()
+    return (sample.points - sample.wrist[:3, 3]).dot(sample.wrist[:3, :3])
+
+
+def _blend(
+    before: np.ndarray, now: np.ndarray, cutoff: float | np.ndarray, dt: float
+) -> np.ndarray:
+    return before + _share(cutoff, dt) * (now - before)
+
+
+def _share(cutoff: float | np.ndarray, dt: float) -> float | np.ndarray:
+    """Return the share of the new value in a first-order low-pass filter."""
+    turn = 2.0 * math.pi * dt * cutoff
+    return turn / (1.0 + turn)
