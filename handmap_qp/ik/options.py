@@ -30,6 +30,10 @@ class IkOptions:
             weighted lever (a Levenberg-Marquardt term): calms a hand or an arm that stretches after
             points out of its reach. There the linearisation leaves out a curvature of the error
             times the lever; half of that is the least that keeps the iterations from shaking.
+        speed_weight: Cost of every joint's displacement within a sample; smooths at the price of
+            lag.
+        acceleration_weight: Cost of every joint's change of speed from sample to sample, times the
+            time of the sample; likewise.
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: Linearisations per sample, at most.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm]. At
@@ -49,6 +53,8 @@ class IkOptions:
     rest_weight: float = 0.2
     damping: float = 0.1
     error_damping: float = 0.7
+    speed_weight: float = 0.0
+    acceleration_weight: float = 0.0
     solver: str = "daqp"
     max_iterations: int = 3
     step_tolerance: float = 0.1
@@ -94,6 +100,8 @@ _NUMBERS = (
     "rest_weight",
     "damping",
     "error_damping",
+    "speed_weight",
+    "acceleration_weight",
     "step_tolerance",
     "point_tolerance",
 )

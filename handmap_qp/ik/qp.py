@@ -177,6 +177,12 @@ class PointIk:
         self._rest_weight = options.rest_weight**2
         self._diagonal = np.full(nv, float(options.damping) ** 2)
         self._diagonal[first_joint:] += self._rest_weight
+        # Costs of the whole displacement of a sample, and of its difference from the last one's.
+        self._speed_cost = options.speed_weight**2
+        self._acceleration_cost = options.acceleration_weight**2
+        self._is_smooth = self._speed_cost + self._acceleration_cost > 0.0
+        self._diagonal[first_joint:] += self._speed_cost + self._acceleration_cost
+        self._first_joint = first_joint
         self._turning = options.error_damping * (np.arange(nv) >= (3 if hand.is_floating else 0))
         self._weighted_all = np.empty((3 * count + 6, hand.model.nv))
         self._H = np.empty((nv, nv))
@@ -246,6 +252,8 @@ class PointIk:
         total, last_step, iterations, end = self._zero_step, np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target, resting, tasks)
+            if self._is_smooth:
+                self._smooth(total, dt)
             # Bounds hold for the whole displacement of the sample, so later iterations get what is
             # left of them.
             box = (lower - total, upper - total) if iterations else (lower, upper)
@@ -322,8 +330,18 @@ class PointIk:
         self._linearise(
             point_targets, None if wrist_target is None else pin.SE3(wrist_target), resting, tasks
         )
+        if self._is_smooth:
+            self._smooth(self._zero_step, dt)
         lower, upper = self._limits.bounds(self.configuration.q, dt, self.state.velocity)
         return self._H.copy(), self._c.copy(), lower, upper
+
+    def _smooth(self, total: np.ndarray, dt: float) -> None:
+        """Pull the displacement so far towards zero and towards the last sample's."""
+        so_far = total[self._first_joint :]
+        self._c_joints += self._speed_cost * so_far
+        self._c_joints += self._acceleration_cost * (
+            so_far - dt * self.state.velocity[self._first_joint :]
+        )
 
     def _linearise(
         self,

@@ -106,7 +106,8 @@ class PointDistances:
         pairs: Indices of both points of each pair, shape (p, 2).
         distances: Wanted distance of each pair [m], shape (p,).
         weights: Weight of each pair per 10 mm of error, shape (p,); 1 if omitted.
-        damping: Levenberg-Marquardt factor on the curvature that the linearisation neglects.
+        damping: Levenberg-Marquardt factor of each pair on the curvature that the linearisation
+            neglects, shape (p,) or one for all.
 
     Raises:
         InvalidInputError: On wrong shapes, numbers that are not finite, or negative ones.
@@ -121,7 +122,7 @@ class PointDistances:
         distances: npt.ArrayLike,
         weights: npt.ArrayLike = 1.0,
         *,
-        damping: float = 1.5,
+        damping: npt.ArrayLike = 1.5,
     ) -> None:
         indices = as_floats(pairs, "pairs").reshape(-1, 2).astype(int)
         is_known = ((indices >= 0) & (indices < len(points))).all()
@@ -133,7 +134,7 @@ class PointDistances:
         self._first, self._second = indices.T
         self._distances = _check_numbers(distances, len(indices), "distances")
         self._weights = _check_numbers(weights, len(indices), "weights") / LENGTH_UNIT
-        self._damping = float(_check_numbers(damping, 1, "damping")[0])
+        self._damping = _check_numbers(damping, len(indices), "damping")
 
     def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
         """Return the same task with other targets, unchecked: for use sample by sample.
@@ -146,7 +147,7 @@ class PointDistances:
         """
         kept = np.flatnonzero(weights)
         task = object.__new__(PointDistances)
-        task._points, task._damping = self._points, self._damping
+        task._points, task._damping = self._points, self._damping[kept]
         task._first, task._second = self._first[kept], self._second[kept]
         task._distances, task._weights = distances[kept], weights[kept] / LENGTH_UNIT
         return task
@@ -166,7 +167,7 @@ class PointDistances:
         residual = self._weights * (lengths - self._distances)
         # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
-        return TaskRows(residual, rows, self._damping * np.abs(residual).dot(columns))
+        return TaskRows(residual, rows, (self._damping * np.abs(residual)).dot(columns))
 
 
 _UP = np.array([0.0, 0.0, 1.0])

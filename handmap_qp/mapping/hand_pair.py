@@ -29,7 +29,7 @@ TIPS = {f: f"{f}_tip" for f in FINGERS}
 """Landmark of each fingertip."""
 
 # Weight of the middle joints' position errors against the fingertips' one.
-_MIDDLE_WEIGHT = 0.3
+_MIDDLE_WEIGHT = 0.5
 # The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
 # oppose from different sides, so neither its own base nor the knuckles alone say where it belongs.
 _THUMB_FROM_PINCH, _THUMB_GAIN = 0.3, 0.9

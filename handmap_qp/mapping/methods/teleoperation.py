@@ -29,6 +29,8 @@ _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
 _SQUEEZE = 0.003
 # Margin between thumb and finger: least, per human gap beyond where it begins, most [m].
 _CONTACT_MARGIN, _CONTACT_SLOPE, _CONTACT_FROM, _CONTACT_MOST = 0.0005, 0.25, 0.018, 0.005
+# Levenberg-Marquardt factors of the distance rows: with less, gloves and coupled fingers shake.
+_EXTENSION_DAMPING, _PINCH_DAMPING = 1.5, 3.0
 # Margin between all other links [m].
 _LINK_MARGIN = 0.001
 
@@ -53,8 +55,8 @@ class Teleoperation:
     """
 
     residual_gain: float = 1.0
-    extension_weight: float = 2.0
-    thumb_extension_weight: float = 3.0
+    extension_weight: float = 1.0
+    thumb_extension_weight: float = 2.5
     pinch_weight: float = 5.0
     contact_gap: float = 0.013
     ridge: float = 0.1
@@ -139,7 +141,8 @@ class BoundTeleoperation:
         pairs += [(first, first + k) for k in range(1, len(pads))]
         places += [(pad.joint, pad.offset) for pad in pads]
         points = AttachedPoints(pair.robot, places)
-        self.distances = PointDistances(points, pairs, np.zeros(len(pairs)))
+        damping = [_EXTENSION_DAMPING] * len(pair.fingers) + [_PINCH_DAMPING] * len(self.pinched)
+        self.distances = PointDistances(points, pairs, np.zeros(len(pairs)), damping=damping)
         self.extension_weights = np.array(
             [
                 choices.thumb_extension_weight if finger == THUMB else choices.extension_weight
