@@ -60,8 +60,9 @@ def named_pairs(hand: Hand) -> ShapePairs:
 def all_pairs(hand: Hand, chains: dict[str, FingerChain]) -> ShapePairs:
     """Pair all shapes that may collide.
 
-    Pairs on one joint, on neighbouring joints, or that overlap at rest or with the hand stretched
-    are left out: links that are always in touch.
+    Pairs on one joint, on neighbouring joints, on one finger, or that overlap at rest or with the
+    hand stretched are left out. Shapes of one finger overlap at its joints as it bends, and its
+    joint limits keep it from touching itself.
 
     Args:
         hand: The hand.
@@ -72,10 +73,12 @@ def all_pairs(hand: Hand, chains: dict[str, FingerChain]) -> ShapePairs:
     """
     geometry, parents = read_collision_shapes(hand), hand.model.parents
     shapes = geometry.geometryObjects
+    owner = {joint: finger for finger, chain in chains.items() for joint in chain.joints}
     for i, first in enumerate(shapes):
         for j in range(i + 1, len(shapes)):
             a, b = first.parentJoint, shapes[j].parentJoint
-            if a != b and parents[a] != b and parents[b] != a:
+            is_one_finger = a in owner and owner.get(a) == owner.get(b)
+            if a != b and parents[a] != b and parents[b] != a and not is_one_finger:
                 geometry.addCollisionPair(pin.CollisionPair(i, j))
     pairs = list(geometry.collisionPairs)
     overlaps = _overlaps(hand, geometry)

@@ -1,0 +1,334 @@
+"""Teleoperation: what the robot's fingers do when the human's do, on several hands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mapping_cases import little_pose, near_rest
+
+from handmap_qp import (
+    HandMapper,
+    IkOptions,
+    InvalidInputError,
+    InvalidOptionsError,
+    Teleoperation,
+    hand_names,
+    load_hand,
+)
+from handmap_qp.hands.fingers import THUMB
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.methods.teleoperation import TeleoperationDiagnostics, smoothstep
+from handmap_qp.mapping.presets import PRESETS, default_preset
+from handmap_qp.offline.surface_gaps import measure_gaps
+from handmap_qp.transform import affine, inverse_pose, transform_points
+
+HUMAN = load_hand("human")
+LANDMARKS = load_hand("human", points="landmarks")
+ALLEGRO = load_hand("allegro_right")
+IK = PRESETS["teleoperation"].ik
+FINGERS = ("index", "middle", "ring", "little")
+
+
+def posture(**flexion: float) -> np.ndarray:
+    """The human's rest with fingers flexed: 0 is straight, 1 a fist."""
+    q = HUMAN.rest.copy()
+    for i, name in enumerate(HUMAN.joint_names):
+        finger, _, joint = name.partition("_")
+        if finger in flexion and "flexion" in joint and finger != THUMB:
+            q[i] = flexion[finger] * min(1.5, HUMAN.upper_limits[i])
+    return q
+
+
+OPEN = posture(**dict.fromkeys(FINGERS, 0.0))
+FIST = posture(**dict.fromkeys(FINGERS, 1.0))
+POINTING = posture(index=0.0, middle=1.0, ring=1.0, little=1.0)
+
+
+def settled(mapper: HandMapper, q: np.ndarray, wrist: np.ndarray | None = None) -> Any:
+    for _ in range(80):
+        step = mapper.map_step(q, np.eye(4) if wrist is None else wrist)
+    return step
+
+
+def flexions(robot: Hand, q: np.ndarray) -> dict[str, float]:
+    """Extension of every robot finger, as the share of its reach."""
+    pair = hand_pair(HUMAN, robot)
+    shares = {}
+    for finger in pair.fingers:
+        chain = pair.chains[finger]
+        configuration = robot.configuration()
+        configuration.place_frames(robot.configuration_vector(q))
+        ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(configuration)
+        shares[finger] = float(np.linalg.norm(ends[1] - ends[0])) / chain.reach
+    return shares
+
+
+def test_it_is_the_default_where_fingers_correspond() -> None:
+    expected = dict.fromkeys(hand_names(), "teleoperation")
+    for name in hand_names():
+        assert default_preset(HUMAN, load_hand(name)) == expected[name], name
+    assert isinstance(HandMapper(HUMAN, ALLEGRO).method, Teleoperation)
+    assert HandMapper(HUMAN, ALLEGRO).ik == IK
+    tips = HUMAN.with_points("fingertips")
+    assert default_preset(tips, ALLEGRO) == "object"
+    assert default_preset(tips, load_hand("allegro_right", mount="fixed")) == "paper"
+
+
+@pytest.mark.parametrize("robot", ["allegro_right", "allegro_left", "hey5", "human"])
+def test_a_pointing_index_points_and_a_fist_is_a_fist(robot: str) -> None:
+    human = load_hand("human_left") if robot == "allegro_left" else HUMAN
+    hand = load_hand(robot)
+    straight = flexions(hand, settled(HandMapper(human, hand), OPEN).command.q)
+    fist = flexions(hand, settled(HandMapper(human, hand), FIST).command.q)
+    pointing = flexions(hand, settled(HandMapper(human, hand), POINTING).command.q)
+    for finger in straight:
+        if finger == THUMB:
+            continue
+        assert straight[finger] - fist[finger] > 0.2, (finger, straight, fist)
+        wanted = straight if finger == "index" else fist
+        assert pointing[finger] == pytest.approx(wanted[finger], abs=0.1), finger
+
+
+def test_whoever_begins_with_a_fist_gets_a_fist() -> None:
+    first, later = HandMapper(HUMAN, ALLEGRO), HandMapper(HUMAN, ALLEGRO)
+    settled(later, OPEN)
+    from_fist, from_open = settled(first, FIST), settled(later, FIST)
+    np.testing.assert_allclose(from_fist.targets, from_open.targets, atol=1e-12)
+    # The thumb may lie before or behind the fingers, as they came first or it did.
+    one, other = (flexions(ALLEGRO, step.command.q) for step in (from_fist, from_open))
+    for finger in FINGERS[:3]:
+        assert one[finger] == pytest.approx(other[finger], abs=0.03)
+        assert one[finger] < 0.75
+
+
+def test_joint_angles_and_landmarks_of_one_hand_give_the_same_targets() -> None:
+    rng = np.random.default_rng(0)
+    by_joints, by_landmarks, by_both = (HandMapper(HUMAN, ALLEGRO) for _ in range(3))
+    for _ in range(10):
+        q, wrist = near_rest(rng, 0.8, HUMAN), little_pose(rng, 1.0)
+        landmarks = LANDMARKS.points(q, wrist)
+        expected = by_joints.map_step(q, wrist)
+        fitted = by_landmarks.map_landmarks(landmarks)
+        given = by_both.map_landmarks(landmarks, wrist)
+        for step in (fitted, given):
+            np.testing.assert_allclose(step.targets, expected.targets, atol=1e-9)
+            np.testing.assert_allclose(step.wrist_target, expected.wrist_target, atol=1e-9)
+            np.testing.assert_allclose(step.command.q, expected.command.q, atol=1e-7)
+
+
+def test_moving_the_humans_world_carries_the_wrist_and_leaves_the_joints() -> None:
+    rng = np.random.default_rng(1)
+    moved = affine(pin.exp3(np.array([0.4, -1.0, 0.7])), np.array([1.0, -2.0, 0.5]))
+    here, there = HandMapper(HUMAN, ALLEGRO), HandMapper(HUMAN, ALLEGRO)
+    for _ in range(8):
+        q, wrist = near_rest(rng, 0.8, HUMAN), little_pose(rng, 0.3)
+        one, other = here.map_step(q, wrist), there.map_step(q, moved @ wrist)
+        np.testing.assert_allclose(other.targets, transform_points(moved, one.targets), atol=1e-9)
+        np.testing.assert_allclose(other.command.q, one.command.q, atol=1e-6)
+        np.testing.assert_allclose(other.command.wrist, moved @ one.command.wrist, atol=1e-6)
+
+
+def test_the_resting_human_asks_for_the_matched_posture() -> None:
+    pair = hand_pair(HUMAN, ALLEGRO)
+    rest = HUMAN.rest.copy()
+    for joint, angle in {
+        "thumb_TM_abduction": 0.65,
+        "thumb_TM_flexion": 0.45,
+        "thumb_MCP_flexion": 0.1,
+        "thumb_IP_flexion": -0.2,
+    }.items():
+        rest[HUMAN.joint_names.index(joint)] = angle
+    step = settled(HandMapper(HUMAN, ALLEGRO), rest)
+    diagnostics = step.diagnostics
+    assert isinstance(diagnostics, TeleoperationDiagnostics)
+    np.testing.assert_allclose(diagnostics.estimate.motion, np.eye(4), atol=1e-9)
+    palm = step.wrist_target @ ALLEGRO.wrist_to_palm
+    np.testing.assert_allclose(
+        transform_points(inverse_pose(palm), step.targets), pair.robot_rest, atol=1e-9
+    )
+    # A gap of 60 mm between thumb and index already counts a little as a pinch.
+    np.testing.assert_allclose(step.command.q, pair.matched, atol=0.25)
+
+
+def test_a_hand_onto_itself_is_itself() -> None:
+    rng = np.random.default_rng(2)
+    choices = Teleoperation(pinch_weight=0.0, avoids_contact=False)
+    mapper = HandMapper(HUMAN, HUMAN, choices, ik=IK)
+    names = [point.name for point in HUMAN.reference_points]
+    used = [names.index(point.name) for point in mapper.robot.reference_points]
+    for _ in range(5):
+        q, wrist = near_rest(rng, 0.6, HUMAN), little_pose(rng, 0.2)
+        step = settled(mapper, q, wrist)
+        # The matched thumb is placed from where it pinches, so it is not quite its own.
+        distance = np.linalg.norm(step.targets - step.human_points[used], axis=1)
+        assert distance[1:].max() < 0.004
+        assert distance[0] < 0.02
+
+
+@pytest.mark.parametrize("finger", ["index", "middle", "ring"])
+def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str) -> None:
+    pair = hand_pair(HUMAN, HUMAN)
+    ends = AttachedPoints(HUMAN, [pair.chains[THUMB].tip, pair.chains[finger].tip])
+    ik = pair_solver(HUMAN)
+    ik.solve(
+        ik.configuration.points.copy(),
+        ik.configuration.wrist.homogeneous,
+        1e3,
+        tasks=[PointDistances(ends, [(0, 1)], [0.010], [10.0])],
+    )
+    q = ik.configuration.q[HUMAN.q_indices]
+    mapper = HandMapper(HUMAN, ALLEGRO, Teleoperation(contact_gap=0.013), ik=IK)
+    closed = settled(mapper, q)
+    assert closed.diagnostics.pinching.max() == 1.0
+    gaps = measure_gaps(ALLEGRO, closed.command.q[None])
+    assert -0.002 < gaps.pinches[finger][0] < 0.0015
+    opened = settled(mapper, OPEN)
+    apart = measure_gaps(ALLEGRO, opened.command.q[None])
+    assert min(gap[0] for gap in apart.pinches.values()) > 0.01
+    assert apart.nearest[0] > 0.0
+
+
+def pair_solver(hand: Hand) -> Any:
+    from handmap_qp.ik.qp import PointIk
+
+    options = IkOptions(
+        point_weight=0.0,
+        wrist_position_weight=1e3,
+        wrist_orientation_weight=1e3,
+        rest_weight=0.1,
+        max_iterations=200,
+        step_tolerance=1e-6,
+        has_velocity_limits=False,
+    )
+    ik = PointIk(hand, options)
+    ik.place(hand.configuration_vector(hand.rest))
+    return ik
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "three_finger"])
+def test_limits_hold_and_links_stay_apart_on_a_violent_motion(name: str) -> None:
+    robot, rng = load_hand(name), np.random.default_rng(3)
+    mapper, last, postures = HandMapper(HUMAN, robot, dt=0.02), None, []
+    for _ in range(150):
+        q = rng.uniform(HUMAN.lower_limits, HUMAN.upper_limits)
+        command = mapper.map_step(q, little_pose(rng, 1.0)).command
+        assert (command.q >= robot.lower_limits - 1e-12).all()
+        assert (command.q <= robot.upper_limits + 1e-12).all()
+        if last is not None:
+            assert (np.abs(command.q - last) <= robot.velocity_limits * 0.02 + 1e-12).all()
+        last = command.q
+        postures.append(command.q)
+    assert (measure_gaps(robot, np.array(postures)).nearest > -0.002).mean() > 0.97
+
+
+def test_a_real_robot_glides_from_where_it_is() -> None:
+    robot, dt = ALLEGRO, 0.02
+    start = robot.lower_limits + 0.8 * (robot.upper_limits - robot.lower_limits)
+    place = affine(pin.exp3(np.array([0.0, 0.5, 0.0])), np.array([0.3, 0.2, 0.4]))
+    mapper = HandMapper(HUMAN, robot, dt=dt)
+    mapper.reset(robot_q=start, robot_wrist=place)
+    first = mapper.map_step(FIST, np.eye(4))
+    assert (np.abs(first.command.q - start) <= robot.velocity_limits * dt + 1e-12).all()
+    last = settled(mapper, FIST)
+    # The fingers come to a fist, on a palm that stays where the robot was.
+    shares = flexions(robot, last.command.q)
+    assert max(shares[finger] for finger in FINGERS[:3]) < 0.75
+    np.testing.assert_allclose(last.command.wrist, place, atol=0.01)
+
+
+def test_a_clutch_moves_the_palms_reference_and_leaves_the_fingers() -> None:
+    mapper = HandMapper(HUMAN, ALLEGRO)
+    before = settled(mapper, FIST)
+    mapper.release()
+    far = affine(pin.exp3(np.array([0.5, 0.0, 0.0])), np.array([0.4, 0.0, 0.2]))
+    held = mapper.map_step(FIST, far)
+    np.testing.assert_array_equal(held.command.q, before.command.q)
+    mapper.clutch()
+    after = settled(mapper, FIST, far)
+    np.testing.assert_allclose(after.command.q, before.command.q, atol=0.05)
+    np.testing.assert_allclose(after.command.wrist, before.command.wrist, atol=5e-3)
+
+
+def test_presets_can_be_switched_on_the_way_without_a_jump() -> None:
+    mapper, dt = HandMapper(HUMAN, ALLEGRO, dt=0.02), 0.02
+    last = settled(mapper, POINTING).command.q
+    for preset in ("object", "paper", "teleoperation"):
+        mapper.configure(preset)
+        assert mapper.ik == PRESETS[preset].ik
+        assert type(mapper.method) is type(PRESETS[preset].method)
+        now = mapper.map_step(POINTING, np.eye(4)).command.q
+        assert (np.abs(now - last) <= ALLEGRO.velocity_limits * dt + 1e-12).all()
+        last = settled(mapper, POINTING).command.q
+
+
+def test_a_fixed_hand_and_a_hand_on_an_arm_follow_with_their_fingers() -> None:
+    free = flexions(ALLEGRO, settled(HandMapper(HUMAN, ALLEGRO), POINTING).command.q)
+    fixed_hand = load_hand("allegro_right", mount="fixed")
+    fixed = settled(HandMapper(HUMAN, fixed_hand), POINTING)
+    shares = flexions(fixed_hand, fixed.command.q)
+    for finger in FINGERS[:3]:
+        assert shares[finger] == pytest.approx(free[finger], abs=0.03)
+    arm = load_hand("ur5_allegro")
+    on_arm = flexions(arm, settled(HandMapper(HUMAN, arm), POINTING).command.q)
+    assert on_arm["index"] > 0.9
+    assert on_arm["middle"] < 0.75
+
+
+def test_what_is_needed_is_said() -> None:
+    with pytest.raises(InvalidInputError) as missing:
+        HandMapper(HUMAN, ALLEGRO).map_points(HUMAN.points(HUMAN.rest))
+    assert missing.value.argument == "wrist_pose"
+    with pytest.raises(InvalidOptionsError, match="human_points: teleoperation needs"):
+        HandMapper(HUMAN.with_points("fingertips"), ALLEGRO, "teleoperation")
+    with pytest.raises(InvalidOptionsError, match="expected one of teleoperation, object, paper"):
+        HandMapper(HUMAN, ALLEGRO, "telepathy")
+    contacts = HUMAN.with_points("contacts")
+    with pytest.raises(InvalidOptionsError, match="cannot be read from landmarks"):
+        HandMapper(contacts, ALLEGRO, "paper").map_landmarks(np.zeros((21, 3)))
+
+
+@pytest.mark.parametrize(
+    "landmarks", [np.zeros((20, 3)), np.full((21, 3), np.nan), "x", [["1"] * 3] * 21], ids=repr
+)
+def test_landmarks_that_cannot_be_used_are_named_and_change_nothing(landmarks: Any) -> None:
+    mapper, untouched = HandMapper(HUMAN, ALLEGRO), HandMapper(HUMAN, ALLEGRO)
+    good = LANDMARKS.points(HUMAN.rest)
+    mapper.map_landmarks(good)
+    untouched.map_landmarks(good)
+    with pytest.raises(InvalidInputError) as raised:
+        mapper.map_landmarks(landmarks)
+    assert raised.value.argument == "landmarks"
+    after, expected = mapper.map_landmarks(good), untouched.map_landmarks(good)
+    np.testing.assert_array_equal(after.command.q, expected.command.q)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"residual_gain": 1.5}, "residual_gain"),
+        ({"contact_gap": 0.5}, "contact_gap"),
+        ({"pinch_weight": -1.0}, "pinch_weight"),
+        ({"extension_weight": np.nan}, "extension_weight"),
+        ({"thumb_extension_weight": "much"}, "thumb_extension_weight"),
+        ({"ridge": 0.0}, "ridge"),
+    ],
+    ids=str,
+)
+def test_choices_without_a_meaning_are_rejected_by_name(options: dict[str, Any], name: str) -> None:
+    with pytest.raises(InvalidOptionsError) as raised:
+        Teleoperation(**options)
+    assert raised.value.option == name
+
+
+def test_the_step_from_0_to_1_is_smooth() -> None:
+    x = np.linspace(-0.5, 1.5, 2001)
+    y = smoothstep(x)
+    assert (np.diff(y) >= 0.0).all()
+    assert (y[x <= 0.0] == 0.0).all()
+    assert (y[x >= 1.0] == 1.0).all()
+    assert np.abs(np.diff(y, 2)).max() < 1e-5
