@@ -28,9 +28,12 @@ from handmap_qp.mapping.decomposition import Decomposition, Primitives, decompos
 from handmap_qp.mapping.estimation import MotionEstimate, estimate_motion
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
+from handmap_qp.mapping.methods import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
+from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
+from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
 from handmap_qp.mapping.options import TELEMANIPULATION, MappingOptions
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.smoothing import Smoothing
@@ -40,6 +43,7 @@ from handmap_qp.trackers.recording import Recording, read_recording
 __version__ = version("handmap-qp")
 
 __all__ = [
+    "METHODS",
     "PRESETS",
     "TELEMANIPULATION",
     "AttachedPoints",
@@ -71,6 +75,8 @@ __all__ = [
     "Task",
     "TaskRows",
     "Teleoperation",
+    "VirtualEllipsoid",
+    "VirtualSphere",
     "decompose",
     "estimate_motion",
     "hand_names",

@@ -1,1 +1,24 @@
-"""The mapping methods that come with the package, a file each."""
+"""The mapping methods that come with the package, a file each, and their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import MappingProxyType
+
+from handmap_qp.mapping.method import Method
+from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
+from handmap_qp.mapping.methods.homogeneous import Homogeneous
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
+from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
+from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
+
+METHODS: MappingProxyType[str, Callable[[], Method]] = MappingProxyType(
+    {
+        "homogeneous": Homogeneous,
+        "teleoperation": Teleoperation,
+        "fingertip-vectors": FingertipVectors,
+        "virtual-sphere": VirtualSphere,
+        "virtual-ellipsoid": VirtualEllipsoid,
+    }
+)
+"""What makes each method with its own choices, by the name that a user gives."""

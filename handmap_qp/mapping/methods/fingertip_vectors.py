@@ -14,6 +14,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.mapping.reference import require_partners
@@ -59,7 +60,7 @@ class FingertipVectorDiagnostics(msgspec.Struct, frozen=True, eq=False):
 class BoundFingertipVectors:
     """The method for two hands; see `BoundMethod`."""
 
-    contacts = None
+    contacts: ShapePairs | None = None
     needs_wrist = "wrist-to-tip vectors"
     reference_needs_wrist = ""
     renews_reference = False

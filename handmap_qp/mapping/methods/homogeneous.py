@@ -12,6 +12,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
 from handmap_qp.mapping.options import MappingOptions
@@ -50,7 +51,7 @@ class HomogeneousDiagnostics(msgspec.Struct, frozen=True, eq=False):
 class BoundHomogeneous:
     """The method for two hands; see `BoundMethod`."""
 
-    contacts = None
+    contacts: ShapePairs | None = None
 
     def __init__(self, options: MappingOptions, human: Hand, robot: Hand) -> None:
         self.options, self.human, self.robot = options, human, robot

@@ -1,0 +1,187 @@
+"""A virtual object between the fingertips: its motion on the human hand moves the robot's points.
+
+The object encloses the human's fingertips at the reference, and another one encloses the robot's
+(all reference points, where too few are fingertips). The human's object moves and deforms as its
+points do, by least squares. All of the robot's points move with the robot's object. Everything is in palm axes, and the robot's palm follows the human's.
+Points of the two hands are never paired, so the hands may have any number of fingers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+
+from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.shape_pairs import ShapePairs
+from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.palm import PalmFollower, palm_of
+from handmap_qp.transform import inverse_pose, transform_points
+
+# Points on a line leave the turn about it free: least ratio of their second singular value to the
+# first.
+_FLATTEST = 1e-3
+# Fewest points that determine a rotation.
+_FEWEST = 3
+
+
+class ObjectMotion(NamedTuple):
+    """How an object moved and deformed since its reference.
+
+    Attributes:
+        shift: Displacement of its centre [m], shape (3,).
+        linear: Rotation times stretch about the centre, shape (3, 3).
+        ratios: Size now over size at the reference: one number for a sphere, shape (1,), one per
+            principal axis of an ellipsoid, shape (3,).
+    """
+
+    shift: np.ndarray
+    linear: np.ndarray
+    ratios: np.ndarray
+
+
+class VirtualObject(Protocol):
+    """An object that encloses points at the reference.
+
+    Attributes:
+        centre: Its centre [m], shape (3,).
+        size: A length that grows as the object does [m].
+    """
+
+    centre: np.ndarray
+    size: float
+
+    def motion_to(self, points: np.ndarray) -> ObjectMotion:
+        """Return the motion that best carries the enclosed points to where they are now.
+
+        Args:
+            points: The points now [m], in the order in which they were enclosed, shape (n, 3).
+        """
+        ...
+
+
+class VirtualObjectDiagnostics(msgspec.Struct, frozen=True, eq=False):
+    """How the targets of one sample came about; all in palm axes.
+
+    Attributes:
+        human_centre: Centre of the human's object at the reference [m], shape (3,).
+        robot_centre: The same of the robot's.
+        size_ratio: k, the robot's size over the human's at the reference.
+        motion: How the human's object moved since then.
+    """
+
+    human_centre: np.ndarray
+    robot_centre: np.ndarray
+    size_ratio: float
+    motion: ObjectMotion
+
+
+class BoundVirtualObject:
+    """A method of this kind for two hands; see `BoundMethod`.
+
+    Args:
+        enclose: Encloses points, shape (n, 3).
+        scale: k; measured at the reference if None.
+        human: The hand that leads.
+        robot: The hand that follows.
+
+    Raises:
+        InvalidOptionsError: If the human has fewer than three points, or the robot fewer than two.
+    """
+
+    contacts: ShapePairs | None = None
+    needs_wrist = "the motion of the fingertips in palm axes"
+    reference_needs_wrist = ""
+    renews_reference = False
+
+    def __init__(
+        self,
+        enclose: Callable[[np.ndarray], VirtualObject],
+        scale: float | None,
+        human: Hand,
+        robot: Hand,
+    ) -> None:
+        self.enclose, self.scale = enclose, scale
+        self.human, self.robot = human, robot
+        self.human_points, self.robot_points = _tips(human, _FEWEST), _tips(robot, 2)
+
+    def start_palm(self, sample: HumanSample) -> np.ndarray:
+        """Return the human's palm."""
+        return palm_of(sample, self.human)
+
+    def start(self, sample: HumanSample, robot: RobotPosture) -> VirtualObjectMap:
+        """Enclose both hands' points as they are; see `BoundMethod.start`."""
+        return VirtualObjectMap(self, sample, robot)
+
+
+class VirtualObjectMap:
+    """From samples to targets, counted from one reference; see `TargetMap`."""
+
+    def __init__(
+        self, method: BoundVirtualObject, sample: HumanSample, robot: RobotPosture
+    ) -> None:
+        self.rest = robot.q
+        self._points = method.human_points
+        self._follower = PalmFollower(method.human, method.robot, sample, robot)
+        human_palm = palm_of(sample, method.human)
+        before = transform_points(inverse_pose(human_palm), sample.points)[self._points]
+        _check_shape(before)
+        robot_palm = robot.wrist @ method.robot.wrist_to_palm
+        robot_points = transform_points(inverse_pose(robot_palm), robot.points)
+        self._object = method.enclose(before)
+        follower = method.enclose(robot_points[method.robot_points])
+        self._centre, self._offsets = follower.centre, robot_points - follower.centre
+        self._ratio = method.scale or follower.size / self._object.size
+
+    def targets(self, sample: HumanSample) -> Targets:
+        """Move the robot's points with its object."""
+        human_palm, palm = self._follower.palms(sample)
+        now = (sample.points[self._points] - human_palm[:3, 3]).dot(human_palm[:3, :3])
+        motion = self._object.motion_to(now)
+        moved = self._offsets.dot(motion.linear.T) + (self._centre + self._ratio * motion.shift)
+        return Targets(
+            transform_points(palm, moved),
+            self._follower.wrist(palm),
+            VirtualObjectDiagnostics(
+                self._object.centre.copy(), self._centre.copy(), self._ratio, motion
+            ),
+        )
+
+
+def _tips(hand: Hand, fewest: int) -> np.ndarray:
+    """Return the indices of the fingertips among a hand's points, or of all points if too few."""
+    tips = {f"{finger}_tip" for finger in FINGERS}
+    names = [point.partner or point.name for point in hand.reference_points]
+    chosen = [k for k, name in enumerate(names) if name in tips]
+    if len(names) < fewest:
+        raise InvalidOptionsError(
+            option="method",
+            problem=f"a virtual object needs {fewest} points, and {hand.name} has {len(names)}",
+            value=len(names),
+            advice="choose more reference points",
+        )
+    # Landmarks of the palm would hide the motion of the fingers.
+    return np.array(chosen if len(chosen) >= fewest else range(len(names)))
+
+
+def check_scale(scale: float | None) -> None:
+    """Reject a ratio of sizes without a meaning.
+
+    Raises:
+        InvalidOptionsError: If it is neither None nor a finite number > 0.
+    """
+    if scale is not None and not (isinstance(scale, int | float) and 0.0 < scale < np.inf):
+        raise InvalidOptionsError(option="scale", expected="a finite number > 0", value=scale)
+
+
+def _check_shape(points: np.ndarray) -> None:
+    """Reject points that lie on a line or in one place."""
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not values[1] > _FLATTEST * values[0]:
+        raise DegeneratePointsError(
+            "the points of a virtual object lie on a line", singular_values=values
+        )
