@@ -5,7 +5,7 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any
 
 import tyro
@@ -14,11 +14,9 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.method import Method
-from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.presets import PRESETS, Preset, PresetName, default_preset
+from handmap_qp.mapping.presets import Choice, PresetName, default_preset, preset_choice
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
@@ -57,8 +55,8 @@ class MappingArguments:
     )
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
 
-    def preset_for(self, human: Hand, robot: Hand, contact_gap: float | None = None) -> Preset:
-        """Return the chosen method and QP weights for two hands.
+    def preset_for(self, human: Hand, robot: Hand, contact_gap: float | None = None) -> Choice:
+        """Return the chosen preset, method and QP weights for two hands.
 
         Args:
             human: The hand that leads.
@@ -71,8 +69,8 @@ class MappingArguments:
         mapping = _given(self.mapping, MappingOptions())
         fingers = _given(self.teleoperation, Teleoperation())
         name = self.preset or ("paper" if mapping else default_preset(human, robot))
-        chosen = PRESETS[name]
-        foreign = fingers if isinstance(chosen.method, Homogeneous) else mapping
+        chosen = preset_choice(name, contact_gap)
+        own, foreign = (fingers, mapping) if chosen.is_teleoperation else (mapping, fingers)
         if foreign:
             prefix = "--teleoperation." if foreign is fingers else "--"
             raise InvalidInputError(
@@ -80,13 +78,7 @@ class MappingArguments:
                 problem=f"the preset {name} has no such option",
                 advice="choose another --preset, or leave it out",
             )
-        if contact_gap is not None:
-            fingers = {"contact_gap": contact_gap, **fingers}
-        method: Method = Teleoperation(**fingers)
-        if isinstance(chosen.method, Homogeneous):
-            method = Homogeneous(replace(chosen.method.options, **mapping))
-        ik = replace(chosen.ik, **_given(self.ik, IkOptions()))
-        return chosen._replace(method=method, ik=ik)
+        return chosen.with_changes(own | _given(self.ik, IkOptions()))
 
     def load_robot(self, name: str) -> Hand:
         """Load a robot hand with the chosen reference points.

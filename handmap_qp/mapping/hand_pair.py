@@ -15,6 +15,7 @@ from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.pads import Pad, find_pads
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
@@ -96,14 +97,13 @@ class HandPair:
     """
 
     def __init__(self, human: Hand, robot: Hand, matched: np.ndarray | None = None) -> None:
-        self.human = human
+        self.human, self._given_robot = human, robot
         names = {point.name: k for k, point in enumerate(human.reference_points)}
-        self.chains = find_fingers(robot)
+        self.chains, self.pads = _fingers_and_pads(robot)
         self.fingers = tuple(
             finger for finger in FINGERS if finger in self.chains and self.chains[finger].joints
         )
         self._check(names)
-        self.pads: dict[str, Pad] = find_pads(robot, self.chains)
         self.robot = robot.with_points(tuple(_finger_points(robot, self._used_chains())))
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
@@ -133,6 +133,11 @@ class HandPair:
         points = [place for chain in used for place in (chain.tip, chain.middle)]
         centre = _points_in_palm_at(self.robot, points, self.matched).mean(axis=0)
         self.robot_centre = frozen(centre)
+
+    @property
+    def contacts(self) -> ShapePairs:
+        """All pairs of the robot's collision shapes that may collide."""
+        return _contacts(self._given_robot)
 
     def robot_distance(self, finger: str) -> float:
         """Return the distance from knuckle to tip of a robot finger in the matched posture [m]."""
@@ -200,7 +205,19 @@ class HandPair:
         )
 
 
+# A robot's parts are shared by all people, because reading meshes takes longest.
 @lru_cache(maxsize=32)
+def _fingers_and_pads(robot: Hand) -> tuple[dict[str, FingerChain], dict[str, Pad]]:
+    chains = find_fingers(robot)
+    return chains, find_pads(robot, chains)
+
+
+@lru_cache(maxsize=32)
+def _contacts(robot: Hand) -> ShapePairs:
+    return all_pairs(robot, _fingers_and_pads(robot)[0])
+
+
+@lru_cache(maxsize=128)
 def hand_pair(human: Hand, robot: Hand, matched: tuple[float, ...] | None = None) -> HandPair:
     """Return the pair of two hands, solved once; arguments as of `HandPair`."""
     return HandPair(human, robot, None if matched is None else np.array(matched))

@@ -293,9 +293,8 @@ class HandMapper:
             kept = _copied(sample)
             posture = RobotPosture(command.q.copy(), result.points.copy(), command.wrist.copy())
             self._course = _Course(kept, posture, plan.bound.start(kept, posture))
-        return MapStep(
-            command, sample.points, asked, result, out_of_range, perf_counter() - started
-        )
+        duration = perf_counter() - started
+        return MapStep(command, sample.points, sample.wrist, asked, result, out_of_range, duration)
 
     def reset(
         self,

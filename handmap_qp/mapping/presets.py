@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, get_args
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from typing import Any, Literal, NamedTuple, get_args
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
@@ -15,6 +17,9 @@ from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
 
 PresetName = Literal["teleoperation", "object", "paper"]
+MethodOptions = MappingOptions | Teleoperation
+"""The options of a preset's method."""
+_IK_NAMES = frozenset(item.name for item in fields(IkOptions))
 
 
 class Preset(NamedTuple):
@@ -86,3 +91,104 @@ def default_preset(human: Hand, robot: Hand) -> PresetName:
     if fingers and needed <= given:
         return "teleoperation"
     return "object" if robot.has_moving_wrist else "paper"
+
+
+def possible_presets(human: Hand, robot: Hand) -> tuple[PresetName, ...]:
+    """Return the presets that two hands can be mapped with.
+
+    Args:
+        human: The hand that leads.
+        robot: The hand that follows.
+    """
+    first = default_preset(human, robot)
+    following: tuple[PresetName, ...] = ("teleoperation",) if first == "teleoperation" else ()
+    moving: tuple[PresetName, ...] = ("object", "paper") if robot.has_moving_wrist else ()
+    return following + moving
+
+
+class Choice(NamedTuple):
+    """A preset with the options that were chosen for it.
+
+    Attributes:
+        preset: Name of the preset.
+        options: Options of its method.
+        ik: Weights and settings of the QP.
+    """
+
+    preset: PresetName
+    options: MethodOptions
+    ik: IkOptions
+
+    @property
+    def method(self) -> Method:
+        """The method with these options."""
+        options = self.options
+        return Homogeneous(options) if isinstance(options, MappingOptions) else options
+
+    @property
+    def is_teleoperation(self) -> bool:
+        """Whether the options are those of `Teleoperation`."""
+        return isinstance(self.options, Teleoperation)
+
+    def check_has(self, names: Iterable[str]) -> None:
+        """Reject options that the preset does not have.
+
+        Raises:
+            InvalidOptionsError: With the first one by name.
+        """
+        known = {item.name for item in fields(self.options)}
+        if unknown := sorted(set(names) - known):
+            raise InvalidOptionsError(
+                option=unknown[0],
+                problem=f"the preset {self.preset} has no such option",
+                advice="choose another preset, or leave it out",
+            )
+
+    def with_changes(self, changes: dict[str, Any]) -> Choice:
+        """Return a copy with other values for some options.
+
+        Args:
+            changes: Values by the names of options of the method and of the QP. If `preset` is
+                among them, options that are not named are those of that preset.
+
+        Raises:
+            InvalidOptionsError: If there is no such preset or option, or options contradict each
+                other.
+        """
+        rest = dict(changes)
+        start = preset_choice(rest.pop("preset")) if "preset" in rest else self
+        ik = {name: rest.pop(name) for name in _IK_NAMES & rest.keys()}
+        start.check_has(rest)
+        return start._replace(options=replace(start.options, **rest), ik=replace(start.ik, **ik))
+
+    def changes_to(self, other: Choice) -> dict[str, Any]:
+        """Return the changes that turn this choice into another one."""
+        start, changes = self, {}
+        if self.preset != other.preset:
+            start, changes = preset_choice(other.preset), {"preset": other.preset}
+        for ours, theirs in ((start.options, other.options), (start.ik, other.ik)):
+            for item in fields(theirs):
+                if getattr(ours, item.name) != getattr(theirs, item.name):
+                    changes[item.name] = getattr(theirs, item.name)
+        return changes
+
+
+def preset_choice(name: str, contact_gap: float | None = None) -> Choice:
+    """Return a preset with its own options.
+
+    Args:
+        name: Name of the preset.
+        contact_gap: The measured contact gap [m]; the preset's if omitted.
+
+    Raises:
+        InvalidOptionsError: If there is no such preset.
+    """
+    method, ik = get_preset(name)[:2]
+    options: MethodOptions
+    if isinstance(method, Homogeneous):
+        options = method.options
+    elif isinstance(method, Teleoperation):
+        options = method if contact_gap is None else replace(method, contact_gap=contact_gap)
+    else:
+        raise InvalidOptionsError(option="preset", problem=f"{name} has no options")
+    return Choice(next(known for known in get_args(PresetName) if known == name), options, ik)

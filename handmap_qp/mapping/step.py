@@ -38,6 +38,8 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     Attributes:
         command: The robot's next joint angles and wrist pose.
         human_points: Human reference points in the human's world (eq. 4) [m], shape (n_h, 3).
+        human_wrist: Pose of the human's wrist there, given or fitted to landmarks, shape (4, 4);
+            None if it is not known.
         asked: The method's targets and diagnostics.
         ik: Where the inverse kinematics ended (in place of eq. 8).
         out_of_range: Names of human joints that were outside their limits, within the tolerance,
@@ -47,6 +49,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     command: RobotCommand
     human_points: np.ndarray
+    human_wrist: np.ndarray | None
     asked: Targets
     ik: IkResult
     out_of_range: tuple[str, ...]

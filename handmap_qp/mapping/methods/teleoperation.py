@@ -16,7 +16,6 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
@@ -112,7 +111,7 @@ class BoundTeleoperation:
         self.choices, self.human = choices, human
         self.pair = pair = hand_pair(human, robot)
         self.robot = pair.robot
-        self.contacts = all_pairs(pair.robot, pair.chains) if choices.avoids_contact else None
+        self.contacts = pair.contacts if choices.avoids_contact else None
         self.estimator = MotionEstimator(pair.human_rest[pair.shape_points], ridge=choices.ridge)
         self.pinched = tuple(f for f in pair.fingers if f != THUMB) if THUMB in pair.fingers else ()
         self._prepare_distances()

@@ -1,0 +1,107 @@
+"""Presets with options, and T of a step of any of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handmap_qp import HandMapper, InvalidOptionsError, load_hand
+from handmap_qp.hands.library import HUMAN_HANDS, hand_names
+from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
+from handmap_qp.mapping.presets import PRESETS, possible_presets, preset_choice
+from handmap_qp.mapping.stages import motion_stages, residual_norms
+from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+
+WRIST = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 1.0, -0.3]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mount", ["floating", "fixed"])
+@pytest.mark.parametrize("name", sorted(set(hand_names()) - set(HUMAN_HANDS)))
+def test_possible_presets_are_those_that_the_mapper_accepts(name: str, mount: Any) -> None:
+    human, robot = load_hand("human"), load_hand(name)
+    if robot.is_floating:
+        robot = load_hand(name, mount=mount)
+    accepted = []
+    for preset in PRESETS:
+        try:
+            HandMapper(human, robot, preset)
+        except InvalidOptionsError:
+            continue
+        accepted.append(preset)
+    assert list(possible_presets(human, robot)) == accepted
+
+
+def test_a_choice_takes_options_of_its_preset_only() -> None:
+    fingers = preset_choice("teleoperation", contact_gap=0.017)
+    changed = fingers.with_changes({"pinch_weight": 2.0, "damping": 0.3})
+    assert changed.is_teleoperation
+    assert (
+        changed.options
+        == preset_choice("teleoperation", 0.017).with_changes({"pinch_weight": 2.0}).options
+    )
+    assert (changed.ik.damping, changed.ik.rest_weight) == (0.3, fingers.ik.rest_weight)
+    for choice, name in ((fingers, "rigid_from"), (preset_choice("paper"), "pinch_weight")):
+        with pytest.raises(InvalidOptionsError, match="has no such option") as raised:
+            choice.with_changes({name: 1.0})
+        assert raised.value.option == name
+    with pytest.raises(InvalidOptionsError) as raised:
+        fingers.with_changes({"preset": "claw"})
+    assert raised.value.option == "preset"
+
+
+@pytest.mark.parametrize("first", PRESETS)
+@pytest.mark.parametrize("second", PRESETS)
+def test_changes_lead_from_one_choice_to_another(first: str, second: str) -> None:
+    start = preset_choice(first).with_changes({"ridge": 0.3, "damping": 0.4})
+    end = preset_choice(second).with_changes({"residual_gain": 0.7, "rest_weight": 0.9})
+    changes = start.changes_to(end)
+    assert start.with_changes(changes) == end
+    assert ("preset" in changes) == (first != second)
+    assert end.changes_to(end) == {}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_stages_of_t_compose_and_carry_the_points(preset: str) -> None:
+    human, robot = load_hand("human"), load_hand("allegro_right")
+    mapper = HandMapper(human, robot, preset)
+    mapper.map_step(human.rest, np.eye(4))
+    step = mapper.map_step(np.minimum(human.rest + 0.3, human.upper_limits), WRIST)
+    stages = motion_stages(step)
+    assert stages is not None
+    np.testing.assert_allclose(
+        stages.motion_deformation @ stages.motion_rigid, stages.motion, atol=1e-9
+    )
+    rotation = stages.motion_rigid[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_array_equal(stages.residual_norms, residual_norms(step))
+    used = step.human_points
+    if preset == "teleoperation":
+        # T starts from the resting human at the palm of the reference, here the model's own.
+        pair = hand_pair(human, robot)
+        palm = human.wrist_to_palm
+        before = transform_points(palm, pair.human_rest[pair.shape_points])
+        used = step.human_points[pair.shape_points]
+        np.testing.assert_allclose(rotation, WRIST[:3, :3], atol=1e-12)
+    else:
+        before = human.points(human.rest, np.eye(4))
+    misses = np.linalg.norm(transform_points(stages.motion, before) - used, axis=1)
+    np.testing.assert_allclose(misses, stages.residual_norms, atol=1e-9)
+
+
+def test_a_method_without_t_has_no_stages() -> None:
+    human, robot = load_hand("human"), load_hand("allegro_right")
+    step = HandMapper(human, robot, FingertipVectors()).map_step(human.rest, WRIST)
+    assert motion_stages(step) is None
+    assert residual_norms(step).size == 0
+    np.testing.assert_array_equal(step.human_wrist, WRIST)
+
+
+def test_people_share_what_belongs_to_the_robot() -> None:
+    robot = load_hand("allegro_right")
+    pairs = [hand_pair(load_hand("human"), robot) for _ in range(2)]
+    assert pairs[0] is not pairs[1]
+    assert pairs[0].contacts is pairs[1].contacts
