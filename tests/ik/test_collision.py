@@ -293,3 +293,20 @@ def test_the_block_is_optional(tmp_path: Path) -> None:
     file = tmp_path / "hand.yaml"
     file.write_text(yaml.safe_dump(document), encoding="utf-8")
     assert read_hand_spec(file).collision is None
+
+
+def test_pairs_beyond_the_horizon_get_no_row_and_the_others_the_same() -> None:
+    hand, rng = load_hand("allegro_right"), np.random.default_rng(8)
+    every, near = CollisionLimit(hand), CollisionLimit(hand, horizon=0.012)
+    configuration = hand.configuration()
+    margins = rng.uniform(0.0, 0.003, size=len(every.pairs))
+    for _ in range(20):
+        q = rng.uniform(hand.lower_limits, hand.upper_limits)
+        configuration.place_with_jacobians(hand.configuration_vector(q))
+        within = every.distances(configuration) <= 0.012
+        G, h = every.rows(configuration, margins)
+        some_G, some_h = near.rows(configuration, margins)
+        assert len(some_h) == within.sum()
+        # GJK is warm-started, so both agree to its tolerance only.
+        np.testing.assert_allclose(some_h, h[within], atol=1e-6)
+        np.testing.assert_allclose(some_G, G[within], atol=1e-4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from handmap_qp import HandMapper, IkOptions, InvalidInputError, load_hand
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.ik.mink_problem import build_problem, solve_problem
 from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.solvers import make_solver
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, TaskRows
 
 SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, has_velocity_limits=False)
@@ -183,3 +185,93 @@ def test_distances_without_a_meaning_are_rejected_by_name(arguments: Any, name: 
     with pytest.raises(InvalidInputError) as raised:
         PointDistances(AttachedPoints.reference_points(load_hand("three_finger")), *arguments)
     assert raised.value.argument == name
+
+
+@pytest.mark.parametrize("name", ["romeo_right", "ur5_allegro", "three_finger"])
+def test_attached_points_and_their_derivatives_follow_the_hand(name: str) -> None:
+    hand, rng = load_hand(name), np.random.default_rng(6)
+    places = [(joint, rng.normal(scale=0.02, size=3)) for joint in range(1, hand.model.njoints)]
+    points = AttachedPoints(hand, places)
+    configuration = hand.configuration()
+    q = hand.configuration_vector(0.5 * (hand.lower_limits + hand.upper_limits))
+    configuration.place_with_jacobians(q)
+    positions = points.positions(configuration)
+    for (joint, offset), position in zip(places, positions, strict=True):
+        np.testing.assert_allclose(position, configuration.data.oMi[joint].act(offset), atol=1e-12)
+    jacobians = points.jacobians(configuration, positions)
+    step = 1e-6
+    for column in range(configuration.nv):
+        ends = []
+        for sign in (step, -step):
+            displacement = np.zeros(configuration.nv)
+            displacement[column] = sign
+            configuration.displace(q, displacement)
+            ends.append(points.positions(configuration))
+        slope = (ends[0] - ends[1]) / (2.0 * step)
+        np.testing.assert_allclose(slope, jacobians[:, :, column], atol=1e-8)
+
+
+def test_reference_points_are_attached_points() -> None:
+    hand = load_hand("hey5")
+    configuration = hand.configuration()
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    points = AttachedPoints.reference_points(hand)
+    positions = points.positions(configuration)
+    np.testing.assert_allclose(positions, configuration.points, atol=1e-12)
+    np.testing.assert_allclose(
+        points.jacobians(configuration, positions).reshape(-1, configuration.nv),
+        configuration.point_jacobian(),
+        atol=1e-12,
+    )
+
+
+def test_aimed_at_leaves_out_what_has_no_weight_and_is_the_same_task_otherwise() -> None:
+    hand = load_hand("allegro_right")
+    points = AttachedPoints.reference_points(hand)
+    task = PointDistances(points, [(0, 1), (0, 2), (0, 3)], np.zeros(3), damping=[1.0, 2.0, 3.0])
+    distances, weights = np.array([0.01, 0.02, 0.03]), np.array([2.0, 0.0, 5.0])
+    configuration = hand.configuration()
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    aimed = task.aimed_at(distances, weights).linearise(configuration)
+    made = PointDistances(
+        points, [(0, 1), (0, 3)], [0.01, 0.03], [2.0, 5.0], damping=[1.0, 3.0]
+    ).linearise(configuration)
+    for one, other in zip(aimed, made, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_costs_of_speed_and_acceleration_smooth_the_way_and_keep_its_end() -> None:
+    hand = load_hand("allegro_right")
+    start = hand.configuration_vector(hand.rest)
+    targets = hand.points(hand.rest + 0.2 * (hand.upper_limits - hand.rest))
+    wrist = hand.frame_pose("wrist", hand.rest)
+    ways = []
+    # A firm rest term, so that what the points do not see has settled too.
+    firm = IkOptions(rest_weight=2.0)
+    for options in (firm, replace(firm, speed_weight=2.0, acceleration_weight=4.0)):
+        ik = PointIk(hand, options)
+        ik.place(start)
+        way = [ik.configuration.q[hand.q_indices]]
+        for _ in range(300):
+            ik.solve(targets, wrist, 0.01)
+            way.append(ik.configuration.q[hand.q_indices])
+        ways.append(np.array(way))
+    np.testing.assert_allclose(ways[0][-1], ways[1][-1], atol=1e-4)
+    rough, smooth = (np.abs(np.diff(way, 2, axis=0)).max() for way in ways)
+    assert smooth < 0.5 * rough
+
+
+@pytest.mark.parametrize("name", ["daqp", "proxqp"])
+def test_a_solver_takes_rows_that_come_and_go(name: str) -> None:
+    rng, size = np.random.default_rng(7), 8
+    kept = make_solver(name, size)
+    for count in (0, 3, 3, 1, 5, 0, 5, 2):
+        A = rng.normal(size=(size, size))
+        H, c = A @ A.T + np.eye(size), rng.normal(size=size)
+        lower, upper = -np.ones(size), np.ones(size)
+        rows = (rng.normal(size=(count, size)), np.full(count, 0.1))
+        x = kept.solve(H, c, lower, upper, rows)
+        cold = make_solver("daqp", size).solve(H, c, lower, upper, rows if count else None)
+        assert x is not None
+        assert cold is not None
+        np.testing.assert_allclose(x, cold, atol=1e-6)

@@ -1,0 +1,122 @@
+"""Fingers, pads and shape pairs of any hand, found on its model."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import hand_names, load_hand
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import THUMB, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.pads import find_pads
+from handmap_qp.hands.placements import moved_by, placement_views
+from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, named_pairs
+
+HANDS = [name for name in hand_names() if not name.endswith("_left")]
+
+
+@cache
+def hand(name: str) -> Hand:
+    return load_hand(name)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_no_posture_reaches_farther_than_the_reach(name: str) -> None:
+    robot, rng = hand(name), np.random.default_rng(0)
+    data = robot.model.createData()
+    for chain in find_fingers(robot).values():
+        if not chain.joints:
+            continue
+        longest = 0.0
+        for q in rng.uniform(robot.lower_limits, robot.upper_limits, size=(60, len(robot.rest))):
+            pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
+            ends = [data.oMi[joint].act(offset) for joint, offset in (chain.knuckle, chain.tip)]
+            longest = max(longest, float(np.linalg.norm(ends[1] - ends[0])))
+        assert longest <= chain.reach + 1e-4
+        pin.forwardKinematics(robot.model, data, robot.configuration_vector(chain.stretched))
+        ends = [data.oMi[joint].act(offset) for joint, offset in (chain.knuckle, chain.tip)]
+        assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(chain.reach, abs=1e-9)
+
+
+def test_a_round_fingertip_is_its_own_pad() -> None:
+    robot = hand("allegro_right")
+    chains = find_fingers(robot)
+    geometry = read_collision_shapes(robot)
+    for finger, pad in find_pads(robot, chains).items():
+        sphere = next(
+            geometry.geometryObjects[i]
+            for i in distal_shapes(chains[finger], geometry)
+            if hasattr(geometry.geometryObjects[i].geometry, "radius")
+        )
+        np.testing.assert_allclose(pad.offset, sphere.placement.translation, atol=1e-9)
+        assert pad.radius == pytest.approx(sphere.geometry.radius, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_pad_lies_inside_its_finger(name: str) -> None:
+    robot = hand(name)
+    chains = find_fingers(robot)
+    for finger, pad in find_pads(robot, chains).items():
+        assert 0.003 <= pad.radius <= 0.03
+        assert np.linalg.norm(pad.offset - chains[finger].tip[1]) <= 0.0161
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "hey5", "human", "three_finger"])
+def test_pairs_are_of_different_fingers_and_apart_at_rest(name: str) -> None:
+    robot = hand(name)
+    chains = find_fingers(robot)
+    pairs = all_pairs(robot, chains)
+    owner = {joint: finger for finger, chain in chains.items() for joint in chain.joints}
+    shapes, data = pairs.geometry.geometryObjects, pairs.geometry.createData()
+    for posture in (robot.rest, np.clip(0.0, robot.lower_limits, robot.upper_limits)):
+        vector = robot.configuration_vector(posture)
+        pin.updateGeometryPlacements(
+            robot.model, robot.model.createData(), pairs.geometry, data, vector
+        )
+        pin.computeDistances(pairs.geometry, data)
+        assert min(result.min_distance for result in data.distanceResults) > 0.0
+    for pair, finger in zip(pairs.geometry.collisionPairs, pairs.fingers, strict=True):
+        joints = shapes[pair.first].parentJoint, shapes[pair.second].parentJoint
+        owners = [owner.get(joint) for joint in joints]
+        assert owners[0] is None or owners[0] != owners[1]
+        if finger:
+            assert set(owners) == {THUMB, finger}
+    assert set(pairs.fingers) - {""} == set(chains) - {THUMB}
+    assert len(pairs.links) == len(pairs.geometry.collisionPairs)
+
+
+def test_named_pairs_are_those_of_the_description() -> None:
+    robot = hand("allegro_right")
+    assert robot.spec.collision is not None
+    assert set(named_pairs(robot).links) == set(robot.spec.collision.pairs)
+
+
+def test_views_follow_every_placement() -> None:
+    robot, rng = hand("hey5"), np.random.default_rng(1)
+    data = robot.model.createData()
+    rotations, translations = placement_views(data.oMi)
+    for _ in range(3):
+        q = rng.uniform(robot.lower_limits, robot.upper_limits)
+        pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
+        for i in range(robot.model.njoints):
+            np.testing.assert_array_equal(rotations[i], data.oMi[i].rotation)
+            np.testing.assert_array_equal(translations[i], data.oMi[i].translation)
+    assert not rotations.flags.writeable
+    assert not translations.flags.writeable
+
+
+def test_what_moves_a_joint_is_what_changes_its_placement() -> None:
+    robot = hand("ur5_allegro")
+    data, q = robot.model.createData(), robot.configuration_vector(robot.rest)
+    for joint in (3, robot.model.njoints - 1):
+        pin.forwardKinematics(robot.model, data, q)
+        before = data.oMi[joint].homogeneous
+        for column, moves in enumerate(moved_by(robot.model, joint)):
+            step = np.zeros(robot.model.nv)
+            step[column] = 1e-3
+            pin.forwardKinematics(robot.model, data, pin.integrate(robot.model, q, step))
+            assert (np.abs(data.oMi[joint].homogeneous - before).max() > 1e-9) == bool(moves)
