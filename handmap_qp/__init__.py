@@ -31,6 +31,7 @@ from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.methods import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
+from handmap_qp.mapping.methods.joint_to_joint import JointToJoint
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
 from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
@@ -60,6 +61,7 @@ __all__ = [
     "IkOptions",
     "InvalidInputError",
     "InvalidOptionsError",
+    "JointToJoint",
     "MapStep",
     "MappingOptions",
     "Method",

@@ -185,7 +185,7 @@ def _reach(
 ) -> tuple[float, np.ndarray]:
     """Largest distance from knuckle to tip within the limits, and where: random search, refined."""
     data, model = hand.model.createData(), hand.model
-    moving = _moving_columns(hand, joints)
+    moving = moving_columns(hand, joints)
 
     def distance(q: np.ndarray) -> float:
         place_robot(hand, data, q, None)
@@ -218,7 +218,7 @@ def _reach(
     return best, best_q
 
 
-def _moving_columns(hand: Hand, joints: list[int]) -> np.ndarray:
+def moving_columns(hand: Hand, joints: list[int]) -> np.ndarray:
     """Columns of q that move any of these joints of the model, followers included."""
     base, columns = np.clip(0.0, hand.lower_limits, hand.upper_limits), []
     indices = [hand.model.joints[j].idx_q for j in joints]

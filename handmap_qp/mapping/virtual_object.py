@@ -2,8 +2,9 @@
 
 The object encloses the human's fingertips at the reference, and another one encloses the robot's
 (all reference points, where too few are fingertips). The human's object moves and deforms as its
-points do, by least squares. All of the robot's points move with the robot's object. Everything is in palm axes, and the robot's palm follows the human's.
-Points of the two hands are never paired, so the hands may have any number of fingers.
+points do, by least squares. All of the robot's points move with the robot's object. Everything is
+in palm axes, and the robot's palm follows the human's. Points of the two hands are never paired, so
+the hands may have any number of fingers.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
+from handmap_qp.mapping.methods.joint_to_joint import JointToJoint
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
 from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
@@ -17,6 +18,7 @@ METHODS: MappingProxyType[str, Callable[[], Method]] = MappingProxyType(
         "homogeneous": Homogeneous,
         "teleoperation": Teleoperation,
         "fingertip-vectors": FingertipVectors,
+        "joint-to-joint": JointToJoint,
         "virtual-sphere": VirtualSphere,
         "virtual-ellipsoid": VirtualEllipsoid,
     }

@@ -1,16 +1,16 @@
 """Virtual ellipsoid: as the virtual sphere, with a ratio of growth along each principal axis.
 
 The idea is that of Gioioso, Salvietti, Malvezzi and Prattichizzo, "An object-based approach to map
-human hand synergies onto robotic hands with dissimilar kinematics" (2012), of which the abstract was
-at hand. The formulas extend those of their sphere and are not checked against that article. Taken:
-the object is the smallest ellipsoid around the fingertips, and it deforms along its own axes. Its
-column of A for axis e_j is `e_j e_j^T (p_i - c)`; the three add up to the sphere's `(p_i - c)`. The
-displacement of the centre is scaled by one ratio k. The axes are the human's, laid on the robot's
-palm, so no axis of one hand has to be paired with one of the other.
+human hand synergies onto robotic hands with dissimilar kinematics" (2012), of which the abstract
+was at hand. The formulas extend those of their sphere and are not checked against that article.
+Taken: the object is the smallest ellipsoid around the fingertips, and it deforms along its own
+axes. Its column of A for axis e_j is `e_j e_j^T (p_i - c)`; the three add up to the sphere's `(p_i
+- c)`. The displacement of the centre is scaled by one ratio k. The axes are the human's, laid on
+the robot's palm, so no axis of one hand has to be paired with one of the other.
 
-Displacements since the reference are finite: `p -> c + v + R E diag(s) E^T (p - c)`, by least squares.
-Five fingertips lie near one plane and say little about the axis across it. A ridge pulls the three
-ratios s towards their common one, that of the sphere.
+Displacements since the reference are finite: `p -> c + v + R E diag(s) E^T (p - c)`, by least
+squares. Five fingertips lie near one plane and say little about the axis across it. A ridge pulls
+the three ratios s towards their common one, that of the sphere.
 
 Partners are not needed. Where fingers close but do not spread, the ellipsoid says so and the sphere
 does not. Neither can tell fingers apart.
@@ -43,8 +43,8 @@ class VirtualEllipsoid:
     """Map the motion of the fingertips' enclosing ellipsoid.
 
     Args:
-        scale: k, the factor on the ellipsoid's displacement; the ratio of the sizes at the reference
-            if omitted.
+        scale: k, the factor on the ellipsoid's displacement; the ratio of the sizes at the
+            reference if omitted.
         ridge: Pull of the three ratios towards their common one, as a share of the points' mean
             square extent. 0 is the plain least squares; at infinity it is the sphere.
 
@@ -96,7 +96,7 @@ class Ellipsoid:
         """Return the best rotation and ratios; see `VirtualObject.motion_to`."""
         mean = points.mean(axis=0)
         covariance = (points - mean).T.dot(self._offsets)
-        ratios = np.ones(3)
+        ratios, rotation = np.ones(3), np.eye(3)
         for _ in range(_MOST_TURNS):
             rotation = nearest_rotation(covariance * ratios)
             along = np.einsum("ij,ij->j", rotation, covariance)
@@ -114,14 +114,14 @@ def enclosing_ellipsoid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     """Find the ellipsoid of the smallest volume that encloses points.
 
     Points that lie in a plane or on a line get the smallest ellipse or segment. By Khachiyan's
-    method with steps in both directions (Todd and Yildirim, Discrete Applied Mathematics 155, 2007).
+    method with steps in both directions (Todd and Yildirim, Discrete Appl. Math. 155, 2007).
 
     Args:
         points: Points [m], shape (n, 3), n > 0.
 
     Returns:
-        Centre [m], shape (3,); principal axes, a column each, right-handed, shape (3, 3); lengths of
-        the semi-axes, the largest first [m], shape (3,).
+        Centre [m], shape (3,); principal axes, a column each, right-handed, shape (3, 3); lengths
+        of the semi-axes, the largest first [m], shape (3,).
     """
     mean = points.mean(axis=0)
     _, extents, right = np.linalg.svd(np.vstack([points - mean, np.zeros((3, 3))]))

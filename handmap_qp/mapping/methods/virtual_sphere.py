@@ -2,12 +2,12 @@
 
 Gioioso, Salvietti, Malvezzi and Prattichizzo, "Mapping synergies from human to robotic hands with
 dissimilar kinematics: an approach in the object domain", IEEE Trans. Robotics 29 (2013) 825-837.
-They map velocities: `dq_r = J_r^+ A_r S_c A_h^+ J_h dq_h`, where each point contributes
-`A_i = [I, -[p_i - c]x, (p_i - c)]` (`sphere_matrix`) and `S_c = diag(k, k, k, 1, 1, 1, 1)`.
+They map velocities: `dq_r = J_r^+ A_r S_c A_h^+ J_h dq_h`, where each point contributes `A_i = [I,
+-[p_i - c]x, (p_i - c)]` (`sphere_matrix`) and `S_c = diag(k, k, k, 1, 1, 1, 1)`.
 
 Here displacements since the reference take the place of velocities. `A_h^+` becomes the similarity
-that best fits the human's points (Umeyama, IEEE PAMI 13, 1991), and the QP takes the place of `J_r^+`.
-For a small displacement both agree (test). k is measured at the reference.
+that best fits the human's points (Umeyama, IEEE PAMI 13, 1991), and the QP takes the place of
+`J_r^+`. For a small displacement both agree (test). k is measured at the reference.
 
 Partners are not needed. Opening and closing, and the motion of a held object, come across. A sphere
 cannot tell fingers apart: a pointing finger turns it, and one bent finger bends all of the robot's.
