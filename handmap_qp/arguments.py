@@ -17,6 +17,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.presets import Choice, PresetName, default_preset, preset_choice
+from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
@@ -42,6 +43,8 @@ class MappingArguments:
         teleoperation: How fingers follow fingers; for the preset teleoperation.
         ik: Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.
             Those not given are the preset's.
+        smooth: Smooth the samples with a one-euro filter, and the robot's motion with costs of
+            speed and acceleration: half the jerk, for about 8 ms more lag.
     """
 
     preset: PresetName | None = None
@@ -54,6 +57,12 @@ class MappingArguments:
         default_factory=Teleoperation
     )
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
+    smooth: bool = False
+
+    @property
+    def smoothing(self) -> Smoothing | None:
+        """How samples are smoothed."""
+        return Smoothing() if self.smooth else None
 
     def preset_for(self, human: Hand, robot: Hand, contact_gap: float | None = None) -> Choice:
         """Return the chosen preset, method and QP weights for two hands.
@@ -78,7 +87,8 @@ class MappingArguments:
                 problem=f"the preset {name} has no such option",
                 advice="choose another --preset, or leave it out",
             )
-        return chosen.with_changes(own | _given(self.ik, IkOptions()))
+        calm = SMOOTH_IK if self.smooth else {}
+        return chosen.with_changes(own | calm | _given(self.ik, IkOptions()))
 
     def load_robot(self, name: str) -> Hand:
         """Load a robot hand with the chosen reference points.

@@ -118,7 +118,9 @@ class Map:
         )
         human = scaled_human(recording, points=self.arguments.human_points)
         preset = self.arguments.preset_for(human, robot, measure_contact_gap(recording))
-        mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
+        mapper = HandMapper(
+            human, robot, preset.method, ik=preset.ik, smoothing=self.arguments.smoothing
+        )
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
             trajectory = map_recording(mapper, recording, advance)
         save_npz(out, trajectory.columns)

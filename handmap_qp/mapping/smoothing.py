@@ -37,9 +37,9 @@ class Smoothing:
         InvalidOptionsError: If a number is not finite and > 0 (`speed_gain`: >= 0).
     """
 
-    min_cutoff: float = 1.0
-    speed_gain: float = 60.0
-    speed_cutoff: float = 1.0
+    min_cutoff: float = 2.0
+    speed_gain: float = 90.0
+    speed_cutoff: float = 5.0
 
     def __post_init__(self) -> None:
         """Reject numbers without a meaning."""
@@ -52,6 +52,10 @@ class Smoothing:
                     expected=f"a finite number {'>=' if may_be_zero else '>'} 0",
                     value=value,
                 )
+
+
+SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}
+"""Weights of `IkOptions` that go with smoothing: they calm what the QP adds to smooth targets."""
 
 
 class SmoothState(NamedTuple):
