@@ -13,7 +13,7 @@ from handmap_qp.transform import as_floats
 RigidFrom = Literal["points", "wrist", "none"]
 Pivot = Literal["centroid", "palm", "point", "world"]
 Alignment = Literal["world", "palm"]
-ReferenceAt = Literal["first", "previous"]
+ReferenceAt = Literal["first", "rest", "previous"]
 Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -35,8 +35,9 @@ class MappingOptions:
             paper). `palm`: lay the human's palm axes at the reference onto the robot's. Or a
             rotation matrix.
         scale: Factor on translations.
-        reference: Configuration that T starts from: `first`, the sample that became the reference;
-            `previous`, the sample before (Fig. 3).
+        reference: Configuration that T starts from. `first`: the sample that became the reference
+            (the paper). `rest`: both hands' rest postures, placed at that sample's wrists, so that
+            the posture of the first sample does not matter. `previous`: the sample before (Fig. 3).
         residual_gain: Part of each human point's residual to the imposed motion that its partner on
             the robot takes over, 0 (the paper) to 1.
         deformation_gain: Exponent g of the stretch, `U^g`, 10 at most. 1 is the paper; 0 leaves the

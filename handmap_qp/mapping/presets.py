@@ -50,7 +50,7 @@ PRESETS: dict[str, Preset] = {
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
     ),
     "object": Preset(
-        Homogeneous(MappingOptions(rigid_from="wrist", pivot="palm")),
+        Homogeneous(MappingOptions(rigid_from="wrist", pivot="palm", reference="rest")),
         IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0),
         "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
         "gestures: T cannot tell a pointing finger from a fist",

@@ -287,6 +287,28 @@ def test_a_clutch_bends_no_joint_that_was_stretched_after_a_point_out_of_reach()
     np.testing.assert_allclose(step.command.q, before, atol=1e-6)
 
 
+def test_the_rest_reference_forgets_the_posture_of_the_first_sample() -> None:
+    rng, options = np.random.default_rng(6), MappingOptions(reference="rest", rigid_from="wrist")
+    wrist, q = little_pose(rng), near_rest(rng, 0.5, HUMAN)
+    targets = []
+    for first in (HUMAN.rest, near_rest(rng, 0.8, HUMAN)):
+        mapper = HandMapper(HUMAN, ALLEGRO, options)
+        mapper.map_step(first, wrist)
+        targets.append(mapper.map_step(q, wrist).targets)
+    np.testing.assert_allclose(targets[0], targets[1], atol=1e-12)
+    # The resting human asks for the resting robot, wherever the robot started.
+    mapper = HandMapper(HUMAN, ALLEGRO, options, ik=SETTLE)
+    mapper.reset(robot_q=0.5 * (ALLEGRO.lower_limits + ALLEGRO.upper_limits))
+    for _ in range(5):
+        step = mapper.map_step(HUMAN.rest, wrist)
+    np.testing.assert_allclose(step.motion, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(step.command.q, ALLEGRO.rest, atol=1e-4)
+    with pytest.raises(InvalidInputError, match="reference='rest'"):
+        HandMapper(HUMAN, ALLEGRO, MappingOptions(reference="rest")).map_points(
+            HUMAN.points(HUMAN.rest)
+        )
+
+
 def test_the_previous_reference_takes_the_wrist_along() -> None:
     # A wrist that goes on at a constant speed: with the first wrist as reference in every step the
     # displacements would add up quadratically.

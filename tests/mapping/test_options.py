@@ -279,7 +279,7 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
         ({"pivot": "point", "pivot_point": (0.0, 1.0, float("nan"))}, "three finite numbers"),
         ({"pivot": "wrist"}, "centroid, palm, point, world"),
         ({"rigid_from": "palm"}, "points, wrist, none"),
-        ({"reference": "last"}, "first, previous"),
+        ({"reference": "last"}, "first, rest, previous"),
         ({"alignment": "robot"}, "world, palm or a rotation"),
         ({"alignment": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}, "rotation"),
         ({"alignment": ((2.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))}, "rotation"),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
@@ -19,6 +19,9 @@ from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.reference import Reference, make_reference, require_partners
 from handmap_qp.mapping.rigid import RIGID_PARTS
 from handmap_qp.mapping.transfer import Transfer, transfer_motion
+from handmap_qp.transform import inverse_pose, transform_points
+
+_PALM_OPTIONS = ("pivot", "alignment")
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,9 @@ class BoundHomogeneous:
         self.rigid = RIGID_PARTS[options.rigid_from]
         self.renews_reference = options.reference == "previous"
         self.needs_wrist = f"rigid_from={options.rigid_from!r}" if self.rigid.needs_wrist else ""
-        self.reference_needs_wrist = " and ".join(
-            f"{name}='palm'" for name in ("pivot", "alignment") if getattr(options, name) == "palm"
-        )
+        needs = [f"{name}='palm'" for name in _PALM_OPTIONS if getattr(options, name) == "palm"]
+        needs += ["reference='rest'"] if options.reference == "rest" else []
+        self.reference_needs_wrist = " and ".join(needs)
         self._check_hands()
         self._partners = (
             require_partners(
@@ -84,7 +87,9 @@ class BoundHomogeneous:
         return palm
 
     def start(self, sample: HumanSample, robot: RobotPosture) -> HomogeneousMap:
-        """Take both hands as they are for the reference; see `BoundMethod.start`."""
+        """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
+        if self.options.reference == "rest":
+            sample, robot = self._at_rest(sample, robot)
         estimator = MotionEstimator(
             sample.points,
             weights=self.human.point_weights,
@@ -98,6 +103,18 @@ class BoundHomogeneous:
         return HomogeneousMap(
             self, reference, self.robot.rest if self.renews_reference else robot.q
         )
+
+    def _at_rest(
+        self, sample: HumanSample, robot: RobotPosture
+    ) -> tuple[HumanSample, RobotPosture]:
+        """Put both hands' rest postures where their wrists are."""
+        if sample.wrist is None:
+            raise InvalidInputError(argument="wrist_pose", problem="needed for reference='rest'")
+        points = self.human.points(self.human.rest, sample.wrist)
+        hand = self.robot
+        to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
+        placed = transform_points(to_here, hand.points(hand.rest))
+        return HumanSample(points, sample.wrist), RobotPosture(hand.rest, placed, robot.wrist)
 
     def _check_hands(self) -> None:
         """Reject choices that these two hands cannot carry out."""
