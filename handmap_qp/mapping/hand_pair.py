@@ -113,7 +113,7 @@ class HandPair:
             [names[name] for f in FINGERS for name in (TIPS[f], MIDDLES[f]) if name in names]
         )
         self.human_rest = frozen(_points_in_palm(human, _resting(human)))
-        self.human_reach = np.array([_bone_length(human, finger) for finger in self.fingers])
+        self.human_reach = np.array([bone_length(human, finger) for finger in self.fingers])
         self.robot_reach = np.array([self.chains[finger].reach for finger in self.fingers])
         self.reach_ratios = self.robot_reach / self.human_reach
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
@@ -126,12 +126,12 @@ class HandPair:
         """Find the centres of the knuckles, and of the robot's tips and middle joints."""
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB] or [0]
         places = [self.chains[f].knuckle for f in self.fingers]
-        at_rest = _points_in_palm_at(self.robot, places, self.matched)
+        at_rest = points_in_palm_at(self.robot, places, self.matched)
         self.robot_knuckles = frozen(at_rest[others].mean(axis=0))
         self.human_knuckles = frozen(self.human_rest[self.knuckles[others]].mean(axis=0))
         used = self._used_chains().values()
         points = [place for chain in used for place in (chain.tip, chain.middle)]
-        centre = _points_in_palm_at(self.robot, points, self.matched).mean(axis=0)
+        centre = points_in_palm_at(self.robot, points, self.matched).mean(axis=0)
         self.robot_centre = frozen(centre)
 
     @property
@@ -170,7 +170,7 @@ class HandPair:
         """Solve the robot posture whose finger vectors are the resting human's, scaled."""
         robot, palm = self.robot, self.robot.wrist_to_palm
         targets = np.empty((len(robot.reference_points), 3))
-        knuckles = _points_in_palm_at(robot, [self.chains[f].knuckle for f in self.fingers])
+        knuckles = points_in_palm_at(robot, [self.chains[f].knuckle for f in self.fingers])
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
             human = self.human_rest[self.partners[j]]
@@ -230,7 +230,7 @@ def _finger_points(robot: Hand, chains: dict[str, FingerChain]) -> list[PointSpe
         points.append(_point(robot, finger, TIPS[finger], chain.tip, 1.0))
     for finger, chain in chains.items():
         apart = np.linalg.norm(
-            np.subtract(*_points_in_palm_at(robot, [chain.middle, chain.knuckle]))
+            np.subtract(*points_in_palm_at(robot, [chain.middle, chain.knuckle]))
         )
         if finger != THUMB and len(chain.joints) > 1 and apart > 0.1 * chain.reach:
             # Weights count squared in the cost.
@@ -257,7 +257,7 @@ def _points_in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
     return transform_points(inverse_pose(hand.frame_pose("palm", q)), hand.points(q))
 
 
-def _points_in_palm_at(
+def points_in_palm_at(
     hand: Hand, places: list[tuple[int, np.ndarray]], q: np.ndarray | None = None
 ) -> np.ndarray:
     """Return points on joints in palm axes, at rest if no posture is given [m], shape (k, 3)."""
@@ -277,7 +277,7 @@ def _resting(human: Hand) -> np.ndarray:
     return q
 
 
-def _bone_length(human: Hand, finger: str) -> float:
+def bone_length(human: Hand, finger: str) -> float:
     """Return the sum of a human finger's bones, which is its reach [m]."""
     named = {point.name: point for point in human.spec.points}
     last = ("cmc", "mcp", "ip", "tip") if finger == THUMB else ("mcp", "pip", "dip", "tip")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from types import MappingProxyType
 
 from handmap_qp.mapping.method import Method
@@ -18,6 +19,7 @@ METHODS: MappingProxyType[str, Callable[[], Method]] = MappingProxyType(
         "homogeneous": Homogeneous,
         "teleoperation": Teleoperation,
         "fingertip-vectors": FingertipVectors,
+        "finger-vectors": partial(FingertipVectors, origin="knuckle"),
         "joint-to-joint": JointToJoint,
         "virtual-sphere": VirtualSphere,
         "virtual-ellipsoid": VirtualEllipsoid,

@@ -1,43 +1,67 @@
-"""Wrist-to-tip vectors: each robot fingertip points from the palm as its human partner does.
+"""Fingertip vectors: each robot fingertip lies from its origin as its human partner does.
 
-The vector from the human's palm to a fingertip, in palm axes, times the ratio of the hands' sizes,
-is the target of the robot's fingertip from its own palm. The robot's palm follows the human's wrist.
-This is the usual mapping of the field; T is not needed.
+The vector from an origin on the human's palm to a fingertip, in palm axes, is scaled and laid on
+the same origin of the robot. The robot's palm follows the human's wrist; T is not needed.
+
+With the palm as origin these are the wrist-to-tip vectors of the field, scaled by the ratio of the
+hands' sizes. They are at the same time its fingertip positions: a position in the palm frame is the
+vector from that frame's origin. So there is no other method for positions.
+
+With each finger's knuckle as origin, every finger is scaled by its own ratio of reaches. A straight
+finger stays straight then, however the hands are built. What gets lost is where fingertips are to
+each other: knuckles lie elsewhere on each hand, and pinches open. With the palm as origin pinches
+stay closed where the scale lets all tips arrive, but on a hand with other proportions no finger is
+quite straight when the human's is.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
+from handmap_qp.mapping.hand_pair import KNUCKLES, bone_length, points_in_palm_at
 from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.mapping.reference import require_partners
 from handmap_qp.transform import inverse_pose, transform_points
 
+VectorOrigin = Literal["palm", "knuckle"]
+
 
 @dataclass(frozen=True)
 class FingertipVectors:
-    """Map wrist-to-tip vectors.
+    """Map vectors to the fingertips.
 
     Args:
-        scale: Factor on the vectors; the ratio of the hands' sizes at rest if omitted.
+        scale: Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for vectors
+            from the palm, and of each finger's reaches for those from its knuckle.
+        origin: Where the vectors begin: at the `palm`, or at each finger's own `knuckle`.
 
     Raises:
-        InvalidOptionsError: If the scale is not a finite number > 0.
+        InvalidOptionsError: If the scale is not a finite number > 0, or there is no such origin.
     """
 
     scale: float | None = None
+    origin: VectorOrigin = "palm"
 
     def __post_init__(self) -> None:
-        if self.scale is not None and not (0.0 < self.scale < np.inf):
+        is_number = isinstance(self.scale, int | float)
+        if self.scale is not None and not (is_number and 0.0 < self.scale < np.inf):
             raise InvalidOptionsError(
                 option="scale", expected="a finite number > 0", value=self.scale
+            )
+        if self.origin not in get_args(VectorOrigin):
+            raise InvalidOptionsError(
+                option="origin",
+                expected=f"one of {', '.join(get_args(VectorOrigin))}",
+                value=self.origin,
             )
 
     def bind(self, human: Hand, robot: Hand) -> BoundFingertipVectors:
@@ -49,28 +73,37 @@ class FingertipVectorDiagnostics(msgspec.Struct, frozen=True, eq=False):
     """What was measured of one sample.
 
     Attributes:
-        vectors: From the human's palm to its points with a partner, in palm axes [m], shape (p, 3).
-        scale: Factor from the human's vectors to the robot's.
+        vectors: From the human's origins to its points with a partner, in palm axes [m], shape
+            (p, 3).
+        scales: Factor from each of them to the robot's, shape (p,).
     """
 
     vectors: np.ndarray
-    scale: float
+    scales: np.ndarray
 
 
 class BoundFingertipVectors:
     """The method for two hands; see `BoundMethod`."""
 
     contacts: ShapePairs | None = None
-    needs_wrist = "wrist-to-tip vectors"
+    needs_wrist = "vectors in palm axes"
     reference_needs_wrist = ""
     renews_reference = False
 
     def __init__(self, method: FingertipVectors, human: Hand, robot: Hand) -> None:
         self.human, self.robot = human, robot
-        self.pairs = np.array(require_partners(human, robot, option="method")).T
-        self.scale = method.scale or self._size(robot, self.pairs[0]) / self._size(
-            human, self.pairs[1]
-        )
+        pairs = require_partners(human, robot, option="method")
+        if method.origin == "knuckle":
+            pairs = [pair for pair in pairs if robot.reference_points[pair[0]].finger]
+        self.pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
+        # Human points that the vectors begin at, and places of the robot in its palm.
+        self.human_origins: np.ndarray | None = None
+        self.robot_origins = np.zeros((len(pairs), 3))
+        if method.origin == "palm":
+            ratio = self._size(robot, self.pairs[0]) / self._size(human, self.pairs[1])
+            self.scales = np.full(len(pairs), method.scale or ratio)
+        else:
+            self._begin_at_knuckles(method.scale)
 
     def start_palm(self, sample: HumanSample) -> np.ndarray:
         """Return the human's palm."""
@@ -79,6 +112,27 @@ class BoundFingertipVectors:
     def start(self, sample: HumanSample, robot: RobotPosture) -> FingertipVectorMap:
         """Count the palm's displacement from here; the fingers need no reference."""
         return FingertipVectorMap(self, sample, robot)
+
+    def _begin_at_knuckles(self, scale: float | None) -> None:
+        """Find both hands' knuckles and the ratio of reaches of each pair's finger."""
+        human, robot = self.human, self.robot
+        chains = find_fingers(robot)
+        names = {point.name: k for k, point in enumerate(human.reference_points)}
+        led = [str(robot.reference_points[j].finger) for j in self.pairs[0]]
+        leading = [str(human.reference_points[k].finger) for k in self.pairs[1]]
+        missing = {KNUCKLES[finger] for finger in leading} - set(names)
+        if missing or not led:
+            raise InvalidOptionsError(
+                option="origin",
+                problem=f"'knuckle' needs {', '.join(sorted(missing)) or 'named fingers'}",
+                value="knuckle",
+                advice="load the human with points='joints', and name the robot's fingers",
+            )
+        self.human_origins = np.array([names[KNUCKLES[finger]] for finger in leading])
+        self.robot_origins = points_in_palm_at(robot, [chains[finger].knuckle for finger in led])
+        reaches = np.array([chains[finger].reach for finger in led])
+        lengths = np.array([bone_length(human, finger) for finger in leading])
+        self.scales = np.full(len(led), scale) if scale is not None else reaches / lengths
 
     def _size(self, hand: Hand, points: np.ndarray) -> float:
         palm = hand.wrist_to_palm[:3, 3]
@@ -92,21 +146,24 @@ class FingertipVectorMap:
         self, method: BoundFingertipVectors, sample: HumanSample, robot: RobotPosture
     ) -> None:
         self.rest = method.robot.rest
-        self._pairs, self._scale = method.pairs, method.scale
+        self._method = method
         self._follower = PalmFollower(method.human, method.robot, sample, robot)
         robot_palm = robot.wrist @ method.robot.wrist_to_palm
         self._in_palm = transform_points(inverse_pose(robot_palm), robot.points)
 
     def targets(self, sample: HumanSample) -> Targets:
-        """Scale the vectors and lay them on the robot's palm."""
-        robot_points, human_points = self._pairs
+        """Scale the vectors and lay them on the robot's origins."""
+        method = self._method
+        robot_points, human_points = method.pairs
         human_palm, palm = self._follower.palms(sample)
-        vectors = transform_points(inverse_pose(human_palm), sample.points)[human_points]
+        now = transform_points(inverse_pose(human_palm), sample.points)
+        origins = 0.0 if method.human_origins is None else now[method.human_origins]
+        vectors = now[human_points] - origins
         # Points without a partner stay where they are in the palm.
         in_palm = self._in_palm.copy()
-        in_palm[robot_points] = self._scale * vectors
+        in_palm[robot_points] = method.robot_origins + method.scales[:, None] * vectors
         return Targets(
             transform_points(palm, in_palm),
             self._follower.wrist(palm),
-            FingertipVectorDiagnostics(vectors, self._scale),
+            FingertipVectorDiagnostics(vectors, method.scales.copy()),
         )

@@ -158,7 +158,7 @@ class BoundJointToJoint:
         return JointMap(self, sample, robot)
 
     def positions(self, angles: np.ndarray) -> np.ndarray:
-        """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share one."""
+        """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
         of_finger = dict(zip(self.fingers, angles, strict=True))
         q, count = self.robot.rest.copy(), np.zeros(len(self.robot.rest))
         for link in self.links:
