@@ -96,7 +96,7 @@ def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) 
     point = as_floats(pivot, "pivot")
     if point.shape != (3,) or not np.isfinite(point).all():
         raise InvalidInputError(
-            f"pivot: expected a finite point of shape (3,), got {pivot}", value=pivot
+            argument="pivot", expected="a finite point of shape (3,)", value=pivot
         )
     factors = polar(matrix[:3, :3])
     stretch = factors.stretch()
@@ -171,7 +171,9 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     scales = np.diagonal(upper).copy()
     if not np.abs(scales).min() > 1e-12 * np.abs(scales).max():
         raise InvalidInputError(
-            f"motion: its linear part is singular (scales {scales.tolist()}), no primitives exist"
+            argument="motion",
+            problem=f"its linear part is singular (scales {scales.tolist()}), no primitives exist",
+            value=motion,
         )
     # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all
     # three scales the sign.
@@ -197,9 +199,13 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
 def _check_motion(motion: npt.ArrayLike) -> np.ndarray:
     matrix = as_floats(motion, "motion")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InvalidInputError(f"motion: expected a finite matrix of shape (4, 4), got {motion}")
+        raise InvalidInputError(
+            argument="motion", expected="a finite matrix of shape (4, 4)", value=motion
+        )
     if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-12:
         raise InvalidInputError(
-            f"motion: expected a last row of 0, 0, 0, 1 (no perspective), got {matrix[3].tolist()}"
+            argument="motion",
+            expected="a last row of 0, 0, 0, 1 (no perspective)",
+            value=matrix[3].tolist(),
         )
     return matrix

@@ -200,7 +200,9 @@ def estimate_motion(
     after = _check_points(points_after, "points_after")
     if len(after) != len(estimator.weights):
         raise InvalidInputError(
-            f"points_after: expected {len(estimator.weights)} points as in points_before, got {len(after)}"
+            argument="points_after",
+            expected=f"{len(estimator.weights)} points as in points_before",
+            got=f"{len(after)}",
         )
     if prior is None:
         return estimator.estimate(after)
@@ -210,7 +212,7 @@ def estimate_motion(
     )
     if not (is_orthogonal and determinant(rotation) > 0.0):
         raise InvalidInputError(
-            f"prior: expected a rotation of shape (3, 3), got {prior}", value=prior
+            argument="prior", expected="a rotation of shape (3, 3)", value=prior
         )
     return estimator.estimate(after, rotation)
 
@@ -218,9 +220,11 @@ def estimate_motion(
 def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
     array = as_floats(points, name)
     if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
-        raise InvalidInputError(f"{name}: expected shape (n, 3) with n >= 1, got {array.shape}")
+        raise InvalidInputError(
+            argument=name, expected="shape (n, 3) with n >= 1", got=f"{array.shape}"
+        )
     if not np.isfinite(array).all():
-        raise InvalidInputError(f"{name}: expected finite numbers, got {array.tolist()}")
+        raise InvalidInputError(argument=name, expected="finite numbers", value=array.tolist())
     return array
 
 
@@ -232,7 +236,7 @@ def _check_weights(weights: npt.ArrayLike | None, count: int) -> np.ndarray:
         np.isfinite(array).all() and (array >= 0.0).all() and array.max() > 0.0
     ):
         raise InvalidInputError(
-            f"weights: expected {count} numbers >= 0, not all zero, got {weights}", value=weights
+            argument="weights", expected=f"{count} numbers >= 0, not all zero", value=weights
         )
     shares = array / array.max()  # first, so that the sum of huge weights cannot overflow
     return shares / shares.sum()
@@ -241,5 +245,5 @@ def _check_weights(weights: npt.ArrayLike | None, count: int) -> np.ndarray:
 def _check_ridge(ridge: float) -> float:
     number = as_floats(ridge, "ridge")
     if number.shape != () or not (np.isfinite(number) and number >= 0.0):
-        raise InvalidInputError(f"ridge: expected a number >= 0, got {ridge}", value=ridge)
+        raise InvalidInputError(argument="ridge", expected="a number >= 0", value=ridge)
     return float(number)
