@@ -25,7 +25,7 @@ import tyro
 
 from handmap_qp.arguments import HandName, MappingArguments
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.experiments.cli import Figures
+from handmap_qp.experiments.cli import Compare, Figures
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.service.cli import Keys, Serve
 from handmap_qp.tables import check_output, print_rows, print_table, progress
@@ -179,6 +179,7 @@ class Hands:
 _COMMANDS: dict[str, Any] = {
     "demo": Demo,
     "map": Map,
+    "compare": Compare,
     "view": View,
     "hands": Hands,
     "figures": Figures,
@@ -196,6 +197,7 @@ Examples:
     handmap demo
     handmap hands
     handmap map recording.npz --robot allegro_right
+    handmap compare recording.npz --robot allegro_right
     handmap view recording.npz --robot allegro_right
 """
 

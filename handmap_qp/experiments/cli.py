@@ -1,9 +1,17 @@
-"""The command `handmap figures`."""
+"""The commands `handmap figures` and `handmap compare`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from handmap_qp.arguments import HandName
+
+DEFAULT_METHODS = ("teleoperation", "object", "paper", "fingertip-vectors")
+"""Methods that `handmap compare` runs if none are named."""
 
 
 @dataclass(frozen=True)
@@ -47,3 +55,61 @@ class Figures:
             table.add_row(*map(str, row.values()))
         Console().print(table)
         print(f"wrote {len(result.files)} files to {self.out}; start with {self.out / 'report.md'}")
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare mapping methods on recordings of a human hand, by what the robot's hand shows.
+
+    Maps every recording by every method, and measures fingers, object, palm, pinches and smoothness
+    against the raw landmarks. Prints the means over the recordings. A left recording is mirrored for
+    a right robot, and the other way round.
+
+    --out writes table.md (overall and each recording), results.json, metrics.png (a panel for each
+    metric) and poses.png (human and methods side by side in open, pointing, fist, pinches, spread).
+
+    --peers adds retargeting libraries by others, dex-retargeting and dexi-rs. They are run in
+    environments of their own, which `make peers` builds in a checkout. Hands outside the package are
+    given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need HANDMAP_HANDS, the folder
+    of their URDFs.
+
+    Examples:
+        handmap compare recording.npz --robot allegro_right
+        handmap compare *.npz --robot allegro_right --peers --out comparison
+        handmap compare a.npz b.npz --robot my_hand.yaml --methods teleoperation paper --json
+
+    Attributes:
+        recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
+            used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
+        robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
+        methods: Methods to run: teleoperation, object, paper, fingertip-vectors. Peers may be named
+            too, such as dex-vector; then --peers runs those only.
+        peers: Run the peers too.
+        peers_from: Folder of the program that runs the peers, compare.py.
+        out: Folder to write to; created if it does not exist.
+        json: Print JSON instead of tables.
+    """
+
+    recordings: tyro.conf.Positional[
+        Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RECORDING...")]
+    ]
+    robot: HandName
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD...")] = DEFAULT_METHODS
+    peers: bool = False
+    peers_from: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FOLDER", help_behavior_hint="(default: benchmarks/peers of the checkout)"
+        ),
+    ] = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Check everything, measure, print and write."""
+        from handmap_qp.experiments.comparison_run import ComparisonRequest, run_comparison
+
+        request = ComparisonRequest(
+            self.recordings, self.robot, self.methods, self.peers, self.peers_from, self.out
+        )
+        run_comparison(request, prints_json=self.json)

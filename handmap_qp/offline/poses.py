@@ -164,14 +164,30 @@ finger's 10 mm farther from the thumb, no `fist` | the smallest gap |
     Returns:
         For every name of `POSES`, the index of a sample, or None where no sample shows the pose.
     """
+    return {
+        name: None if found is None else found[0] for name, found in rank_poses(recording).items()
+    }
+
+
+def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
+    """Find the sample that shows each pose most clearly, and how clearly.
+
+    Args:
+        recording: Landmarks of a hand.
+
+    Returns:
+        For every name of `POSES`, the index of a sample as of `find_poses` and a number > 0 that
+        is larger the clearer the pose is, to compare recordings by. None where no sample shows it.
+    """
     posture = measure_posture(recording.landmarks)
     start = recording.time[int(np.argmax(recording.valid))] + SETTLING
     is_usable = recording.valid & (recording.time >= start)
-    found: dict[str, int | None] = {}
+    found: dict[str, tuple[int, float] | None] = {}
     for name, rule in _SCORES.items():
         scores = np.where(is_usable, rule(posture), np.nan)
         held = _held(scores, recording.time)
-        found[name] = None if np.isnan(held).all() else int(np.nanargmax(held))
+        best = None if np.isnan(held).all() else int(np.nanargmax(held))
+        found[name] = None if best is None else (best, float(held[best]))
     return found
 
 

@@ -114,7 +114,11 @@ def map_motion(
 
 
 def map_recording(
-    mapper: HandMapper, recording: Recording, progress: Callable[[int], None] | None = None
+    mapper: HandMapper,
+    recording: Recording,
+    progress: Callable[[int], None] | None = None,
+    *,
+    wrist_poses: np.ndarray | None = None,
 ) -> Trajectory:
     """Map the landmarks of a recording, without joint angles of the human.
 
@@ -124,6 +128,8 @@ def map_recording(
         mapper: The mapper; its human hand must be scaled to the person.
         recording: The recording.
         progress: Called after each sample with the number of samples done.
+        wrist_poses: Poses of the human model's wrist frame, shape (T, 4, 4); fitted to the palm's
+            landmarks if omitted.
 
     Returns:
         The robot's trajectory, with one entry per sample of `recording`.
@@ -136,7 +142,9 @@ def map_recording(
         mapper,
         recording.time,
         recording.valid,
-        lambda i: mapper.map_landmarks(recording.landmarks[i], dt=steps[i]),
+        lambda i: mapper.map_landmarks(
+            recording.landmarks[i], None if wrist_poses is None else wrist_poses[i], dt=steps[i]
+        ),
         progress,
     )
 

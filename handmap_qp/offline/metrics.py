@@ -1,0 +1,153 @@
+"""What `handmap compare` measures: names, units and meaning of every metric."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from handmap_qp.hands.fingers import THUMB
+from handmap_qp.offline.fidelity import Fidelity
+
+Better = Literal["high", "low", "zero", "one"]
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One number about how a robot follows a hand.
+
+    Attributes:
+        key: Its name in JSON.
+        title: Short name for columns.
+        unit: Unit; empty for a share, a ratio or a correlation.
+        better: Whether `high` or `low` values are better (all below zero alike), or those near
+            `zero` or `one`.
+        about: What it says, in a few words.
+        digits: Decimals to print.
+    """
+
+    key: str
+    title: str
+    unit: str
+    better: Better
+    about: str
+    digits: int = 2
+
+    @property
+    def label(self) -> str:
+        """The short name with the unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    def text(self, value: float) -> str:
+        """Format a value; `-` for NaN."""
+        return "-" if np.isnan(value) else f"{value + 0.0:.{self.digits}f}"
+
+    def best(self, values: list[float]) -> set[int]:
+        """Return the indices of the best values as printed; none if fewer than two are finite."""
+        worth = {i: self._cost(v) for i, v in enumerate(values) if np.isfinite(v)}
+        if len(worth) < 2:
+            return set()
+        least = min(worth.values())
+        return {i for i, cost in worth.items() if cost == least}
+
+    def _cost(self, value: float) -> float:
+        """Smaller is better; values that print alike are alike."""
+        x = round(value, self.digits)
+        costs = {"high": -x, "low": max(x, 0.0), "zero": abs(x), "one": abs(x - 1.0)}
+        return costs[self.better]
+
+
+GROUPS: dict[str, tuple[Metric, ...]] = {
+    "Gestures": (
+        Metric(
+            "extension_correlation",
+            "ext. corr.",
+            "",
+            "high",
+            "correlation of finger extensions, weighted by the human's range",
+        ),
+        Metric("thumb_extension_correlation", "thumb corr.", "", "high", "the same of the thumb"),
+        Metric("extension_rms", "ext. RMS", "", "low", "RMS difference of extensions [reach]", 3),
+        Metric("finger_direction_deg", "finger dir.", "deg", "low", "knuckle-to-tip directions", 1),
+        Metric("wrist_direction_deg", "wrist dir.", "deg", "low", "wrist-to-tip directions", 1),
+        Metric(
+            "tip_error_knuckles_mm", "tips", "mm", "low", "fingertips from the knuckles' centre", 1
+        ),
+        Metric("tip_error_mm", "tips, palm", "mm", "low", "fingertips in the palm frame", 1),
+    ),
+    "Object and palm": (
+        Metric("object_rotation_deg", "obj. turn", "deg", "low", "rotation of T", 1),
+        Metric("object_stretch", "obj. stretch", "", "low", "log-stretch of T"),
+        Metric("object_translation_mm", "obj. shift", "mm", "low", "centroid displacement", 1),
+        Metric("palm_deg", "palm", "deg", "low", "rotation of the palm", 1),
+        Metric("palm_mm", "palm", "mm", "low", "displacement of the palm", 1),
+    ),
+    "Pinches": (
+        Metric("pinch_closed", "closed", "", "high", "share of pinches with a gap below 3 mm"),
+        Metric("pinch_gap_mm", "gap", "mm", "low", "median gap of surfaces in a pinch", 1),
+        Metric("pinch_gap_p95_mm", "gap p95", "mm", "low", "95th percentile of it", 1),
+        Metric("pinch_depth_mm", "depth", "mm", "low", "95th percentile of the penetration", 1),
+        Metric(
+            "pinch_false", "false", "", "low", "share of open samples with surfaces touching", 4
+        ),
+        Metric("pinch_order", "order", "", "high", "rank correlation of tip gaps"),
+    ),
+    "Motion": (
+        Metric("jerk_ratio", "jerk", "", "low", "RMS joint jerk over the human's"),
+        Metric("speed_ratio", "speed", "", "low", "largest joint speed over its limit"),
+        Metric("outside_limits", "limits", "", "low", "share of samples outside joint limits"),
+        Metric("latency_ms", "lag", "ms", "zero", "lag behind the human", 0),
+        Metric("self_penetration", "penetr.", "", "low", "share of samples deeper than 1 mm", 3),
+    ),
+    "Key vectors (mimic)": (
+        Metric("key_cosine", "cosine", "", "high", "cosine of key vectors", 3),
+        Metric("key_angle_deg", "angle", "deg", "low", "angle of key vectors", 1),
+        Metric("key_scale", "scale", "", "one", "length of key vectors, robot over human"),
+        Metric("motion_preservation", "motion", "", "high", "cosine of tip displacements", 3),
+        Metric("flatness_mm2", "flat", "mm2", "low", "second difference of tips, squared", 2),
+        Metric("colliding", "coll.", "", "low", "share of samples in self-collision", 3),
+        Metric("workspace", "space", "", "high", "share of the reachable points used", 3),
+        Metric("step_time_ms", "time", "ms", "low", "CPU time of one sample", 2),
+    ),
+}
+"""All metrics by subject: those of `fidelity`, then the eight of mimic_retargeter_lab."""
+METRICS: tuple[Metric, ...] = tuple(metric for group in GROUPS.values() for metric in group)
+"""The same in one row."""
+
+_KEY_VECTORS = {
+    "key_cosine": "cosine",
+    "key_angle_deg": "angle_deg",
+    "key_scale": "scale",
+    "motion_preservation": "motion_preservation",
+    "flatness_mm2": "flatness_mm2",
+    "colliding": "colliding",
+    "workspace": "workspace",
+    "step_time_ms": "step_time_ms",
+}
+
+
+def metric_values(fidelity: Fidelity) -> dict[str, float]:
+    """Return the values of `METRICS` by key; NaN where a question does not arise."""
+    values = dict.fromkeys((metric.key for metric in METRICS), float("nan"))
+    for key in values:
+        if hasattr(fidelity, key):
+            values[key] = float(getattr(fidelity, key))
+    if THUMB in fidelity.fingers:
+        values["thumb_extension_correlation"] = fidelity.fingers[THUMB].extension_correlation
+    if not fidelity.pinch_closed > 0.0:
+        # Surfaces that never come near cannot penetrate.
+        values["pinch_depth_mm"] = float("nan")
+    if fidelity.key_vectors is not None:
+        for key, name in _KEY_VECTORS.items():
+            values[key] = float(getattr(fidelity.key_vectors, name))
+    return values
+
+
+def mean_values(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Return the mean of each metric over what is not NaN; NaN where nothing is left."""
+    means = {}
+    for metric in METRICS:
+        finite = [row[metric.key] for row in rows if np.isfinite(row[metric.key])]
+        means[metric.key] = float(np.mean(finite)) if finite else float("nan")
+    return means
