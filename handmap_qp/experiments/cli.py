@@ -10,7 +10,15 @@ import tyro
 
 from handmap_qp.arguments import HandName
 
-DEFAULT_METHODS = ("teleoperation", "object", "paper", "fingertip-vectors")
+DEFAULT_METHODS = (
+    "teleoperation",
+    "teleoperation+filter",
+    "object",
+    "paper",
+    "fingertip-vectors",
+    "virtual-sphere",
+    "virtual-ellipsoid",
+)
 """Methods that `handmap compare` runs if none are named."""
 
 
@@ -76,14 +84,14 @@ class Compare:
     Examples:
         handmap compare recording.npz --robot allegro_right
         handmap compare *.npz --robot allegro_right --peers --out comparison
-        handmap compare a.npz b.npz --robot my_hand.yaml --methods teleoperation paper --json
+        handmap compare a.npz b.npz --robot my_hand.yaml --methods teleoperation paper
 
     Attributes:
         recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
         robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
-        methods: Methods to run: teleoperation, object, paper, fingertip-vectors. Peers may be named
-            too, such as dex-vector; then --peers runs those only.
+        methods: Methods to run: presets and other mappings by name, with +filter for smoothed
+            samples. Peers may be named too, such as dex-vector; then --peers runs those only.
         peers: Run the peers too.
         peers_from: Folder of the program that runs the peers, compare.py.
         out: Folder to write to; created if it does not exist.
@@ -91,7 +99,10 @@ class Compare:
     """
 
     recordings: tyro.conf.Positional[
-        Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RECORDING...")]
+        Annotated[
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="RECORDING...", help_behavior_hint="(required)"),
+        ]
     ]
     robot: HandName
     methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD...")] = DEFAULT_METHODS

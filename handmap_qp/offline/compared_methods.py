@@ -16,10 +16,8 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,9 +26,10 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
+from handmap_qp.mapping.methods import METHODS
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.mapping.smoothing import Smoothing
 from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.takes import Take
 from handmap_qp.offline.trajectory import map_recording
@@ -38,8 +37,11 @@ from handmap_qp.transform import as_floats
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
+FILTER = "+filter"
+"""Ending of a name that asks for smoothed samples (`Smoothing`)."""
 _FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
-_OTHERS: dict[str, Callable[[], Any]] = {"fingertip-vectors": FingertipVectors}
+# The preset `paper` is this method.
+_COVERED = ("homogeneous",)
 
 
 class OutsideError(HandmapError):
@@ -51,20 +53,23 @@ class OwnMethod:
     """A method of this package.
 
     Attributes:
-        name: Name of a preset, or of a method of `handmap_qp.mapping.methods`.
+        name: Name of a preset, or of a method of `handmap_qp.mapping.methods`; with `+filter` for
+            smoothed samples.
     """
 
     name: str
 
     def map_take(self, take: Take, robot: Hand) -> RobotMotion:
         """Map the landmarks of a take, with the palm that it is measured against."""
-        if self.name in PRESETS:
-            method, ik = PRESETS[self.name].method, PRESETS[self.name].ik
+        name = self.name.removesuffix(FILTER)
+        if name in PRESETS:
+            method, ik = PRESETS[name].method, PRESETS[name].ik
         else:
-            method, ik = _OTHERS[self.name](), _FOLLOWING
+            method, ik = METHODS[name](), _FOLLOWING
         if isinstance(method, Teleoperation):
             method = replace(method, contact_gap=take.contact_gap)
-        mapper = HandMapper(take.human, robot, method, ik=ik)
+        smoothing = Smoothing() if self.name.endswith(FILTER) else None
+        mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
         trajectory = map_recording(mapper, take.recording, wrist_poses=take.wrist)
         return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
@@ -117,8 +122,8 @@ class OutsideMethod:
 
 
 def own_methods() -> tuple[str, ...]:
-    """Return the names of the package's own methods."""
-    return (*PRESETS, *_OTHERS)
+    """Return the names of the package's own methods, without `+filter`."""
+    return (*PRESETS, *(name for name in METHODS if name not in (*PRESETS, *_COVERED)))
 
 
 def own_method(name: str) -> OwnMethod:
@@ -127,7 +132,7 @@ def own_method(name: str) -> OwnMethod:
     Raises:
         InvalidInputError: If there is no such method.
     """
-    if name not in own_methods():
+    if name.removesuffix(FILTER) not in own_methods():
         raise InvalidInputError(
             argument="--methods", expected=f"some of {', '.join(own_methods())}", value=name
         )

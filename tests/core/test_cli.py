@@ -164,7 +164,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     assert sorted(folder.rglob("*")) == before
 
 
-COMMANDS = ("", "demo", "map", "view", "hands", "hands init", "hands check")
+COMMANDS = ("", "demo", "map", "compare", "view", "hands", "hands init", "hands check")
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "figures", "serve", "keys"])

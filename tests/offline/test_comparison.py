@@ -1,0 +1,273 @@
+"""Comparisons: each method on the same samples, and a word for what a method cannot do."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from comparison_cases import write_closing
+
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.methods import METHODS
+from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.offline.compared_methods import (
+    OutsideError,
+    OwnMethod,
+    outside_methods,
+    own_method,
+    own_methods,
+)
+from handmap_qp.offline.comparison import RobotMotion, compare_methods
+from handmap_qp.offline.takes import Take, held_samples, prepare_take
+from handmap_qp.trackers.recording import read_recording, read_wrist_poses
+
+
+@dataclass(frozen=True)
+class Still:
+    """A method that holds one posture, with or without a wrist."""
+
+    name: str = "still"
+    has_wrist: bool = False
+
+    def map_take(self, take: Take, robot: Hand) -> RobotMotion:
+        count = len(take.recording)
+        wrist = np.tile(np.eye(4), (count, 1, 1)) if self.has_wrist else None
+        return RobotMotion(np.tile(robot.rest, (count, 1)), wrist, np.full(count, 2e-3))
+
+
+@dataclass(frozen=True)
+class Failing:
+    name: str = "failing"
+
+    def map_take(self, take: Take, robot: Hand) -> RobotMotion:
+        raise HandmapError(f"cannot map\n{take.name}")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Hand:
+    return load_hand("three_finger")
+
+
+def take_of(folder: Path, name: str = "closing", side: str = "right", onto: str = "right") -> Take:
+    file = write_closing(folder, name, side)
+    recording = read_recording(file)
+    return prepare_take(recording, onto, read_wrist_poses(file, recording))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> Take:
+    return take_of(tmp_path_factory.mktemp("take"))
+
+
+def test_take_holds_what_was_not_seen(take: Take) -> None:
+    assert (take.name, take.is_mirrored, take.has_wrist) == ("closing", False, True)
+    index = np.arange(len(take.recording))
+    index[40:43] = 39
+    np.testing.assert_array_equal(held_samples(take.recording.valid), index)
+    np.testing.assert_array_equal(take.wrist[40:43], take.wrist[[39, 39, 39]])
+    assert np.isfinite(take.trace.fingers["index"].tip).all()
+    np.testing.assert_array_equal(held_samples(np.array([False, True, False])), [1, 1, 1])
+
+
+def test_mirrored_take_is_that_of_the_other_hand(take: Take, tmp_path: Path) -> None:
+    left = take_of(tmp_path, side="left")
+    assert left.is_mirrored
+    assert left.recording.side == "right"
+    tips = left.trace.in_palm(left.trace.fingers["index"].tip)
+    expected = take.trace.in_palm(take.trace.fingers["index"].tip)
+    # The wrist poses of both recordings turn alike, so that only the hand is mirrored.
+    np.testing.assert_allclose(tips, expected, atol=1e-6)
+    rotation = take.wrist[-1, :3, :3].T @ left.wrist[-1, :3, :3]
+    np.testing.assert_allclose(np.linalg.det(left.wrist[:, :3, :3]), 1.0)
+    assert not np.allclose(rotation, np.eye(3), atol=0.1)
+
+
+def test_palm_of_the_tracker_is_used(take: Take, tmp_path: Path) -> None:
+    recording = read_recording(write_closing(tmp_path))
+    fitted = prepare_take(recording)
+    assert not fitted.has_wrist
+    # The landmarks are exact, so both ways find the same palm.
+    np.testing.assert_allclose(fitted.wrist, take.wrist, atol=1e-6)
+
+
+def test_recording_without_samples_that_count_is_rejected(tmp_path: Path) -> None:
+    recording = read_recording(write_closing(tmp_path))
+    short = type(recording)(
+        "short",
+        recording.time[:10],
+        recording.landmarks[:10],
+        recording.valid[:10],
+        recording.side,
+    )
+    with pytest.raises(InvalidInputError, match="short: expected valid samples after the first"):
+        prepare_take(short)
+
+
+def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> None:
+    seen: list[tuple[str, int, int]] = []
+    methods = [own_method("paper"), Still(), Still("moving", has_wrist=True)]
+    result = compare_methods([take], robot, methods, lambda *args: seen.append(args))
+    assert [count for _, count, _ in seen] == [0, 1, 2, 3]
+    assert {total for _, _, total in seen} == {3}
+    assert result.methods == ("paper", "still", "moving")
+    still = result.run("still", "closing").values
+    assert still["extension_correlation"] == 0.0
+    assert still["step_time_ms"] == pytest.approx(2.0)
+    # A method that does not move the wrist is not asked for the palm, and that is said.
+    assert np.isnan(still["palm_deg"])
+    assert np.isnan(still["palm_mm"])
+    (note,) = result.notes()
+    assert note.startswith("still: the wrist is not moved")
+    # A wrist that is left in the world's origin misses all of the human's motion.
+    assert result.overall("moving")["palm_deg"] > 5.0
+    assert result.overall("moving")["palm_mm"] > 50.0
+    assert result.overall("paper")["speed_ratio"] <= 1.0 + 1e-6
+    assert result.overall("paper")["outside_limits"] == 0.0
+
+
+def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
+    result = compare_methods([take], robot, [Failing(), Still(has_wrist=True)])
+    run = result.run("failing", "closing")
+    assert run.problem == "cannot map closing"
+    assert run.motion is None
+    assert all(np.isnan(value) for value in result.overall("failing").values())
+    assert result.notes() == ["failing: cannot map closing"]
+
+
+def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path: Path) -> None:
+    other = take_of(tmp_path, "other")
+    result = compare_methods([take, other], robot, [Failing()])
+    assert result.notes() == [
+        "failing on closing: cannot map closing",
+        "failing on other: cannot map other",
+    ]
+
+
+def test_overall_is_the_mean_over_recordings(take: Take, robot: Hand, tmp_path: Path) -> None:
+    file = write_closing(tmp_path, "longer", seconds=1.8)
+    result = compare_methods([take, prepare_take(read_recording(file))], robot, [Still()])
+    values = [run.values["tip_error_mm"] for run in result.of_method("still")]
+    assert values[0] != values[1]
+    assert result.overall("still")["tip_error_mm"] == pytest.approx(np.mean(values))
+
+
+def test_bad_comparisons_are_rejected(take: Take, robot: Hand, tmp_path: Path) -> None:
+    left = take_of(tmp_path, "left", side="left", onto="left")
+    for takes, methods, argument in (
+        ([], [Still()], "takes"),
+        ([take, take], [Still()], "takes"),
+        ([left], [Still()], "takes"),
+        ([take], [], "methods"),
+        ([take], [Still(), Still()], "methods"),
+    ):
+        with pytest.raises(InvalidInputError) as caught:
+            compare_methods(takes, robot, methods)
+        assert caught.value.argument == argument
+
+
+def test_robot_without_named_fingers_is_rejected(take: Take, robot: Hand) -> None:
+    points = tuple(msgspec.structs.replace(point, finger=None) for point in robot.spec.points)
+    nameless = Hand(msgspec.structs.replace(robot.spec, points=points))
+    with pytest.raises(InvalidInputError, match="no finger with a human name") as caught:
+        compare_methods([take], nameless, [Still()])
+    assert caught.value.argument == "robot"
+
+
+def test_own_methods_are_presets_and_methods_by_name() -> None:
+    assert set(own_methods()) == (set(PRESETS) | set(METHODS)) - {"homogeneous"}
+    assert own_method("paper+filter") == OwnMethod("paper+filter")
+    for name in ("homogeneous", "paper+", "+filter", ""):
+        with pytest.raises(InvalidInputError) as caught:
+            own_method(name)
+        assert caught.value.argument == "--methods"
+
+
+def test_filter_smooths_and_lags(take: Take, robot: Hand) -> None:
+    raw, smooth = (
+        OwnMethod(name).map_take(take, robot) for name in ("teleoperation", "teleoperation+filter")
+    )
+    assert not np.allclose(raw.q, smooth.q, atol=1e-3)
+    np.testing.assert_allclose(raw.q[-1], smooth.q[-1], atol=0.3)
+
+
+PROGRAM = """
+import json, sys
+import numpy as np
+if sys.argv[1] == "list":
+    if sys.argv[2] == "unknown":
+        sys.exit("first line\\nthis robot is not known")
+    print(json.dumps([{"name": "theirs", "about": "theirs 1.0"}, {"name": "broken"}]))
+else:
+    _, _, method, hand, given, made = sys.argv
+    with np.load(given) as arrays:
+        count = len(arrays["time"])
+        assert str(arrays["handedness"]) == "right" and arrays["landmarks"].shape == (count, 21, 3)
+    if method == "broken":
+        np.savez(made, q=np.zeros((count, 3)), step_time=np.zeros(count))
+    else:
+        q = np.full((count, 8), 0.1)
+        np.savez(made, q=q, step_time=np.full(count, 1e-3), wrist=np.tile(np.eye(4), (count, 1, 1)))
+"""
+
+
+def test_outside_program_is_asked_and_run(take: Take, robot: Hand, tmp_path: Path) -> None:
+    (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
+    assert len(robot.joint_names) == 8
+    theirs, broken = outside_methods(tmp_path, "three_finger")
+    motion = theirs.map_take(take, robot)
+    assert motion.q.shape == (len(take.recording), 8)
+    assert motion.wrist is not None
+    assert motion.about == "theirs 1.0"
+    with pytest.raises(OutsideError, match=r"broken: bad result: .*q: expected"):
+        broken.map_take(take, robot)
+
+
+def test_outside_program_that_fails_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(OutsideError, match=r"no compare\.py in") as caught:
+        outside_methods(tmp_path, "three_finger")
+    assert "\n" not in str(caught.value)
+    (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
+    with pytest.raises(OutsideError) as caught:
+        outside_methods(tmp_path, "unknown")
+    assert str(caught.value) == "this robot is not known"
+    (tmp_path / "compare.py").write_text("print('no JSON')", encoding="utf-8")
+    with pytest.raises(OutsideError, match="expected a JSON list of methods"):
+        outside_methods(tmp_path, "three_finger")
+
+
+PEERS = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
+
+
+def test_peers_that_are_not_built_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HANDMAP_PEERS", str(tmp_path))
+    with pytest.raises(OutsideError, match=r"^--peers: .*not built.*run make peers$"):
+        outside_methods(PEERS, "allegro_right")
+
+
+@pytest.mark.slow
+def test_peers_run(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(PEERS.parent), *sys.path])
+    from peers import build  # type: ignore[import-not-found]
+
+    if missing := build.missing_peers():
+        pytest.skip(f"{', '.join(missing)} not built in {build.peers_folder()}: make peers")
+    robot = load_hand("allegro_right")
+    methods = {method.name: method for method in outside_methods(PEERS, "allegro_right")}
+    assert {"dex-vector", "dexi-dexpilot"} <= methods.keys()
+    chosen = [methods["dexi-vector-unfiltered"], methods["dexi-position"]]
+    result = compare_methods([take], robot, chosen)
+    values = result.overall("dexi-vector-unfiltered")
+    assert values["extension_correlation"] > 0.5
+    assert np.isnan(values["palm_deg"])
+    # The position method moves a free root.
+    assert np.isfinite(result.overall("dexi-position")["palm_deg"])
+    assert json.dumps(result.notes()).count("dexi-position") == 0
