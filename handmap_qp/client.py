@@ -3,7 +3,7 @@
 This file needs numpy, msgspec and pyzmq, and nothing else: copy it to where you need it.
 
     with Client() as client:
-        client.open("allegro_right", mapping={"rigid_from": "wrist"})
+        client.open("allegro_right", preset="teleoperation")
         command = client.step(q=human_q, wrist=wrist_pose)    # wait for the answer to each sample
         client.send(q=human_q, wrist=wrist_pose)              # or send without waiting,
         command = client.latest(timeout=0.1)                  # and read the newest command
@@ -39,6 +39,8 @@ Numbers = tuple[float, ...]
 Names = tuple[str, ...]
 KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
+Preset = Literal["teleoperation", "object", "paper"]
+_OPTIONS = ("mapping", "teleoperation", "ik")
 
 
 class Pose(msgspec.Struct, frozen=True):
@@ -319,11 +321,19 @@ class _Core:
             self._open_request["is_released"] = request["type"] == "release"
             self._released_at = reply.seq
         elif self._open_request and request["type"] == "configure":
-            for field in request.keys() & {"mapping", "ik"}:
-                self._open_request[field] = self._open_request.get(field, {}) | request[field]
-            if "has_detail" in request:
-                self._open_request["has_detail"] = request["has_detail"]
+            self._note_options(request)
         return reply
+
+    def _note_options(self, request: Request) -> None:
+        """Add the changes of a `configure` to the request that reopens the session."""
+        wanted = self._open_request
+        if "preset" in request:
+            # A preset replaces all options.
+            for field in _OPTIONS:
+                wanted.pop(field, None)
+        for field in request.keys() & set(_OPTIONS):
+            wanted[field] = wanted.get(field, {}) | request[field]
+        wanted |= {name: request[name] for name in ("preset", "has_detail") if name in request}
 
     def _accept_watched(self, name: str, state: State) -> State:
         self._addressee = {"name": name}
@@ -503,7 +513,9 @@ class Client(_Core):
         human_points: str | None = None,
         robot_points: str | None = None,
         mount: Literal["floating", "fixed"] | None = None,
+        preset: Preset | None = None,
         mapping: dict[str, Any] | None = None,
+        teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
         robot_q: npt.ArrayLike | None = None,
         robot_wrist: Pose | npt.ArrayLike | None = None,
@@ -532,8 +544,11 @@ class Client(_Core):
             human_points: Set of reference points on the human hand.
             robot_points: Set of reference points on the robot hand.
             mount: The robot's wrist.
-            mapping: Fields of `MappingOptions`.
-            ik: Fields of `IkOptions`.
+            preset: What the mapping is for. If omitted: `paper` with `mapping`, else
+                `teleoperation` if the robot's fingers have partners.
+            mapping: Fields of `MappingOptions`, for the presets `object` and `paper`.
+            teleoperation: Fields of `Teleoperation`, for the preset of this name.
+            ik: Fields of `IkOptions`; others are the preset's.
             robot_q: Joint angles where the robot is now [rad], shape (n,).
             robot_wrist: Pose of its wrist: (4, 4), seven numbers, or a `Pose`.
             restore: Continue where the last session of this name left the robot.
@@ -573,6 +588,7 @@ class Client(_Core):
         Args:
             q: Joint angles of the human hand [rad], in the order of `opened.human_joint_names`.
             wrist: Pose of the human's wrist: (4, 4), seven numbers x y z qx qy qz qw, or a `Pose`.
+                With landmarks it may be omitted.
             landmarks: 21 landmarks in MediaPipe's order [m], shape (21, 3).
             points: Reference points [m], in the order of `opened.human_point_names`, shape (n, 3).
             time: Time stamp [s]; the monotonic clock of this machine if omitted.
@@ -649,7 +665,8 @@ class Client(_Core):
     def clutch(self) -> None:
         """Engage, or engage again: the next sample is the reference.
 
-        The robot continues from where it is.
+        The robot continues from where it is. In teleoperation its fingers then go to the human's
+        posture.
         """
         self._call({"type": "clutch"}, Done)
 
@@ -676,18 +693,28 @@ class Client(_Core):
     def configure(
         self,
         *,
+        preset: Preset | None = None,
         mapping: dict[str, Any] | None = None,
+        teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
         has_detail: bool | None = None,
     ) -> None:
         """Change options; options that are not named, and the reference, stay as they are.
 
         Args:
-            mapping: Fields of `MappingOptions`.
+            preset: Another preset; options that are not named are then the preset's own.
+            mapping: Fields of `MappingOptions`, for the presets `object` and `paper`.
+            teleoperation: Fields of `Teleoperation`, for the preset of this name.
             ik: Fields of `IkOptions`.
             has_detail: Whether commands carry every stage of the mapping.
         """
-        changes = _given(mapping=mapping, ik=ik, has_detail=has_detail)
+        changes = _given(
+            preset=preset,
+            mapping=mapping,
+            teleoperation=teleoperation,
+            ik=ik,
+            has_detail=has_detail,
+        )
         self._call({"type": "configure"} | changes, Done)
 
     def status(self) -> State:
@@ -793,7 +820,9 @@ class AsyncClient(_Core):
         human_points: str | None = None,
         robot_points: str | None = None,
         mount: Literal["floating", "fixed"] | None = None,
+        preset: Preset | None = None,
         mapping: dict[str, Any] | None = None,
+        teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
         robot_q: npt.ArrayLike | None = None,
         robot_wrist: Pose | npt.ArrayLike | None = None,
@@ -890,12 +919,20 @@ class AsyncClient(_Core):
     async def configure(
         self,
         *,
+        preset: Preset | None = None,
         mapping: dict[str, Any] | None = None,
+        teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
         has_detail: bool | None = None,
     ) -> None:
         """Change options; see `Client.configure`."""
-        changes = _given(mapping=mapping, ik=ik, has_detail=has_detail)
+        changes = _given(
+            preset=preset,
+            mapping=mapping,
+            teleoperation=teleoperation,
+            ik=ik,
+            has_detail=has_detail,
+        )
         await self._call({"type": "configure"} | changes, Done)
 
     async def status(self) -> State:

@@ -28,6 +28,7 @@ from handmap_qp.service.messages import (
     Configure,
     Open,
     Pose,
+    Preset,
     Reset,
     Sample,
     Step,
@@ -56,9 +57,12 @@ def human_q(phase: float = 0.0) -> np.ndarray:
     return human.rest + (middle - human.rest) * 0.3 + 0.4 * half * np.sin(phase)
 
 
-def opening(robot: str = "three_finger", **choices: Any) -> Open:
-    """Return a request to open a session."""
-    return Open(protocol=PROTOCOL, seq=1, session=SECRET, robot=robot, **choices)
+def opening(robot: str = "three_finger", preset: Preset | None = "paper", **choices: Any) -> Open:
+    """Return a request to open a session.
+
+    With the preset `paper`, the robot stays where it is at the first sample.
+    """
+    return Open(protocol=PROTOCOL, seq=1, session=SECRET, robot=robot, preset=preset, **choices)
 
 
 def change(**changes: Any) -> Configure:
@@ -227,10 +231,12 @@ def client_of(server: Server, **choices: Any) -> Client:
 
 
 @contextmanager
-def connected(server: Server, robot: str = "three_finger", **choices: Any) -> Iterator[Client]:
+def connected(
+    server: Server, robot: str = "three_finger", preset: Preset | None = "paper", **choices: Any
+) -> Iterator[Client]:
     """Make a client with an open session."""
     with client_of(server) as client:
-        client.open(robot, **choices)
+        client.open(robot, preset=preset, **choices)
         yield client
 
 

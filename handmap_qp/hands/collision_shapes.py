@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
@@ -22,6 +24,12 @@ def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
         HandError: If a shape cannot be read.
         MissingExtraError: If meshes lie in a package that is not installed.
     """
+    return pin.GeometryModel(_read(hand))
+
+
+# Reading meshes takes up to a second, and the copies share them.
+@lru_cache(maxsize=32)
+def _read(hand: Hand) -> pin.GeometryModel:
     text = urdf_with_mesh_paths(hand.spec, hand.urdf_text)
     try:
         geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)

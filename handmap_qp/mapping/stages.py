@@ -44,8 +44,8 @@ def residual_norms(step: MapStep) -> np.ndarray:
 def motion_stages(step: MapStep) -> MotionStages | None:
     """Return T and its parts in the human's world; None if the method has no T.
 
-    Teleoperation estimates T in palm axes, from the human's rest posture. In the world, that posture
-    lies at the palm of the reference.
+    Teleoperation estimates T in palm axes, from the human's rest posture. In the world, that
+    posture lies at the palm of the reference.
     """
     diagnostics = step.diagnostics
     if isinstance(diagnostics, HomogeneousDiagnostics):

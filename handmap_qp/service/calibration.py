@@ -1,4 +1,4 @@
-"""Measure the human hand from the first landmarks of a session."""
+"""Measure the human hand and the contact gap from the first landmarks of a session."""
 
 from __future__ import annotations
 
@@ -7,11 +7,17 @@ from concurrent.futures import Future
 
 import numpy as np
 
+from handmap_qp.offline.poses import PINCH_GAP
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.refusals import with_field_errors
-from handmap_qp.trackers.landmarks import check_length, measure_hand
+from handmap_qp.trackers.landmarks import (
+    check_length,
+    measure_contact_gap,
+    measure_hand,
+    smallest_gap,
+)
 from handmap_qp.trackers.recording import Recording
 
 CALIBRATION_SAMPLES = 30
@@ -27,7 +33,7 @@ class Calibration:
     Args:
         request: The request that opened the session.
         cache: The hands that clients may open.
-        defer: Runs the measurement, which takes some 50 ms, in another thread.
+        defer: Runs the measurement, which takes some 200 ms, in another thread.
     """
 
     def __init__(self, request: Open, cache: HandCache, defer: Defer) -> None:
@@ -71,4 +77,7 @@ class Calibration:
             self._request.side,
         )
         lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
-        return prepare_hands(self._request, self._cache, lengths)
+        # Without a touch, nothing was measured: the preset's own gap is the better guess.
+        has_touched = smallest_gap(recording) < PINCH_GAP
+        gap = measure_contact_gap(recording) if has_touched else None
+        return prepare_hands(self._request, self._cache, lengths, gap)

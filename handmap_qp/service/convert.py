@@ -9,6 +9,7 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.mapping.stages import motion_stages
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.messages import Detail, Lengths, Pose
 from handmap_qp.transform import pose_from_xyz_quat
@@ -71,23 +72,29 @@ def joints_where(robot: Hand, mask: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def to_detail(step: MapStep, human_q: np.ndarray | None, human_wrist: np.ndarray | None) -> Detail:
-    """Convert every stage of a step.
+def to_detail(
+    step: MapStep, human_q: np.ndarray | None, landmarks: np.ndarray | None
+) -> Detail | None:
+    """Convert every stage of a step; None if its method has no T.
 
     Args:
         step: The step.
-        human_q: Joint angles of the human hand [rad], shape (n,); None if they are not known.
-        human_wrist: Pose of the human's wrist, shape (4, 4); None if it is not known.
+        human_q: Joint angles of the human hand [rad], shape (n,); None if the sample had none.
+        landmarks: Landmarks [m], shape (21, 3); None if the sample had none.
     """
+    stages = motion_stages(step)
+    if stages is None:
+        return None
     return Detail(
         human_points=to_points(step.human_points),
         human_q=None if human_q is None else to_row(human_q),
-        human_wrist=to_pose(human_wrist),
-        motion=to_rows(step.motion),
-        motion_rigid=to_rows(step.motion_rigid),
-        motion_deformation=to_rows(step.motion_deformation),
-        stretches=to_row(step.stretches),
-        pivot=to_points(step.transfer.image[None])[0],
+        human_wrist=to_pose(step.human_wrist),
+        landmarks=None if landmarks is None else to_points(landmarks),
+        motion=to_rows(stages.motion),
+        motion_rigid=to_rows(stages.motion_rigid),
+        motion_deformation=to_rows(stages.motion_deformation),
+        stretches=to_row(stages.stretches),
+        pivot=to_points(stages.pivot[None])[0],
         targets=to_points(step.targets),
         points=to_points(step.points),
     )

@@ -11,7 +11,7 @@ from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Step
 from handmap_qp.service.opening import Hands
-from handmap_qp.service.refusals import with_field_errors
+from handmap_qp.trackers.recording import LANDMARK_COUNT
 
 InputKind = Literal["q", "landmarks", "points"]
 _KINDS: tuple[InputKind, ...] = ("q", "landmarks", "points")
@@ -22,13 +22,13 @@ class MappedSample(NamedTuple):
 
     Attributes:
         step: Every stage of the mapping.
-        human_q: Joint angles of the human hand [rad], shape (n,); None if they are not known.
-        human_wrist: Pose of the human's wrist, shape (4, 4); None if it is not known.
+        human_q: Joint angles of the human hand [rad], shape (n,); None if the sample had none.
+        landmarks: Landmarks [m], shape (21, 3); None if the sample had none.
     """
 
     step: MapStep
-    human_q: np.ndarray | None
-    human_wrist: np.ndarray | None
+    human_q: np.ndarray | None = None
+    landmarks: np.ndarray | None = None
 
 
 def check_input(expected: InputKind, sample: Step) -> None:
@@ -45,17 +45,12 @@ def check_input(expected: InputKind, sample: Step) -> None:
             raise RefusedError("invalid", "missing; this session was opened for it", field=kind)
     if expected == "q" and sample.wrist is None:
         raise RefusedError("invalid", "missing; it must come with q", field="wrist")
-    if expected == "landmarks":
-        if sample.wrist is not None:
-            raise RefusedError(
-                "invalid", "it follows from the landmarks; leave it out", field="wrist"
-            )
-        if len(sample.landmarks or ()) != 21:
-            raise RefusedError(
-                "invalid",
-                f"expected 21 points, got {len(sample.landmarks or ())}",
-                field="landmarks",
-            )
+    if expected == "landmarks" and len(sample.landmarks or ()) != LANDMARK_COUNT:
+        raise RefusedError(
+            "invalid",
+            f"expected {LANDMARK_COUNT} points, got {len(sample.landmarks or ())}",
+            field="landmarks",
+        )
 
 
 def map_sample(hands: Hands, sample: Step, dt: float) -> MappedSample:
@@ -69,24 +64,22 @@ def map_sample(hands: Hands, sample: Step, dt: float) -> MappedSample:
     Raises:
         HandmapError: If the sample cannot be used; the mapper is then unchanged.
     """
-    if sample.landmarks is not None:
-        return _map_landmarks(hands, np.array(sample.landmarks), dt)
     wrist = to_matrix(sample.wrist)
+    if sample.landmarks is not None:
+        return _map_landmarks(hands, np.array(sample.landmarks), wrist, dt)
     if sample.points is not None:
-        return MappedSample(hands.mapper.map_points(sample.points, wrist, dt=dt), None, wrist)
+        return MappedSample(hands.mapper.map_points(sample.points, wrist, dt=dt))
     q = np.array(sample.q, dtype=float)
     # `check_input` requires a wrist with q.
     step = hands.mapper.map_step(q, np.eye(4) if wrist is None else wrist, dt=dt)
-    return MappedSample(step, q, wrist)
+    return MappedSample(step, human_q=q)
 
 
-def _map_landmarks(hands: Hands, landmarks: np.ndarray, dt: float) -> MappedSample:
-    """Map landmarks by way of the joint angles that fit them.
-
-    Only this function knows how landmarks reach the mapper.
-    """
-    fitter = hands.fitter
-    if fitter is None:
-        raise RefusedError("invalid", "this session has no hand for landmarks", field="landmarks")
-    q, wrist, _ = with_field_errors("landmarks", lambda: fitter.fit(landmarks))
-    return MappedSample(hands.mapper.map_step(q, wrist, dt=dt), q, wrist)
+def _map_landmarks(
+    hands: Hands, landmarks: np.ndarray, wrist: np.ndarray | None, dt: float
+) -> MappedSample:
+    """Map landmarks as they were measured."""
+    if hands.palm is not None:
+        hands.palm.check(landmarks)
+    step = hands.mapper.map_landmarks(landmarks, wrist, dt=dt)
+    return MappedSample(step, landmarks=landmarks)

@@ -26,6 +26,7 @@ def _doc(text: str, **bounds: Any) -> msgspec.Meta:
 Vector = tuple[float, float, float]
 Numbers = Annotated[tuple[float, ...], msgspec.Meta(max_length=256)]
 Points = Annotated[tuple[Vector, ...], msgspec.Meta(max_length=256)]
+Preset = Literal["teleoperation", "object", "paper"]
 Length = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
@@ -99,8 +100,24 @@ class Open(Request, frozen=True):
         Literal["floating", "fixed"] | None,
         _doc("Mount of the robot's wrist, in place of the hand's own."),
     ] = None
-    mapping: Annotated[dict[str, Any], _doc("Fields of MappingOptions.")] = {}
-    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; the solver must be daqp.")] = {}
+    preset: Annotated[
+        Preset | None,
+        _doc(
+            "What the mapping is for; see the list. If omitted: `paper` with `mapping`, else "
+            "`teleoperation` if the robot's fingers have partners, else `object`, or `paper` if "
+            "its wrist is fixed."
+        ),
+    ] = None
+    mapping: Annotated[
+        dict[str, Any], _doc("Fields of MappingOptions, for the presets object and paper.")
+    ] = {}
+    teleoperation: Annotated[
+        dict[str, Any], _doc("Fields of Teleoperation, for the preset teleoperation.")
+    ] = {}
+    ik: Annotated[
+        dict[str, Any],
+        _doc("Fields of IkOptions; others are the preset's. The solver must be daqp."),
+    ] = {}
     robot_q: Annotated[
         Numbers | None, _doc("Joint angles where the robot is now [rad]; at rest if omitted.")
     ] = None
@@ -164,7 +181,8 @@ class Step(Request, frozen=True):
     wrist: Annotated[
         Pose | None,
         _doc(
-            "The human's wrist: required with `q`, optional with `points`, none with `landmarks`."
+            "The human's wrist: required with `q`; optional with `landmarks`, whose palm gives it "
+            "otherwise; with `points`, required by teleoperation and rigid_from=wrist."
         ),
     ] = None
 
@@ -188,7 +206,8 @@ class Named(Request, frozen=True, kw_only=True):
 class Clutch(Named, frozen=True):
     """Engage, or engage again: the next sample is the reference.
 
-    The robot continues from where it is.
+    The robot continues from where it is. In teleoperation only the palm has a reference: the
+    fingers go to the human's posture within their speed limits.
     """
 
 
@@ -199,10 +218,18 @@ class Release(Named, frozen=True):
 class Configure(Named, frozen=True):
     """Change options: the reference stays, and the robot continues from where it is."""
 
+    preset: Annotated[
+        Preset | None, _doc("Another preset, with its own options where none are given here.")
+    ] = None
     mapping: Annotated[
-        dict[str, Any], _doc("Fields of MappingOptions; others stay as they are.")
+        dict[str, Any], _doc("Fields of MappingOptions; without `preset`, others stay as they are.")
     ] = {}
-    ik: Annotated[dict[str, Any], _doc("Fields of IkOptions; others stay as they are.")] = {}
+    teleoperation: Annotated[
+        dict[str, Any], _doc("Fields of Teleoperation; without `preset`, others stay as they are.")
+    ] = {}
+    ik: Annotated[
+        dict[str, Any], _doc("Fields of IkOptions; without `preset`, others stay as they are.")
+    ] = {}
     has_detail: Annotated[
         bool | None, _doc("Whether commands carry every stage of the mapping.")
     ] = None
@@ -268,17 +295,32 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     """Every stage of a step. Matrices are row by row."""
 
     human_points: Annotated[Points, _doc("In the human's world [m].")]
-    human_q: Annotated[Numbers | None, _doc("Joint angles [rad]; null if the sample was points.")]
-    human_wrist: Annotated[Pose | None, _doc("In the human's world; null if it is not known.")]
-    motion: Annotated[Matrix, _doc("T (eqs. 5-6), 4x4.")]
-    motion_rigid: Annotated[Matrix, _doc("T_rb (eq. 2), 4x4.")]
-    motion_deformation: Annotated[Matrix, _doc("T_def (eq. 2), 4x4.")]
+    human_q: Annotated[Numbers | None, _doc("Joint angles [rad]; null if the sample had none.")]
+    human_wrist: Annotated[
+        Pose | None, _doc("In the human's world, given or fitted to landmarks; null if not known.")
+    ]
+    landmarks: Annotated[Points | None, _doc("As in the sample; null if it had none.")]
+    motion: Annotated[
+        Matrix,
+        _doc(
+            "T (eqs. 5-6), 4x4: from the reference, in teleoperation from the human's rest posture "
+            "with the palm of the reference."
+        ),
+    ]
+    motion_rigid: Annotated[
+        Matrix, _doc("T_rb (eq. 2), 4x4; in teleoperation the motion of the palm.")
+    ]
+    motion_deformation: Annotated[
+        Matrix, _doc("T_def (eq. 2), 4x4; in teleoperation all the rest of T.")
+    ]
     stretches: Annotated[Numbers, _doc("Of T, before clamping.")]
     pivot: Annotated[
         Vector, _doc("Image of the human's pivot under T, about which it deforms [m].")
     ]
-    targets: Annotated[Points, _doc("Targets of the robot's reference points (eq. 7) [m].")]
-    points: Annotated[Points, _doc("The robot's reference points after the step [m].")]
+    targets: Annotated[
+        Points, _doc("Targets of the robot points that the method moves (eq. 7) [m].")
+    ]
+    points: Annotated[Points, _doc("The same points after the step [m].")]
 
 
 class Command(Reply, frozen=True):
@@ -303,10 +345,10 @@ class Command(Reply, frozen=True):
         tuple[str, ...], _doc("Conditions that a driver should know; see the list.")
     ] = ()
     point_error: Annotated[
-        Numbers, _doc("Distance of each reference point from its target [m].")
+        Numbers, _doc("Distance of each robot point that the method moves from its target [m].")
     ] = ()
     residual: Annotated[
-        float, _doc("Residual of T: RMS over the human's reference points [m].")
+        float, _doc("Residual of T: RMS over the human points that it is estimated from [m].")
     ] = 0.0
     at_limit: Annotated[tuple[str, ...], _doc("Joints at a position or speed limit.")] = ()
     out_of_range: Annotated[
@@ -340,9 +382,12 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
         str | None, _doc("Set of reference points on the robot hand; null for the default one.")
     ]
     mount: Annotated[str | None, _doc("Mount of the robot's wrist; null for the hand's own.")]
+    preset: Annotated[str, _doc("The preset in force.")]
     mapping: Annotated[
-        dict[str, Any], _doc("All of MappingOptions; in JSON, null stands for infinity.")
+        dict[str, Any],
+        _doc("All of MappingOptions, empty in teleoperation; in JSON, null stands for infinity."),
     ]
+    teleoperation: Annotated[dict[str, Any], _doc("All of Teleoperation, empty in other presets.")]
     ik: Annotated[dict[str, Any], _doc("All of IkOptions.")]
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")]
     is_shared: Annotated[

@@ -11,9 +11,12 @@ import docstring_parser
 import msgspec
 
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.service import messages
 from handmap_qp.service.caps import Caps
+from handmap_qp.service.choosing import MOST_ITERATIONS, SOLVERS
 from handmap_qp.service.messages import (
     PROTOCOL,
     About,
@@ -25,7 +28,6 @@ from handmap_qp.service.messages import (
     Reply,
     Request,
 )
-from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",
@@ -96,7 +98,9 @@ def schema_text() -> str:
         *(_table(kind) for kind in get_args(AnyReply)),
         "## Values",
         *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
-        *(_options_table(kind) for kind in (MappingOptions, IkOptions)),
+        "### Presets",
+        "\n".join(map(_preset_line, PRESETS)),
+        *(_options_table(kind) for kind in (MappingOptions, Teleoperation, IkOptions)),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Codes of an error",
@@ -146,7 +150,7 @@ def _rows(kind: type[msgspec.Struct]) -> str:
     return "\n".join([*_HEAD, *rows]) if rows else ""
 
 
-def _options_table(kind: type[MappingOptions | IkOptions]) -> str:
+def _options_table(kind: type[MappingOptions | Teleoperation | IkOptions]) -> str:
     """Describe options as their class does, except those that the service restricts."""
     described = docstring_parser.parse(kind.__doc__ or "")
     hints = get_type_hints(kind)
@@ -157,6 +161,20 @@ def _options_table(kind: type[MappingOptions | IkOptions]) -> str:
         rows.append(f"| `{item.name}` | {hint} | `{json.dumps(item.default)}` | {text} |")
     title = [f"### `{kind.__name__}`", "", described.short_description or "", ""]
     return "\n".join([*title, *_HEAD, *rows])
+
+
+def _preset_line(name: str) -> str:
+    """Describe a preset, and where its options differ from the defaults in the tables."""
+    preset, usual, changes = PRESETS[name], preset_choice("paper"), []
+    chosen = preset_choice(name)
+    kinds = ((chosen.ik, usual.ik), (chosen.options, type(chosen.options)()))
+    for ours, theirs in kinds:
+        for item in dataclasses.fields(ours):
+            value = getattr(ours, item.name)
+            if value != getattr(theirs, item.name):
+                changes.append(f"`{item.name}` {json.dumps(value)}")
+    differs = f" Its own values: {', '.join(changes)}." if changes else ""
+    return f"- `{name}`: {preset.purpose}. Weakness: {preset.weakness}.{differs}"
 
 
 def _default(item: msgspec.structs.FieldInfo) -> Any:

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.stages import residual_norms
 from handmap_qp.service.calibration import Calibration
+from handmap_qp.service.choosing import read_choice, with_changes
 from handmap_qp.service.convert import (
     joints_where,
     to_detail,
@@ -38,7 +39,7 @@ from handmap_qp.service.messages import (
     State,
     Step,
 )
-from handmap_qp.service.opening import Hands, read_ik, read_options
+from handmap_qp.service.opening import Hands
 from handmap_qp.service.refusals import refused, with_option_errors
 from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start_wrist
 from handmap_qp.service.states import Event, MapperState, SessionState, next_state
@@ -87,6 +88,8 @@ class Session:
         self.counts: Counter[str] = Counter()
         self.last_request = now
         self._hands = hands
+        # The request and the choice change with `configure`.
+        self._wanted, self._choice = request, hands.choice
         self._calibration = calibration if hands.needs_measuring else None
         self._has_detail = request.has_detail
         start = (
@@ -159,7 +162,8 @@ class Session:
 
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """Answer `status`."""
-        request, mapper = self.request, self._hands.mapper
+        request, choice = self.request, self._choice
+        options = asdict(choice.options)
         about = About(
             robot=self.robot.name,
             side=request.side,
@@ -168,8 +172,10 @@ class Session:
             human_points=request.human_points,
             robot_points=request.robot_points,
             mount=request.mount,
-            mapping=asdict(mapper.options),
-            ik=asdict(mapper.ik),
+            preset=choice.preset,
+            mapping={} if choice.is_teleoperation else options,
+            teleoperation=options if choice.is_teleoperation else {},
+            ik=asdict(choice.ik),
             has_detail=self._has_detail,
             is_shared=request.is_shared,
         )
@@ -267,10 +273,7 @@ class Session:
         Raises:
             RefusedError: With the option at fault. The session is then unchanged.
         """
-        mapper = self._hands.mapper
-        mapping = read_options("mapping", asdict(mapper.options) | request.mapping, MappingOptions)
-        ik = read_ik(asdict(mapper.ik) | request.ik)
-        with_option_errors(self.robot, ik, lambda: mapper.configure(mapping, ik=ik))
+        self._choose(self._hands, with_changes(self._wanted, self._choice, request))
         self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
 
     def reset(self, request: Reset, now: float) -> None:
@@ -317,12 +320,26 @@ class Session:
         self._dt, _ = self._clock.grant(sample.time, now)
         command = self._command(now, "calibrating", flags)
         if hands is not None:
-            hands.mapper.configure(self._hands.mapper.options, ik=self._hands.mapper.ik)
+            # Options may have changed since the hands were prepared.
+            self._choose(hands, self._wanted)
             self._hands, self._calibration = hands, None
             self._reset_mapper()
             if self._state.is_released:
                 hands.mapper.release()
         return command
+
+    def _choose(self, hands: Hands, wanted: Open) -> None:
+        """Give the mapper of these hands the options of a request, and remember both.
+
+        Raises:
+            RefusedError: With the option at fault. Nothing has changed then.
+        """
+        mapper = hands.mapper
+        before = self._choice if hands is self._hands else hands.choice
+        choice = read_choice(wanted, mapper.human, hands.robot, hands.contact_gap)
+        method = None if choice.options == before.options else choice.method
+        with_option_errors(hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik))
+        self._wanted, self._choice = wanted, choice
 
     def _prepare_mapper(self) -> None:
         """Reset the mapper if it must start again from the robot's posture."""
@@ -366,10 +383,10 @@ class Session:
 
     def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
-        step, residuals = mapped.step, mapped.step.residual_norms
+        step, residuals = mapped.step, residual_norms(mapped.step)
         return {
             "point_error": to_row(step.point_error),
-            "residual": float(np.sqrt(residuals.dot(residuals) / len(residuals))),
+            "residual": float(np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))),
             "at_limit": joints_where(self.robot, step.at_bound),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,

@@ -48,30 +48,25 @@ _FIT = IkOptions(
 )
 
 
-class LandmarkFitter:
-    """Fits a human hand to landmarks, sample by sample.
+class PalmShape:
+    """The palm of a human hand, to recognise landmarks of another size.
 
     Args:
-        side: Which hand.
-        lengths: The person's segment lengths; the model's own if omitted.
+        human: The hand, scaled to the person.
 
     Attributes:
-        human: The human hand, its reference points the 21 landmarks.
+        points: Its landmarks in the frame of the wrist [m], shape (5, 3).
 
     Raises:
-        InvalidInputError: If the side is unknown, or `lengths` is something else.
+        HandError: If the hand has no landmarks.
     """
 
-    def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
-        self.human = load_hand(human_name(side), points=_landmark_points(side), lengths=lengths)
-        self._ik = PointIk(self.human, _FIT)
-        self._palm = self.human.points(
-            np.clip(0.0, self.human.lower_limits, self.human.upper_limits)
-        )[PALM]
-        self._palm_size = float(_palm_sizes(self._palm))
-        self._is_warm = False
+    def __init__(self, human: Hand) -> None:
+        posture = np.clip(0.0, human.lower_limits, human.upper_limits)
+        self.points = human.with_points("landmarks").points(posture)[PALM]
+        self._size = float(_palm_sizes(self.points))
 
-    def fits_size(self, landmarks: np.ndarray) -> np.ndarray:
+    def fits(self, landmarks: np.ndarray) -> np.ndarray:
         """Tell whether landmarks belong to a hand about as large as this one.
 
         Landmarks in other units, or all in one place, do not.
@@ -90,9 +85,46 @@ class LandmarkFitter:
             expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
             raise InvalidInputError(argument="landmarks", expected=expected, got=got)
         sizes = _palm_sizes(array[..., PALM, :])
-        return (sizes >= _PALM_RATIOS[0] * self._palm_size) & (
-            sizes <= _PALM_RATIOS[1] * self._palm_size
-        )
+        return (sizes >= _PALM_RATIOS[0] * self._size) & (sizes <= _PALM_RATIOS[1] * self._size)
+
+    def check(self, landmarks: np.ndarray) -> None:
+        """Reject landmarks of a hand that is much larger or smaller.
+
+        Args:
+            landmarks: Of one sample [m], shape (21, 3).
+
+        Raises:
+            InvalidInputError: If the palm is less than half or more than twice as large.
+        """
+        if not self.fits(landmarks):
+            ratio = float(_palm_sizes(landmarks[PALM])) / self._size
+            raise InvalidInputError(
+                argument="landmarks",
+                expected="metres and a palm as large as the hand's",
+                value=landmarks,
+                got=f"one {ratio:.3g} times as large",
+            )
+
+
+class LandmarkFitter:
+    """Fits a human hand to landmarks, sample by sample.
+
+    Args:
+        side: Which hand.
+        lengths: The person's segment lengths; the model's own if omitted.
+
+    Attributes:
+        human: The human hand, its reference points the 21 landmarks.
+
+    Raises:
+        InvalidInputError: If the side is unknown, or `lengths` is something else.
+    """
+
+    def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
+        self.human = load_hand(human_name(side), points=_landmark_points(side), lengths=lengths)
+        self._ik = PointIk(self.human, _FIT)
+        self._palm = PalmShape(self.human)
+        self._is_warm = False
 
     def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit one sample, starting from the one before.
@@ -110,16 +142,9 @@ class LandmarkFitter:
         """
         shape = (LANDMARK_COUNT, 3)
         landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-        if not self.fits_size(landmarks):
-            ratio = float(_palm_sizes(landmarks[PALM])) / self._palm_size
-            raise InvalidInputError(
-                argument="landmarks",
-                expected="metres and a palm as large as the hand's",
-                value=landmarks,
-                got=f"one {ratio:.3g} times as large",
-            )
+        self._palm.check(landmarks)
         if not self._is_warm:
-            wrist = rigid_fit(self._palm, landmarks[PALM])
+            wrist = rigid_fit(self._palm.points, landmarks[PALM])
             self._ik.place(self.human.configuration_vector(self.human.rest, wrist))
             self._is_warm = True
         result = self._ik.solve(landmarks, None, 1.0)
@@ -226,9 +251,18 @@ def measure_contact_gap(recording: Recording) -> float:
     Returns:
         The contact gap of tracker and person, from 12 to 20 mm [m].
     """
+    return float(np.clip(smallest_gap(recording), *CONTACT_GAPS))
+
+
+def smallest_gap(recording: Recording) -> float:
+    """Return the 1st percentile of the smallest distance from the thumb's tip to another tip [m].
+
+    Args:
+        recording: The recording.
+    """
     landmarks = recording.landmarks[recording.valid]
     gaps = np.linalg.norm(landmarks[:, TIPS[1:]] - landmarks[:, TIPS[:1]], axis=2).min(axis=1)
-    return float(np.clip(np.percentile(gaps, 1.0), *CONTACT_GAPS))
+    return float(np.percentile(gaps, 1.0))
 
 
 def fit_recording(
@@ -251,7 +285,7 @@ def fit_recording(
     lengths = measure_hand(recording)
     fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
-    valid[valid] = fitter.fits_size(recording.landmarks[valid])
+    valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
     if not valid.any():
         raise InvalidInputError(
             argument="landmarks",

@@ -40,7 +40,7 @@ def test_serve_reports_readiness_and_ends_on_a_signal(number: signal.Signals) ->
         ready = json.loads(process.stdout.readline())
         assert set(ready["ports"]) == {"requests", "stream", "health", "web"}
         with Client(f"tcp://127.0.0.1:{ready['ports']['requests']}", timeout=PATIENCE) as client:
-            client.open("three_finger")
+            client.open("three_finger", preset="paper")
             assert client.step(q=human_q(), wrist=np.eye(4)).status == "converged"
             process.send_signal(number)
             log = process.communicate(timeout=PATIENCE)[1]

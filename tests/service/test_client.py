@@ -71,7 +71,7 @@ def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> Non
     code = (
         "import sys; sys.modules['handmap_qp'] = None; sys.path.insert(0, '.')\n"
         f"import copied; client = copied.Client({address_of(server)!r}, timeout={PATIENCE})\n"
-        "client.open('three_finger')\n"
+        "client.open('three_finger', preset='paper')\n"
         f"print(client.step(q={human_q().tolist()}, wrist=[0, 0, 0, 0, 0, 0, 1]).status)\n"
         "client.close()"
     )

@@ -80,7 +80,7 @@ def test_keys_come_and_go_while_the_server_runs(tmp_path: Path) -> None:
         serving(keys=tmp_path) as server,
         client_of(server, keys=keys_of(tmp_path, "first")) as open_before,
     ):
-        open_before.open("three_finger")
+        open_before.open("three_finger", preset="paper")
         make_keys(tmp_path, ["late"])
         assert is_admitted(server, keys_of(tmp_path, "late"))
         (clients / "first.key").unlink()

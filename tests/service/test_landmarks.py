@@ -77,9 +77,9 @@ def test_a_known_hand_needs_no_measuring() -> None:
     request = opening(input="landmarks", hand_length=0.19)
     hands: Hands = prepare_hands(request, CACHE)
     assert not hands.needs_measuring
-    assert hands.fitter is not None
+    assert hands.lengths is not None
     session = Session(request, hands, "test", 0.0, calibration=Calibration(request, CACHE, run_now))
-    landmarks = hands.fitter.human.points(human_q())
+    landmarks = hands.mapper.human.with_points("landmarks").points(human_q())
     command = session.step(Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1)
     assert command.status != "calibrating"
 

@@ -24,7 +24,7 @@ from service_tools import (
 )
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.messages import Pose
+from handmap_qp.service.messages import Configure, Pose
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -43,9 +43,24 @@ events = st.lists(
 )
 
 
+def changes_for(choices: dict[str, Any], phase: float) -> Configure:
+    """Return other options of the paper's preset, or another preset."""
+    if "preset" in choices:
+        presets = ("teleoperation", "object", "paper")
+        return change(preset=presets[int(abs(phase)) % 3], ik=choices.get("ik", {}))
+    reference = "previous" if phase < 0.0 else "first"
+    return change(mapping={"scale": abs(phase), "reference": reference})
+
+
 @pytest.mark.parametrize(
     "choices",
-    [{}, {"ik": {"has_velocity_limits": False}}, {"return_after": 0.1, "resume": "clutch"}],
+    [
+        {},
+        {"ik": {"has_velocity_limits": False}},
+        {"return_after": 0.1, "resume": "clutch"},
+        {"preset": "teleoperation"},
+        {"preset": "teleoperation", "ik": {"has_velocity_limits": False}, "return_after": 0.1},
+    ],
     ids=str,
 )
 @given(events=events)
@@ -59,14 +74,7 @@ def test_joints_keep_their_speed_limits_whatever_comes(
         if kind == "reset":
             session.reset(RESET, now)
         elif kind == "configure":
-            session.configure(
-                change(
-                    mapping={
-                        "scale": abs(phase),
-                        "reference": "previous" if phase < 0.0 else "first",
-                    }
-                )
-            )
+            session.configure(changes_for(choices, phase))
         elif kind in ("clutch", "release"):
             getattr(session, kind)()
         command = (

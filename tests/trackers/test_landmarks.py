@@ -16,6 +16,7 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.landmarks import (
     TIPS,
     LandmarkFitter,
+    PalmShape,
     fit_recording,
     human_name,
     measure_hand,
@@ -200,7 +201,7 @@ def test_other_arguments_are_named() -> None:
         "side": lambda: LandmarkFitter("up"),  # type: ignore[arg-type]
         "lengths": lambda: LandmarkFitter("right", 0.19),  # type: ignore[arg-type]
         "recording": lambda: measure_hand("x"),  # type: ignore[arg-type]
-        "landmarks": lambda: LandmarkFitter().fits_size(np.zeros((3, 3))),
+        "landmarks": lambda: PalmShape(load_hand("human")).fits(np.zeros((3, 3))),
     }
     for argument, call in calls.items():
         with pytest.raises(InvalidInputError) as caught:
