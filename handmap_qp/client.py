@@ -665,8 +665,8 @@ class Client(_Core):
     def clutch(self) -> None:
         """Engage, or engage again: the next sample is the reference.
 
-        The robot continues from where it is. In teleoperation its fingers then go to the human's
-        posture.
+        The robot continues from where it is. With the presets `teleoperation` and `object`, its
+        fingers then go to the human's posture.
         """
         self._call({"type": "clutch"}, Done)
 

@@ -206,8 +206,8 @@ class Named(Request, frozen=True, kw_only=True):
 class Clutch(Named, frozen=True):
     """Engage, or engage again: the next sample is the reference.
 
-    The robot continues from where it is. In teleoperation only the palm has a reference: the
-    fingers go to the human's posture within their speed limits.
+    The robot continues from where it is. With the presets teleoperation and object only the palm
+    has a reference: the fingers go to the human's posture within their speed limits.
     """
 
 
@@ -303,8 +303,8 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     motion: Annotated[
         Matrix,
         _doc(
-            "T (eqs. 5-6), 4x4: from the reference, in teleoperation from the human's rest posture "
-            "with the palm of the reference."
+            "T (eqs. 5-6), 4x4: from the reference; in teleoperation and with reference=rest, from "
+            "the human's rest posture with the palm of the reference."
         ),
     ]
     motion_rigid: Annotated[
