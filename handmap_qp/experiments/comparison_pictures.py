@@ -18,11 +18,12 @@ from handmap_qp.offline.poses import POSES, rank_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _COLUMNS = 8
 _OWN, _OUTSIDE, _SAMPLE, _INK = "#c8452f", "#3f6fb5", "#b8bec6", "#222831"
-_SHEET_DPI = 100
-_ARROWS = {"high": "higher is better", "low": "lower is better"}
+_BAND = 6  # Methods side by side on the contact sheet; more are drawn below.
+_HINTS = {"high": "higher is better", "low": "lower is better", "one": "best near 1"}
 _WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at the edge.
 
 
@@ -66,6 +67,8 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
 def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[str]]:
     """Draw the contact sheet: each pose as the recording that shows it most clearly has it.
 
+    Six methods are side by side; further ones are below, beside the human again.
+
     Methods that failed on one of those recordings are left out.
 
     Args:
@@ -91,17 +94,47 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     if not used or not methods:
         return None, missing
     rows = [_sheet_row(comparison, methods, pose, *place) for pose, place in shown.items()]
-    side = comparison.robot.spec.side
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
-    figure = contact_sheet(
-        [(method, comparison.robot) for method in methods],
-        rows,
-        side=side,
-        title=comparison.robot.name,
-        footnote=footnote,
-    )
-    figure.savefig(file, dpi=_SHEET_DPI)
+    bands = []
+    for first in range(0, len(methods), _BAND):
+        band = slice(first, first + _BAND)
+        columns = [(method, comparison.robot) for method in methods[band]]
+        figure = contact_sheet(
+            columns,
+            [replace(row, q=row.q[band]) for row in rows],
+            side=comparison.robot.spec.side,
+            title=comparison.robot.name,
+            footnote=footnote,
+        )
+        bands.append(_pixels(figure))
+    _save(file, _stacked(bands))
     return file, missing
+
+
+def _pixels(figure: Figure) -> np.ndarray:
+    """Return a picture as bytes, shape (height, width, 3)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _save(file: Path, picture: np.ndarray) -> None:
+    from matplotlib.image import imsave
+
+    imsave(file, picture)
+
+
+def _stacked(pictures: list[np.ndarray]) -> np.ndarray:
+    """Return pictures one below the other, on white."""
+    width = max(picture.shape[1] for picture in pictures)
+    return np.concatenate(
+        [
+            np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0)), constant_values=255)
+            for p in pictures
+        ]
+    )
 
 
 def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
@@ -166,7 +199,7 @@ def _draw_panel(panel: Axes, metric: Metric, comparison: Comparison, *, has_name
     panel.set_axisbelow(True)
     panel.tick_params(length=0, labelsize=7)
     panel.spines[["top", "right", "left"]].set_visible(False)
-    hint = _ARROWS.get(metric.better, f"best near {0 if metric.better == 'zero' else 1}")
+    hint = _HINTS.get(metric.better, "best near 0")
     panel.set_title(metric.label, fontsize=8.5, fontweight="bold", loc="left", pad=9)
     panel.text(0.0, 1.005, hint, transform=panel.transAxes, fontsize=6.3, color="#6b7280")
 

@@ -148,7 +148,7 @@ def _heading(metric: Metric) -> str:
 def _better(metric: Metric) -> str:
     return {
         "high": "higher is better",
-        "low": "lower is better",
+        "low": f"up to {metric.enough:g} is good" if metric.enough else "lower is better",
         "zero": "nearer to 0 is better",
         "one": "nearer to 1 is better",
     }[metric.better]

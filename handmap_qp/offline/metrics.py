@@ -21,10 +21,10 @@ class Metric:
         key: Its name in JSON.
         title: Short name for columns.
         unit: Unit; empty for a share, a ratio or a correlation.
-        better: Whether `high` or `low` values are better (all below zero alike), or those near
-            `zero` or `one`.
+        better: Whether `high` or `low` values are better, or those near `zero` or `one`.
         about: What it says, in a few words.
         digits: Decimals to print.
+        enough: Where `low` is better, values up to this are equally good.
     """
 
     key: str
@@ -33,6 +33,7 @@ class Metric:
     better: Better
     about: str
     digits: int = 2
+    enough: float = 0.0
 
     @property
     def label(self) -> str:
@@ -54,7 +55,7 @@ class Metric:
     def _cost(self, value: float) -> float:
         """Smaller is better; values that print alike are alike."""
         x = round(value, self.digits)
-        costs = {"high": -x, "low": max(x, 0.0), "zero": abs(x), "one": abs(x - 1.0)}
+        costs = {"high": -x, "low": max(x, self.enough), "zero": abs(x), "one": abs(x - 1.0)}
         return costs[self.better]
 
 
@@ -85,8 +86,15 @@ GROUPS: dict[str, tuple[Metric, ...]] = {
     ),
     "Pinches": (
         Metric("pinch_closed", "closed", "", "high", "share of pinches with a gap below 3 mm"),
-        Metric("pinch_gap_mm", "gap", "mm", "low", "median gap of surfaces in a pinch", 1),
-        Metric("pinch_gap_p95_mm", "gap p95", "mm", "low", "95th percentile of it", 1),
+        Metric(
+            "pinch_gap_mm",
+            "gap",
+            "mm",
+            "zero",
+            "median gap of surfaces in a pinch, negative where they overlap",
+            1,
+        ),
+        Metric("pinch_gap_p95_mm", "gap p95", "mm", "zero", "95th percentile of it", 1),
         Metric("pinch_depth_mm", "depth", "mm", "low", "95th percentile of the penetration", 1),
         Metric(
             "pinch_false", "false", "", "low", "share of open samples with surfaces touching", 4
@@ -95,7 +103,7 @@ GROUPS: dict[str, tuple[Metric, ...]] = {
     ),
     "Motion": (
         Metric("jerk_ratio", "jerk", "", "low", "RMS joint jerk over the human's"),
-        Metric("speed_ratio", "speed", "", "low", "largest joint speed over its limit"),
+        Metric("speed_ratio", "speed", "", "low", "largest joint speed over its limit", enough=1.0),
         Metric("outside_limits", "limits", "", "low", "share of samples outside joint limits"),
         Metric("latency_ms", "lag", "ms", "zero", "lag behind the human", 0),
         Metric("self_penetration", "penetr.", "", "low", "share of samples deeper than 1 mm", 3),

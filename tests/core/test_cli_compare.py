@@ -159,6 +159,27 @@ def test_recording_without_a_pose_has_no_contact_sheet(
     assert (out / "metrics.png").exists()
 
 
+@pytest.mark.slow
+def test_sheet_of_many_methods_has_bands(
+    files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = ["compare", files[0], "--robot", "three_finger", "--out", str(out)]
+    assert cli.main(words) == 0
+    printed = capsys.readouterr().out
+    methods = [line.split()[0] for line in printed.splitlines() if line.startswith(" tele")]
+    assert methods[:2] == ["teleoperation", "teleoperation+filter"]
+    sheet = picture(out / "poses.png")
+    # Six methods beside the human, and the rest below, beside the human again.
+    assert sheet.shape[1] == cell_of(7, 0, 0)[0]
+    half = sheet.shape[0] // 2
+    x, y = cell_of(0, 0, 0)
+    for top in (0, half):
+        cell = sheet[top + y + 2 : top + y + CELL[1] - 2, x + 2 : x + CELL[0] - 2]
+        assert has_colour(cell, FINGER_COLOURS["little"])
+    assert (sheet[half + y :, cell_of(6, 0, 0)[0] + 5 :] == 1.0).all()
+
+
 BAD = {
     "no recording": ([], "RECORDING: expected at least one file"),
     "absent": (["absent.npz"], "absent.npz: cannot be read"),

@@ -49,7 +49,6 @@ def test_keys_and_labels_are_different() -> None:
     [
         ("high", [0.2, 0.9, NAN, 0.5], {1}),
         ("low", [0.2, 0.9, NAN, 0.5], {0}),
-        # Surfaces that overlap are as near as can be: the depth is another metric.
         ("low", [-3.0, 2.0, 0.0, -0.5], {0, 2, 3}),
         ("zero", [-8.0, 3.0, 9.0], {1}),
         ("one", [0.8, 1.1, 2.0], {1}),
@@ -60,6 +59,15 @@ def test_keys_and_labels_are_different() -> None:
 )
 def test_best_values(better: str, values: list[float], best: set[int]) -> None:
     assert metric(better).best(values) == best
+
+
+def test_values_that_are_good_enough_are_alike() -> None:
+    (speed,) = (m for m in METRICS if m.key == "speed_ratio")
+    assert speed.best([0.4, 1.0, 1.2]) == {0, 1}
+    assert speed.best([1.5, 1.2]) == {1}
+    (gap,) = (m for m in METRICS if m.key == "pinch_gap_mm")
+    # Fingers that overlap by 12 mm do not close a pinch better than fingers that touch.
+    assert gap.best([-12.0, 0.4, 30.0]) == {1}
 
 
 def test_text_of_values() -> None:
