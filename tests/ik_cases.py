@@ -22,13 +22,17 @@ ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
 _ARM = """
 <robot name="arm">
   <link name="base"/><link name="turret"/><link name="upper"/><link name="flange"/>
-  <joint name="arm_turn" type="revolute"><parent link="base"/><child link="turret"/><origin xyz="0 0 0.2"/>
+  <joint name="arm_turn" type="revolute">
+    <parent link="base"/><child link="turret"/><origin xyz="0 0 0.2"/>
     <axis xyz="0 0 1"/><limit lower="-2.5" upper="2.5" effort="10" velocity="3"/></joint>
-  <joint name="arm_lift" type="revolute"><parent link="turret"/><child link="upper"/><origin xyz="0.05 0 0"/>
+  <joint name="arm_lift" type="revolute">
+    <parent link="turret"/><child link="upper"/><origin xyz="0.05 0 0"/>
     <axis xyz="0 1 0"/><limit lower="-1.5" upper="1.5" effort="10" velocity="3"/></joint>
-  <joint name="arm_roll" type="revolute"><parent link="upper"/><child link="flange"/><origin xyz="0.3 0 0"/>
+  <joint name="arm_roll" type="revolute">
+    <parent link="upper"/><child link="flange"/><origin xyz="0.3 0 0"/>
     <axis xyz="1 0 0"/><limit lower="-2" upper="2" effort="10" velocity="5"/></joint>
-  <joint name="mount" type="fixed"><parent link="flange"/><child link="palm"/><origin xyz="0.05 0 0" rpy="0 1.5708 0"/></joint>
+  <joint name="mount" type="fixed">
+    <parent link="flange"/><child link="palm"/><origin xyz="0.05 0 0" rpy="0 1.5708 0"/></joint>
 </robot>
 """
 

@@ -41,8 +41,8 @@ class Pad(NamedTuple):
 def find_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]:
     """Find the pad of every finger from the collision shapes of its last joint.
 
-    The depth of a point under a convex surface is the smallest of `support(n) - n p` over directions
-    n. The pad's middle lies on the line from the fingertip to the last joint.
+    The depth of a point under a convex surface is the smallest of `support(n) - n p` over
+    directions n. The pad's middle lies on the line from the fingertip to the last joint.
 
     Args:
         hand: The hand.
@@ -79,7 +79,7 @@ def _pad(chain: FingerChain, geometry: pin.GeometryModel) -> Pad:
 
 
 def _supports(shape: pin.GeometryObject) -> np.ndarray:
-    """Return the largest `n p` over a convex shape's points for every direction n; joint's frame."""
+    """Return a convex shape's largest `n p` for every direction n, in the joint's frame."""
     points, radius = _corners(shape.geometry)
     placed = points @ shape.placement.rotation.T + shape.placement.translation
     return (_DIRECTIONS @ placed.T).max(axis=1) + radius

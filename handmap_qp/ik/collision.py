@@ -1,4 +1,4 @@
-"""Self-collision avoidance as linear rows of the QP, from coal's distances between the links' collision shapes.
+"""Self-collision avoidance: rows of the QP from coal's distances between collision shapes.
 
 Meshes count as their convex hulls.
 

@@ -1,4 +1,4 @@
-"""The weights of `IkOptions` as costs per metre and per radian, for every way of posing the problem."""
+"""The weights of `IkOptions` as costs per metre and per radian, for every formulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Position, speed and acceleration limits as one box on the displacement, which can never contradict itself.
+"""Position, speed and acceleration limits as one box on the displacement, never empty.
 
     clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
 
@@ -101,7 +101,7 @@ class BoxLimits:
         lower: np.ndarray,
         upper: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The part of the box that can be reached from the last sample's velocity, or its nearest corner."""
+        """Return the part of the box within reach of the last velocity, or its nearest corner."""
         joints = self._joints
         # The smallest number is for samples so short that their square is zero.
         change = np.maximum(acceleration * dt**2, 1e-200)

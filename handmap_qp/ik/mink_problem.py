@@ -104,7 +104,7 @@ def make_limits(
 
 
 class _ActiveConfiguration:
-    """A configuration whose `model.nv`, which `mink.build_ik` reads, counts the active coordinates alone."""
+    """A configuration for `mink.build_ik`: its `model.nv` counts only the active coordinates."""
 
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration

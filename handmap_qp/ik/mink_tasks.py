@@ -139,7 +139,7 @@ class DampingTask(mink.Task):
 
 
 class ExtraTask(mink.Task):
-    """A `Task` of ours as one of mink's: its rows, and its damping as further rows without an error.
+    """A `Task` as a `mink.Task`: its rows, and its damping as further rows without an error.
 
     Args:
         task: The task.

@@ -119,7 +119,7 @@ class MujocoIk:
         return qpos
 
     def tangent_map(self) -> np.ndarray:
-        """Matrix from our displacement, in the active coordinates, to MuJoCo's at the present configuration, shape (nv, k).
+        """Return the matrix from our displacement to MuJoCo's at this configuration, shape (nv, k).
 
         Its columns are orthonormal where no joint follows another.
         """

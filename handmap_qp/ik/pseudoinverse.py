@@ -33,7 +33,7 @@ from handmap_qp.ik.tasks import Task
 LimitHandling = Literal["none", "clip"]
 
 RANK_TOLERANCE = 1e-10
-"""Singular values smaller than this part of the largest one count as zero where nothing damps them."""
+"""Without damping, singular values below this share of the largest count as zero."""
 
 
 class PseudoinverseIk:

@@ -119,7 +119,7 @@ class IkState:
 
 
 class PointIk:
-    """Moves a hand so that its reference points and its wrist come to their targets, within its limits.
+    """Moves a hand's reference points and wrist towards their targets, within its limits.
 
     Args:
         hand: The hand.
@@ -232,8 +232,8 @@ class PointIk:
 
         Args:
             point_targets: Targets of the reference points in the world [m], shape (m, 3).
-            wrist_target: Target of the wrist frame, shape (4, 4). None leaves it free, as it does on
-                a fixed hand.
+            wrist_target: Target of the wrist frame, shape (4, 4). None leaves it free; fixed hands
+                need none.
             dt: Time since the last sample [s]; bounds the displacement through the speed limits.
             rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
                 [rad or m], shape (n,); the hand's rest posture if omitted.

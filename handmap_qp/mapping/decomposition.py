@@ -53,7 +53,7 @@ class PolarFactors:
     stretches: np.ndarray
 
     def stretch(self, stretches: np.ndarray | None = None) -> np.ndarray:
-        """The symmetric factor U, shape (3, 3), or the one with other eigenvalues along the same axes."""
+        """Return the symmetric factor U, shape (3, 3), or U with other eigenvalues."""
         return (self.axes * (self.stretches if stretches is None else stretches)).dot(self.axes.T)
 
 

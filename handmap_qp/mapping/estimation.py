@@ -134,12 +134,14 @@ class MotionEstimator:
         _, middle, smallest = self.singular_values
         if self.ridge == 0.0 and not smallest > floor:
             raise DegeneratePointsError(
-                "ridge = 0 needs four or more reference points off a plane; add points or give ridge > 0",
+                "ridge = 0 needs four or more reference points off a plane; "
+                "add points or give ridge > 0",
                 singular_values=self.singular_values,
             )
         if not has_prior and not middle > floor:
             raise DegeneratePointsError(
-                "the reference points lie on a line, so their rotation is unknown; add points or give a prior rotation",
+                "the reference points lie on a line, so their rotation is unknown; "
+                "add points or give a prior rotation",
                 singular_values=self.singular_values,
             )
 

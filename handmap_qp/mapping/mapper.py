@@ -1,7 +1,7 @@
 """`HandMapper`: the paper's loop (Fig. 3), from a human sample to a robot command.
 
-`_map` is the whole way on one screen: the method's targets (eqs. 5-7 for `Homogeneous`), then the QP
-in place of eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured points.
+`_map` is the whole step: the method's targets (eqs. 5-7 for `Homogeneous`), then the QP in place of
+eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured points.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class HandMapper:
     """Turns the motion of a human hand into the motion of a robot hand.
 
     The first sample is the reference unless `reset` has given one. There the robot is at rest with
-    its palm on the human's palm (at the origin of its own world with `alignment="palm"`). From there
-    the human's motion is imposed.
+    its palm on the human's palm (at the origin of its own world with `alignment="palm"`). The
+    human's motion is imposed from there.
 
     Args:
         human: The hand that leads, with a floating wrist; its reference points are the method's
@@ -153,7 +153,7 @@ class HandMapper:
 
     @property
     def point_ik(self) -> PointIk:
-        """What moves the robot: its present posture, and the QP. Reading it is safe; moving is not."""
+        """The robot's present posture and the QP. Read it only: changing it breaks the mapper."""
         return self._plan.ik
 
     def map_step(
@@ -228,7 +228,7 @@ class HandMapper:
         (`measure_hand`): the fit and the ratios of reach need the person's lengths.
 
         Args:
-            landmarks: The 21 landmarks in the human's world [m], in MediaPipe's order, shape (21, 3).
+            landmarks: The 21 landmarks in the human's world [m], in MediaPipe's order, (21, 3).
             wrist_pose: Pose of the human model's wrist frame, as in `map_step`; fitted if omitted.
             dt: Time since the last sample [s]; the mapper's own if omitted.
 
@@ -304,7 +304,7 @@ class HandMapper:
         robot_q: npt.ArrayLike | None = None,
         robot_wrist: PoseLike | None = None,
     ) -> None:
-        """Start again: the robot at a given posture, the reference at a given sample or the next one.
+        """Start again: the robot at a given posture, the reference at a given or the next sample.
 
         Args:
             human_q: Joint angles of the reference sample [rad], shape (n,); the next sample is the
@@ -343,7 +343,7 @@ class HandMapper:
         self._is_released = True
 
     def clutch(self) -> None:
-        """Take hold (again): the next sample is the reference; the robot goes on from where it is."""
+        """Make the next sample the reference; the robot continues from its present posture."""
         self._is_released = False
         self._course = None
 
@@ -523,7 +523,7 @@ class _Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """Where the robot is put at the reference: joint angles (n,); wrist, None for the human's palm."""
+    """Posture of the robot at the reference: joints (n,); wrist, None for the human's palm."""
 
     q: np.ndarray
     wrist: np.ndarray | None

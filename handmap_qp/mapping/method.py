@@ -7,7 +7,7 @@ A method says how a human sample becomes targets of the robot. It goes through t
       .start(sample, posture) -> TargetMap: counted from one reference
       .targets(sample)       -> Targets: of one sample, for the QP
 
-`handmap_qp.mapping.methods` has the methods that come with the package; `Homogeneous` is the paper's.
+`handmap_qp.mapping.methods` has the methods of the package; `Homogeneous` is the paper's.
 """
 
 from __future__ import annotations
@@ -68,13 +68,12 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
 
 
 class TargetMap(Protocol):
-    """Turns samples into targets, counted from one reference of both hands.
+    """Turns samples into targets, counted from one reference of both hands."""
 
-    Attributes:
-        rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,).
-    """
-
-    rest: np.ndarray
+    @property
+    def rest(self) -> np.ndarray:
+        """Joint positions that the QP's rest term pulls to [rad or m], shape (n,)."""
+        ...
 
     def targets(self, sample: HumanSample) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
@@ -82,23 +81,32 @@ class TargetMap(Protocol):
 
 
 class BoundMethod(Protocol):
-    """A method for two given hands.
+    """A method for two given hands. Plain attributes serve as the properties below."""
 
-    Attributes:
-        robot: The hand that follows, with the reference points that the method moves.
-        contacts: Pairs of collision shapes that the QP keeps apart; None for the choice of
-            `IkOptions.avoids_self_collision`.
-        needs_wrist: What every sample's wrist pose is needed for; empty if for nothing.
-        reference_needs_wrist: What the wrist pose of a reference sample is needed for; empty if for
-            nothing.
-        renews_reference: Whether every sample becomes the reference of the next one (Fig. 3).
-    """
+    @property
+    def robot(self) -> Hand:
+        """The hand that follows, with the reference points that the method moves."""
+        ...
 
-    robot: Hand
-    contacts: ShapePairs | None
-    needs_wrist: str
-    reference_needs_wrist: str
-    renews_reference: bool
+    @property
+    def contacts(self) -> ShapePairs | None:
+        """Collision shapes kept apart; None for the choice of `IkOptions.avoids_self_collision`."""
+        ...
+
+    @property
+    def needs_wrist(self) -> str:
+        """What every sample's wrist pose is needed for; empty if for nothing."""
+        ...
+
+    @property
+    def reference_needs_wrist(self) -> str:
+        """What the wrist pose of a reference sample is needed for; empty if for nothing."""
+        ...
+
+    @property
+    def renews_reference(self) -> bool:
+        """Whether every sample becomes the reference of the next one (Fig. 3)."""
+        ...
 
     def start_palm(self, sample: HumanSample) -> np.ndarray:
         """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""

@@ -86,7 +86,7 @@ def default_preset(human: Hand, robot: Hand) -> PresetName:
         robot: The hand that follows.
     """
     given = {point.name for point in human.reference_points}
-    fingers = {point.finger for point in robot.spec.points} & set(FINGERS)
+    fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
     needed = {table[finger] for finger in fingers for table in (TIPS, MIDDLES, KNUCKLES)}
     if fingers and needed <= given:
         return "teleoperation"

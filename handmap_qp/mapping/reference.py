@@ -1,4 +1,4 @@
-"""Both hands at the instant from which the motion counts: the initial configuration of eqs. (5)-(7)."""
+"""Both hands at the start of the motion: the initial configuration of eqs. (5)-(7)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Reference(NamedTuple):
 
     Attributes:
         estimator: The human reference points there, factored for eq. (6).
-        human_offsets: Human reference points relative to the pivot, `p_i - c_h` [m], shape (n_h, 3).
+        human_offsets: Human reference points from the pivot, `p_i - c_h` [m], shape (n_h, 3).
         human_wrist: Human wrist pose in W, shape (4, 4); None where it was not measured.
         human_pivot: c_h [m], shape (3,).
-        robot_offsets: Robot reference points relative to the pivot, `s_i - c_r` [m], shape (n_r, 3).
+        robot_offsets: Robot reference points from the pivot, `s_i - c_r` [m], shape (n_r, 3).
         robot_wrist: Robot wrist pose in V, shape (4, 4).
         robot_pivot: c_r [m], shape (3,).
         alignment: Q, from W axes to V axes, shape (3, 3); None where they agree.

@@ -39,7 +39,7 @@ class RigidPart(Protocol):
     def prior(
         self, wrist_before: np.ndarray | None, wrist_now: np.ndarray | None
     ) -> np.ndarray | None:
-        """Return the rotation that the estimate of T is pulled to, shape (3, 3); None for Kabsch's."""
+        """Return the prior rotation of the estimate of T, shape (3, 3); None for Kabsch's."""
         ...
 
     def part(

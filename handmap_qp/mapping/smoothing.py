@@ -1,8 +1,9 @@
 """Smoothing of human samples before they are mapped: the one-euro filter, aware of time.
 
-A low-pass filter whose cutoff rises with speed (Casiez, Roussel and Vogel, CHI 2012): a still hand is
-smoothed much, a quick one hardly lags. Targets follow from samples, so smooth samples give smooth
-targets, and the QP's speed limits hold for what the robot does. Filtered commands would break them.
+A low-pass filter whose cutoff rises with speed (Casiez, Roussel and Vogel, CHI 2012): a still hand
+is smoothed much, a quick one hardly lags. Targets follow from samples, so smooth samples give
+smooth targets, and the QP's speed limits hold for what the robot does. Filtered commands would
+break them.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         if not isinstance(diagnostics, HomogeneousDiagnostics):
             raise InvalidOptionsError(
                 option="method",
-                problem=f"T is of the method Homogeneous, and this step has {type(diagnostics).__name__}",
+                problem=f"only Homogeneous has T; this step has {type(diagnostics).__name__}",
                 advice="read step.diagnostics",
             )
         return diagnostics

@@ -44,7 +44,7 @@ def load(name: str, mount: Mount = "fixed") -> Hand:
 
 
 def is_boxy(name: str) -> bool:
-    """Whether the hand's shapes have flat faces, where nearest points jump from corner to corner."""
+    """Return whether the hand's shapes have flat faces, on which nearest points jump."""
     return name.startswith("allegro")
 
 
@@ -189,7 +189,10 @@ def test_far_rows_change_no_step() -> None:
 
 def test_a_link_with_two_shapes_has_two_rows() -> None:
     hand = load("three_finger")
-    shape = '<collision name="knob"><origin xyz="0 0 0.02"/><geometry><sphere radius="0.01"/></geometry></collision>'
+    shape = (
+        '<collision name="knob"><origin xyz="0 0 0.02"/>'
+        '<geometry><sphere radius="0.01"/></geometry></collision>'
+    )
     text = read_urdf(hand.spec).replace(
         '<collision name="finger1_distal">', f'{shape}<collision name="finger1_distal">'
     )
@@ -252,7 +255,7 @@ def test_a_link_that_cannot_collide_is_named(link: str, what: str) -> None:
 @pytest.mark.parametrize(
     "setting", [{"margin": -0.001}, {"margin": np.nan}, {"gain": 0.0}, {"gain": 1.1}]
 )
-def test_settings_are_checked(setting: dict[str, float]) -> None:
+def test_settings_are_checked(setting: dict[str, Any]) -> None:
     with pytest.raises(InvalidOptionsError, match=next(iter(setting))):
         CollisionLimit(load("three_finger"), **setting)
 

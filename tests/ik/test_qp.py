@@ -1,4 +1,4 @@
-"""The box that cannot contradict itself, the step inside it, and wrists that float, stay or hang on an arm."""
+"""The box of limits, the step inside it, and wrists that float, stay fixed or follow an arm."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ def any_posture(hand: Hand, rng: np.random.Generator, outside: float = 0.5) -> n
 
 
 # -- the box
-# ----------------------------------------------------------------------------------------------------------
 
 
 @given(rng=generators, dt=times)
@@ -128,7 +127,6 @@ def test_acceleration_limits_are_checked(value: object) -> None:
 
 
 # -- the step
-# ---------------------------------------------------------------------------------------------------------
 
 
 @each_hand
@@ -286,7 +284,6 @@ def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
 
 
 # -- on an arm
-# --------------------------------------------------------------------------------------------------------
 
 
 def test_an_arm_moves_the_wrist_and_carries_the_palm() -> None:

@@ -51,7 +51,7 @@ def solve_eq_6(
 def assert_same_motion(
     actual: np.ndarray, expected: np.ndarray, points: np.ndarray, relative: float = 1e-13
 ) -> None:
-    """Equal linear parts relative to how well the points determine them, and equal images of the points.
+    """Compare linear parts, relative to the conditioning of the points, and the points' images.
 
     The images stand for `b`: points a centimetre apart and two metres from the origin lose a factor
     of 200 there, whatever the method.

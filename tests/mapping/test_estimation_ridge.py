@@ -1,4 +1,4 @@
-"""The ridge that keeps nearly flat points from tearing T apart, its prior, and the doors of the estimator."""
+"""The ridge that keeps T bounded for nearly flat points, its prior, and rejected inputs."""
 
 from __future__ import annotations
 
@@ -195,13 +195,13 @@ def test_with_a_ridge_noise_stretches_no_more_than_its_share_of_the_spread(
 
 
 def flat_fingertips() -> np.ndarray:
-    """The fingertips squeezed towards their plane, to the singular value of 1.4 mm that a real hand has."""
+    """Return fingertips flattened to a smallest singular value of 1.4 mm, as measured on hands."""
     left, values, right = np.linalg.svd(FINGERTIPS - FINGERTIPS.mean(axis=0), full_matrices=False)
     return (left * (values[0], values[1], 1.4e-3)) @ right
 
 
 def noise_across() -> np.ndarray:
-    """A millimetre of noise (root mean square) across the plane, against the little depth that there is."""
+    """Return noise of 1 mm (root mean square) across the plane, against the points' depth."""
     left, _, right = np.linalg.svd(flat_fingertips(), full_matrices=False)
     return -1e-3 * np.sqrt(5.0) * np.outer(left[:, 2], right[2])
 

@@ -204,7 +204,7 @@ def test_with_the_initial_reference_the_robot_is_home_when_the_human_is(
 
 
 def drift(reference: Any, rounds: int) -> list[float]:
-    """How far from home the robot's points are after each round of a closed motion of the human's [m]."""
+    """Return the robot points' distance from home after each round of a closed motion [m]."""
     human = load_hand("human", points="fingertips")
     ik = IkOptions(
         max_iterations=30,

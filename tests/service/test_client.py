@@ -305,7 +305,9 @@ def test_every_argument_of_open_reaches_the_server(server: Server) -> None:
     np.testing.assert_allclose(about["lengths"]["bases"], lengths.bases)
 
 
-@pytest.mark.parametrize("values", [{1.0}, object(), [[0.0], "x", None]], ids=repr)
+@pytest.mark.parametrize(
+    "values", [{1.0}, object(), [[0.0], "x", None]], ids=["a set", "an object", "mixed"]
+)
 def test_values_that_are_not_numbers_are_rejected_before_sending(
     server: Server, values: Any
 ) -> None:

@@ -1,4 +1,4 @@
-# Pinocchio's names come from a compiled module without type information: any of them exists, and is of any type.
+# Pinocchio is a compiled module without type information: every name exists and has any type.
 from typing import Any
 
 def __getattr__(name: str) -> Any: ...

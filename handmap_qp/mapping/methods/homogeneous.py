@@ -122,7 +122,7 @@ class BoundHomogeneous:
         if self.rigid.moves_wrist and not robot.has_moving_wrist:
             raise InvalidOptionsError(
                 option="rigid_from",
-                problem=f"{options.rigid_from!r} moves the wrist, and that of {robot.name} is fixed",
+                problem=f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
                 value=options.rigid_from,
                 advice="give rigid_from='none', or load the robot with mount='floating'",
             )
@@ -130,7 +130,7 @@ class BoundHomogeneous:
         if count < needed and not (options.ridge > 0.0 and self.rigid.needs_wrist):
             raise InvalidOptionsError(
                 option="ridge",
-                problem=f"{options.ridge:g} needs {needed} reference points, and {human.name} has {count}",
+                problem=f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
                 value=options.ridge,
                 advice="choose more points, or ridge > 0 with rigid_from='wrist'",
             )

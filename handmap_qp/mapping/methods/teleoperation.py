@@ -2,8 +2,9 @@
 
 The paper's T is estimated in palm axes, from the human's rest posture to now, and imposed on the
 robot's matched posture. What T cannot express, each finger's residual, goes to the partner on the
-robot in full, scaled by the ratio of reaches. Distance rows in the same QP show what positions cannot:
-how far each finger is extended, and that thumb and finger touch. Contact rows keep links apart.
+robot in full, scaled by the ratio of reaches. Distance rows in the same QP show what positions
+cannot: how far each finger is extended, and that thumb and finger touch. Contact rows keep links
+apart.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 
-# Thumb-finger gaps [m] from which on a pinch row begins, and over which it comes to its full weight.
+# Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
@@ -44,8 +45,8 @@ class Teleoperation:
         thumb_extension_weight: The same of the thumb, whose position says less: thumbs oppose from
             different sides.
         pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
-        contact_gap: Distance between the tracker's thumb and finger landmarks where the skin touches
-            [m]: 1 to 5 mm for gloves, 10 to 20 for cameras. `handmap calibrate` measures it.
+        contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
+            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap calibrate` measures it.
         ridge: Pull of T towards a rotation.
         avoids_contact: Whether links of the robot are kept apart.
 
@@ -89,7 +90,8 @@ class TeleoperationDiagnostics(msgspec.Struct, frozen=True, eq=False):
         palm: The human's palm now, shape (4, 4).
         gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
         pinching: Weight of each pinch row as a share of its full weight, shape (p,).
-        extensions: Human knuckle-to-tip distance of each common finger as a share of its reach, (f,).
+        extensions: Human knuckle-to-tip distance of each common finger as a share of its reach,
+            shape (f,).
     """
 
     estimate: MotionEstimate
@@ -237,7 +239,7 @@ class TeleoperationMap:
         )
 
     def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
-        """Open the margin between thumb and finger with the human's gap, so that nothing touches."""
+        """Widen the margin between thumb and finger with the human's gap: nothing may touch."""
         method = self._method
         if method.contacts is None:
             return None
