@@ -1,8 +1,8 @@
 """The peers as outside methods of `handmap compare --peers`.
 
-`compare.py list HAND` prints the methods as JSON. `compare.py run METHOD HAND IN.npz OUT.npz` maps a
-recording. HAND is a name or the path of a hand.yaml. On failure, the last line on stderr says why,
-and the exit code is 1.
+`compare.py list HAND` prints the methods as JSON. `compare.py run METHOD HAND IN.npz OUT.npz` maps
+a recording. HAND is a name or the path of a hand.yaml. On failure, the last line on stderr says
+why, and the exit code is 1.
 """
 
 from __future__ import annotations

@@ -70,16 +70,16 @@ class Compare:
     """Compare mapping methods on recordings of a human hand, by what the robot's hand shows.
 
     Maps every recording by every method, and measures fingers, object, palm, pinches and smoothness
-    against the raw landmarks. Prints the means over the recordings. A left recording is mirrored for
-    a right robot, and the other way round.
+    against the raw landmarks. Prints the means over the recordings. A left recording is mirrored
+    for a right robot, and the other way round.
 
     --out writes table.md (overall and each recording), results.json, metrics.png (a panel for each
     metric) and poses.png (human and methods side by side in open, pointing, fist, pinches, spread).
 
     --peers adds retargeting libraries by others, dex-retargeting and dexi-rs. They are run in
-    environments of their own, which `make peers` builds in a checkout. Hands outside the package are
-    given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need HANDMAP_HANDS, the folder
-    of their URDFs.
+    environments of their own, which `make peers` builds in a checkout. Hands outside the package
+    are given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need HANDMAP_HANDS, the
+    folder of their URDFs.
 
     Examples:
         handmap compare recording.npz --robot allegro_right

@@ -54,8 +54,8 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
             else:
                 panel.set_axis_off()
         figure.suptitle(
-            f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) and "
-            "each recording (small dots); filled: best. Arrows: beyond the panel.",
+            f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) "
+            "and each recording (small dots); filled: best. Arrows: beyond the panel.",
             fontsize=9.5,
             color=_INK,
         )

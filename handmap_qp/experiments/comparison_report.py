@@ -12,8 +12,8 @@ from handmap_qp.offline.comparison import Comparison, Run
 from handmap_qp.offline.metrics import GROUPS, METRICS, Metric
 
 _LEGEND = (
-    "Mean over the recordings in which a question arises; `-` where it arises in none or the method "
-    "has no answer. The best values are bold."
+    "Mean over the recordings in which a question arises; `-` where it arises in none or the "
+    "method has no answer. The best values are bold."
 )
 
 

@@ -7,8 +7,8 @@ An outside program is a file `compare.py` in a folder of its own. It is run with
 
 HAND is the name of a hand of this package or the path of its `hand.yaml`. IN is a recording. OUT
 holds `q (T, n)` [rad] in the order of the hand's `joint_names`, `step_time (T,)` [s], and `wrist
-(T, 4, 4)` if the method moves the wrist. On failure, it exits with another code than 0, and the last
-line on stderr says why.
+(T, 4, 4)` if the method moves the wrist. On failure, it exits with another code than 0, and the
+last line on stderr says why.
 """
 
 from __future__ import annotations

@@ -50,9 +50,7 @@ POINTING = posture(index=0.0, middle=1.0, ring=1.0, little=1.0)
 
 
 def settled(mapper: HandMapper, q: np.ndarray, wrist: np.ndarray | None = None) -> Any:
-    for _ in range(80):
-        step = mapper.map_step(q, np.eye(4) if wrist is None else wrist)
-    return step
+    return [mapper.map_step(q, np.eye(4) if wrist is None else wrist) for _ in range(80)][-1]
 
 
 def flexions(robot: Hand, q: np.ndarray) -> dict[str, float]:
