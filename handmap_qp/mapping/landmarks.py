@@ -8,7 +8,7 @@ import numpy.typing as npt
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanSample
-from handmap_qp.transform import FARTHEST, as_floats, rigid_fit
+from handmap_qp.transform import FARTHEST, affine, as_floats, nearest_rotation
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
 """Landmarks that move as one rigid body."""
@@ -37,7 +37,9 @@ class LandmarkReader:
         self._count = len(names)
         self._used = np.array([known[point.name] for point in human.reference_points])
         self._palm = np.array([known[name] for name in _PALM])
-        self._model = human.with_points(_PALM).points(human.rest)
+        model = human.with_points(_PALM).points(human.rest)
+        self._model_centre = model.mean(axis=0)
+        self._model = model - self._model_centre
 
     def read(self, landmarks: npt.ArrayLike, wrist: np.ndarray | None) -> HumanSample:
         """Return a sample.
@@ -60,5 +62,11 @@ class LandmarkReader:
                 argument="landmarks", expected=f"finite coordinates within {FARTHEST:g} m"
             )
         if wrist is None:
-            wrist = rigid_fit(self._model, points[self._palm])
+            wrist = self._fit(points[self._palm])
         return HumanSample(points[self._used], wrist)
+
+    def _fit(self, palm: np.ndarray) -> np.ndarray:
+        """Lay the model's palm on measured points (5, 3) as `rigid_fit` does, centred once."""
+        centre = palm.mean(axis=0)
+        rotation = nearest_rotation((palm - centre).T.dot(self._model))
+        return affine(rotation, centre - rotation.dot(self._model_centre))
