@@ -64,6 +64,13 @@ def test_landmarks_give_the_joint_angles_back(hand: Any) -> None:
     np.testing.assert_allclose(found, hand.rest, atol=1e-3)
 
 
+def test_a_thumb_turned_by_more_than_a_right_angle_is_not_taken_for_one_bent_backwards() -> None:
+    angles = FingerAngles(HUMAN, FINGERS)
+    q = HUMAN.rest.copy()
+    q[:4] = 2.0, 0.5, 0.3, -0.2
+    np.testing.assert_allclose(angles.measure(in_palm(HUMAN, q))[0], q[:4], atol=1e-2)
+
+
 def test_angles_do_not_depend_on_the_size_of_the_hand() -> None:
     angles = FingerAngles(HUMAN, FINGERS)
     points = in_palm(HUMAN, HUMAN.rest)

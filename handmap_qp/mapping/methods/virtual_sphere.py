@@ -97,7 +97,11 @@ def enclosing_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
         farthest = int(np.argmax(distances))
         if distances[farthest] <= radius * (1.0 + _OUTSIDE) or farthest in support:
             return centre, float(distances[farthest])
-        support, centre, radius = _smallest_ball(points, [*support, farthest])
+        found = _smallest_ball(points, [*support, farthest])
+        if not found[2] > radius:
+            # The ball grows with every point taken in; rounding alone can say otherwise.
+            return centre, float(distances[farthest])
+        support, centre, radius = found
 
 
 def _smallest_ball(points: np.ndarray, chosen: list[int]) -> tuple[list[int], np.ndarray, float]:
