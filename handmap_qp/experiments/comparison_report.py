@@ -9,7 +9,7 @@ import numpy as np
 
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.offline.comparison import Comparison, Run
-from handmap_qp.offline.metrics import GROUPS, METRICS, Metric
+from handmap_qp.offline.metrics import GROUPS, METRICS, SUMMARY, Metric
 
 _LEGEND = (
     "Mean over the recordings in which a question arises; `-` where it arises in none or the "
@@ -38,6 +38,8 @@ def markdown(comparison: Comparison) -> str:
     robot, takes = comparison.robot.name, comparison.takes
     overall = {method: comparison.overall(method) for method in comparison.methods}
     parts = [f"# Methods on {robot}", "", _LEGEND, ""]
+    short = [next(m for m in METRICS if m.key == key) for key in SUMMARY]
+    parts += ["## In short", "", *_table("method", short, overall)]
     parts += ["## Overall", "", f"{len(takes)} recordings.", "", *_tables(overall)]
     parts += ["## What the columns say", ""]
     parts += [f"- **{m.label}**: {m.about}; {_better(m)}." for m in METRICS]
@@ -125,19 +127,22 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
 
 def _tables(values: dict[str, dict[str, float]]) -> list[str]:
     """Return the lines of a table for every group, with a row for every method."""
-    lines = []
-    for group, metrics in GROUPS.items():
-        best = {m.key: m.best([row[m.key] for row in values.values()]) for m in metrics}
-        lines += [f"| {group} | {' | '.join(m.label for m in metrics)} |"]
-        lines += ["|---|" + "---:|" * len(metrics)]
-        for i, (method, row) in enumerate(values.items()):
-            cells = [
-                f"**{m.text(row[m.key])}**" if i in best[m.key] else m.text(row[m.key])
-                for m in metrics
-            ]
-            lines.append(f"| {method} | {' | '.join(cells)} |")
-        lines.append("")
-    return lines
+    return [
+        line for group, metrics in GROUPS.items() for line in _table(group, list(metrics), values)
+    ]
+
+
+def _table(title: str, metrics: list[Metric], values: dict[str, dict[str, float]]) -> list[str]:
+    """Return the lines of a table with a row for every method, and an empty line."""
+    best = {m.key: m.best([row[m.key] for row in values.values()]) for m in metrics}
+    lines = [f"| {title} | {' | '.join(m.label for m in metrics)} |"]
+    lines += ["|---|" + "---:|" * len(metrics)]
+    for i, (method, row) in enumerate(values.items()):
+        cells = [
+            f"**{m.text(row[m.key])}**" if i in best[m.key] else m.text(row[m.key]) for m in metrics
+        ]
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return [*lines, ""]
 
 
 def _heading(metric: Metric) -> str:

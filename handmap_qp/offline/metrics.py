@@ -122,6 +122,26 @@ GROUPS: dict[str, tuple[Metric, ...]] = {
 """All metrics by subject: those of `fidelity`, then the eight of mimic_retargeter_lab."""
 METRICS: tuple[Metric, ...] = tuple(metric for group in GROUPS.values() for metric in group)
 """The same in one row."""
+SUMMARY: tuple[str, ...] = (
+    "extension_correlation",
+    "thumb_extension_correlation",
+    "finger_direction_deg",
+    "tip_error_knuckles_mm",
+    "object_rotation_deg",
+    "object_translation_mm",
+    "pinch_closed",
+    "pinch_gap_p95_mm",
+    "pinch_depth_mm",
+    "pinch_false",
+    "pinch_order",
+    "jerk_ratio",
+    "speed_ratio",
+    "outside_limits",
+    "latency_ms",
+    "self_penetration",
+    "step_time_ms",
+)
+"""Keys of the metrics that say most, for one table."""
 
 _KEY_VECTORS = {
     "key_cosine": "cosine",

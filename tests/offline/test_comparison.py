@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from comparison_cases import write_closing
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -27,6 +28,7 @@ from handmap_qp.offline.compared_methods import (
 from handmap_qp.offline.comparison import RobotMotion, compare_methods
 from handmap_qp.offline.takes import Take, held_samples, prepare_take
 from handmap_qp.trackers.recording import read_recording, read_wrist_poses
+from handmap_qp.transform import rotation_from_rpy
 
 
 @dataclass(frozen=True)
@@ -82,11 +84,11 @@ def test_mirrored_take_is_that_of_the_other_hand(take: Take, tmp_path: Path) -> 
     assert left.recording.side == "right"
     tips = left.trace.in_palm(left.trace.fingers["index"].tip)
     expected = take.trace.in_palm(take.trace.fingers["index"].tip)
-    # The wrist poses of both recordings turn alike, so that only the hand is mirrored.
     np.testing.assert_allclose(tips, expected, atol=1e-6)
-    rotation = take.wrist[-1, :3, :3].T @ left.wrist[-1, :3, :3]
-    np.testing.assert_allclose(np.linalg.det(left.wrist[:, :3, :3]), 1.0)
-    assert not np.allclose(rotation, np.eye(3), atol=0.1)
+    # The tracker's wrist is mirrored too: it stays with the landmarks.
+    fitted = prepare_take(left.recording)
+    assert not fitted.has_wrist
+    np.testing.assert_allclose(left.wrist, fitted.wrist, atol=1e-6)
 
 
 def test_palm_of_the_tracker_is_used(take: Take, tmp_path: Path) -> None:
@@ -95,6 +97,21 @@ def test_palm_of_the_tracker_is_used(take: Take, tmp_path: Path) -> None:
     assert not fitted.has_wrist
     # The landmarks are exact, so both ways find the same palm.
     np.testing.assert_allclose(fitted.wrist, take.wrist, atol=1e-6)
+
+
+def test_own_methods_get_the_palm_of_the_take(take: Take, robot: Hand) -> None:
+    turned = take.wrist.copy()
+    turned[30:, :3, :3] = turned[30:, :3, :3] @ rotation_from_rpy([0.0, 0.2, 0.0])
+    motions = [
+        OwnMethod("fingertip-vectors").map_take(given, robot)
+        for given in (take, replace(take, wrist=turned))
+    ]
+    wrists = [motion.wrist for motion in motions]
+    assert wrists[0] is not None
+    assert wrists[1] is not None
+    np.testing.assert_array_equal(wrists[0][:30], wrists[1][:30])
+    between = wrists[0][-1, :3, :3].T @ wrists[1][-1, :3, :3]
+    assert np.degrees(Rotation.from_matrix(between).magnitude()) == pytest.approx(11.5, abs=1.0)
 
 
 def test_recording_without_samples_that_count_is_rejected(tmp_path: Path) -> None:
