@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp import IkOptions, MappingOptions, load_hand
+from handmap_qp import Recording, load_hand
+from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz
 from handmap_qp.viewer.replay import Replay
@@ -40,10 +41,20 @@ def closing_motion(points: str | None = None) -> HumanMotion:
     )
 
 
-def make_replay(robot: str = "three_finger", **changes: Any) -> Replay:
-    """Map the motion to a robot, with mapping options by name."""
+def closing_recording() -> Recording:
+    """Return the landmarks of the motion."""
+    motion = closing_motion("landmarks")
+    landmarks = [
+        motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)
+    ]
+    return Recording("closing", motion.time, np.array(landmarks), motion.valid, "right")
+
+
+def make_replay(robot: str = "three_finger", preset: str = "paper", **changes: Any) -> Replay:
+    """Map the motion to a robot, with options by name."""
     motion = closing_motion()
-    return Replay(motion, motion.human, load_hand(robot), MappingOptions(**changes), IkOptions())
+    choice = preset_choice(preset).with_changes(changes)
+    return Replay(closing_recording(), motion, motion.human, load_hand(robot), choice)
 
 
 def press(button: Any) -> None:
@@ -53,15 +64,12 @@ def press(button: Any) -> None:
 
 def write_recording(path: Path) -> Path:
     """Write the motion as a recording of landmarks."""
-    motion = closing_motion("landmarks")
-    landmarks = [
-        motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)
-    ]
+    recording = closing_recording()
     np.savez(
         path,
-        time=motion.time,
-        landmarks=np.array(landmarks),
-        valid=motion.valid,
-        handedness="right",
+        time=recording.time,
+        landmarks=recording.landmarks,
+        valid=recording.valid,
+        handedness=recording.side,
     )
     return path

@@ -14,7 +14,7 @@ from handmap_qp.mapping.hand_pair import KNUCKLES, MIDDLES, TIPS
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.options import Alignment, MappingOptions, Rotation
 
 PresetName = Literal["teleoperation", "object", "paper"]
 MethodOptions = MappingOptions | Teleoperation
@@ -129,6 +129,11 @@ class Choice(NamedTuple):
     def is_teleoperation(self) -> bool:
         """Whether the options are those of `Teleoperation`."""
         return isinstance(self.options, Teleoperation)
+
+    @property
+    def alignment(self) -> Alignment | Rotation:
+        """Rotation from the human's world axes to the robot's, as of `MappingOptions`."""
+        return self.options.alignment if isinstance(self.options, MappingOptions) else "world"
 
     def check_has(self, names: Iterable[str]) -> None:
         """Reject options that the preset does not have.

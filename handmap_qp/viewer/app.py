@@ -10,7 +10,6 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.viewer.controls import PlayBar, SteeringControls, dock_main_panel
 from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
 from handmap_qp.viewer.gauges import Gauges, gauge_row
-from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.replay import Replay, ViewSample
 from handmap_qp.viewer.scene import HandScene
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class ReplayViewer:
-    """Show a recording, and map it again whenever an option changes.
+    """Show a recording, and map it again whenever the preset or an option changes.
 
     Args:
         server: A running viser server.
@@ -37,16 +36,17 @@ class ReplayViewer:
         self.server = server
         self.replay = replay
         self.scene = HandScene(
-            server, replay.human, replay.robot, replay.samples[0], replay.mapping
+            server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
         )
         self.gauges = Gauges(server, replay.robot)
         self._show_samples()
         dock_main_panel(server)
         self.play_bar = PlayBar(server, float(replay.time[-1]))
-        self._start = Options(replay.mapping, replay.ik)
+        # Options count from `_base`: the initial ones, or those of a preset chosen later.
+        self._start = self._base = replay.choice
         self._changes: dict[str, Any] = {}
         self._is_behind = False
-        self.steering = SteeringControls(server, replay.robot, self._start)
+        self.steering = SteeringControls(server, replay.robot, self._start, replay.presets)
         self._drawn: tuple[object, ...] = ()
         self._gauges_drawn: tuple[object, ...] = ()
         self._gauges_throttle = Throttle(GAUGES_PERIOD)
@@ -91,23 +91,29 @@ class ReplayViewer:
 
         A slider moved during the mapping takes effect with its value after the mapping.
         """
-        requests, changes = self.steering.take_requests(), self.steering.options.take_changes()
+        requests, preset = self.steering.take_requests(), self.steering.take_preset()
+        changes = self.steering.options.take_changes()
+        self._is_behind |= bool(requests or changes or preset)
+        if preset is not None:
+            self._base, changes = self.replay.preset(preset), {}
+            self._changes.clear()
+            self.steering.show_choice(self._base)
         self._changes |= changes
-        self._is_behind |= bool(requests or changes)
         for request in requests:
             if request != "reset":
                 self.replay.switches[self.index] = request == "release"
             else:
                 self.replay.switches.clear()
+                self._base = self._start
                 self._changes.clear()
-                self.steering.options.show(self._start)
+                self.steering.show_choice(self._start)
         if not self._is_behind:
             return
         self.steering.show_message("mapping …")
         self.server.flush()
         self._is_behind = False
         try:
-            self.replay.remap(*self._start.with_changes(self._changes))
+            self.replay.remap(self._base.with_changes(self._changes))
         except HandmapError as error:
             self.steering.show_error(error)
             return
@@ -115,6 +121,6 @@ class ReplayViewer:
         self._show_samples()
 
     def _show_samples(self) -> None:
-        self.scene.align(self.replay.mapping)
+        self.scene.align(self.replay.choice.alignment)
         self.scene.reserve_travel(self.replay.samples)
         self.gauges.set_rows([gauge_row(sample) for sample in self.replay.samples])

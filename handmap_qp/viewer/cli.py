@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """Show a mapping in the browser, and change its options while it plays.
+    """Show a mapping in the browser, and change its preset and options while it plays.
 
     Shows the human hand and the robot hand side by side, their reference points and targets, the
     deformation T_def as an ellipsoid, the robot's joints between their limits, point errors [mm]
@@ -47,7 +47,7 @@ class View:
             loopback unless you trust the network.
         port: Port to listen on. The next free one is taken if it is in use.
         open: Open the browser.
-        arguments: Reference points and initial options, for a recording only.
+        arguments: Preset, reference points and initial options, for a recording only.
     """
 
     recording: tyro.conf.Positional[
@@ -167,7 +167,7 @@ class View:
             webbrowser.open(address)
 
     def _replay(self, file: Path, name: str) -> Replay:
-        from handmap_qp.trackers.landmarks import fit_recording
+        from handmap_qp.trackers.landmarks import fit_recording, measure_contact_gap
         from handmap_qp.trackers.recording import read_recording
         from handmap_qp.viewer.replay import Replay
 
@@ -175,4 +175,13 @@ class View:
         robot = self.arguments.load_robot(name)
         motion = fit_recording(recording)
         human = motion.human.with_points(self.arguments.human_points)
-        return Replay(motion, human, robot, self.arguments.mapping, self.arguments.ik)
+        gap = measure_contact_gap(recording)
+        return Replay(
+            recording,
+            motion,
+            human,
+            robot,
+            self.arguments.preset_for(human, robot, gap),
+            smoothing=self.arguments.smoothing,
+            contact_gap=gap,
+        )

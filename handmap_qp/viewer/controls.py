@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.viewer.option_controls import OptionControls, Options
+from handmap_qp.mapping.presets import PRESETS, Choice
+from handmap_qp.viewer.option_controls import OptionControls
 from handmap_qp.viewer.scene import HandScene
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ class SteeringControls:
     Args:
         server: A running viser server.
         robot: The robot hand.
-        options: The options to start from.
+        choice: Preset and options to start from.
+        presets: The presets that the hands can be mapped with.
 
     Attributes:
         release: Button that freezes the robot. Two buttons instead of a toggle, so that a click
@@ -55,11 +57,18 @@ class SteeringControls:
         clutch: Button that resumes mapping from where the robot is.
         message: What is being done, or why the last request failed; hidden if empty.
         display: What the scene shows.
+        preset: List of presets; choosing one brings its own options.
         options: Sliders, lists and boxes for the options.
-        reset: Button that restores the initial options and clutches.
+        reset: Button that restores the initial preset and options, and clutches.
     """
 
-    def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        robot: Hand,
+        choice: Choice,
+        presets: tuple[str, ...] = (),
+    ) -> None:
         gui = server.gui
         self.release = gui.add_button("Release", hint="Freeze the robot until Clutch is pressed")
         self.clutch = gui.add_button(
@@ -69,9 +78,18 @@ class SteeringControls:
         )
         self.message = gui.add_markdown("", visible=False)
         self.display = DisplayControls(server)
-        self.options = OptionControls(server, robot, options)
+        names = dict.fromkeys((*presets, choice.preset))
+        self.preset = gui.add_dropdown(
+            "preset",
+            tuple(names),
+            initial_value=choice.preset,
+            hint="; ".join(f"{name}: {PRESETS[name].purpose}" for name in names),
+        )
+        self._taken_preset: str = choice.preset
+        self.options = OptionControls(server, robot, choice)
         self.reset = gui.add_button(
-            "Reset options and clutch", hint="Restore the initial options and resume mapping"
+            "Reset options and clutch",
+            hint="Restore the initial preset and options, and resume mapping",
         )
         self._requests: list[str] = []
         self.release.on_click(lambda _: self._requests.append("release"))
@@ -81,6 +99,21 @@ class SteeringControls:
     def take_requests(self) -> list[str]:
         """Return the buttons pressed since the last call: `release`, `clutch` and `reset`."""
         return [self._requests.pop(0) for _ in range(len(self._requests))]
+
+    def take_preset(self) -> str | None:
+        """Return the preset that the user has chosen since the last call; None if none."""
+        if self.preset.value == self._taken_preset:
+            return None
+        self._taken_preset = self.preset.value
+        return self._taken_preset
+
+    def show_choice(self, choice: Choice) -> None:
+        """Show preset and options, except where the user has just changed a control."""
+        if choice.preset != self._taken_preset:
+            if choice.preset not in self.preset.options:
+                self.preset.options = (*self.preset.options, choice.preset)
+            self.preset.value = self._taken_preset = choice.preset
+        self.options.show(choice)
 
     def show_released(self, is_released: bool) -> None:
         """Enable the button that has an effect."""

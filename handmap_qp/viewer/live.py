@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.presets import Choice, possible_presets
 from handmap_qp.viewer.controls import DisplayControls, SteeringControls, dock_main_panel
 from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
 from handmap_qp.viewer.gauges import Gauges, gauge_row
-from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.scene import HandScene
 
@@ -34,7 +34,7 @@ class LiveSource(Protocol):
     Attributes:
         human: The human hand of the samples.
         robot: The robot hand.
-        options: Options in force there, whichever client set them.
+        choice: Preset and options in force there, whichever client set them.
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot is released.
         is_outdated: Whether it has ended because other hands are mapped there now.
@@ -43,7 +43,7 @@ class LiveSource(Protocol):
 
     human: Hand
     robot: Hand
-    options: Options
+    choice: Choice
     is_shared: bool
     is_released: bool
     is_outdated: bool
@@ -67,7 +67,7 @@ class LiveSource(Protocol):
         ...
 
     def configure(self, changes: dict[str, Any]) -> None:
-        """Request other values of some options."""
+        """Request another preset or other values of some options, as of `Choice`."""
         ...
 
     def close(self) -> None:
@@ -115,14 +115,21 @@ class LiveViewer:
         except BaseException:
             self.close()
             raise
-        self._start = source.options
-        self._alignment = self._start.mapping.alignment
-        self.scene = HandScene(server, source.human, source.robot, self.sample, self._start.mapping)
+        self._start = source.choice
+        self._alignment = self._start.alignment
+        self.scene = HandScene(server, source.human, source.robot, self.sample, self._alignment)
         self.gauges = Gauges(server, source.robot)
         dock_main_panel(server)
         self.status_text = server.gui.add_markdown("")
         self.steering = (
-            SteeringControls(server, source.robot, self._start) if source.is_shared else None
+            SteeringControls(
+                server,
+                source.robot,
+                self._start,
+                possible_presets(source.human, source.robot),
+            )
+            if source.is_shared
+            else None
         )
         self.display = DisplayControls(server) if self.steering is None else self.steering.display
         self._gauges_throttle = Throttle(GAUGES_PERIOD)
@@ -167,20 +174,23 @@ class LiveViewer:
         # While requests are pending, the controls keep the requested values.
         if source.is_busy:
             return
-        in_force = source.options
-        steering.options.show(in_force)
-        if in_force.mapping.alignment != self._alignment:
-            self.scene.align(in_force.mapping)
-            self._alignment = in_force.mapping.alignment
+        in_force, preset = source.choice, steering.take_preset()
+        if preset is None:
+            steering.show_choice(in_force)
+        if in_force.alignment != self._alignment:
+            self.scene.align(in_force.alignment)
+            self._alignment = in_force.alignment
         # Send only what was changed here: other clients may have changed other options.
         changes = steering.options.take_changes()
+        if preset is not None and preset != in_force.preset:
+            changes = {"preset": preset}
         for request in steering.take_requests():
             if request == "release":
                 source.release()
             elif request == "clutch" or source.is_released:
                 source.clutch()
             if request == "reset":
-                changes |= in_force.changes_to(self._start)
+                changes = in_force.changes_to(self._start)
         if changes:
             source.configure(changes)
 

@@ -6,54 +6,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.options import Alignment, MappingOptions, Pivot, ReferenceAt, RigidFrom
+from handmap_qp.mapping.options import Alignment, Pivot, ReferenceAt, RigidFrom
+from handmap_qp.mapping.presets import Choice
 
 if TYPE_CHECKING:
     import viser
 
 LEFT_OUT = ("solver", "step_tolerance", "point_tolerance")
 """Options without a control: they have no visible effect."""
-
-
-class Options(NamedTuple):
-    """All options; no name occurs in both parts.
-
-    Attributes:
-        mapping: Options of the mapping.
-        ik: Weights and settings of the QP.
-    """
-
-    mapping: MappingOptions
-    ik: IkOptions
-
-    def with_changes(self, changes: dict[str, Any]) -> Options:
-        """Return a copy with other values for some options.
-
-        Raises:
-            InvalidOptionsError: If the new options contradict each other.
-        """
-        mapping, ik = split_changes(changes)
-        return Options(replace(self.mapping, **mapping), replace(self.ik, **ik))
-
-    def changes_to(self, other: Options) -> dict[str, Any]:
-        """Return the values of `other` that differ from these, by option name."""
-        pairs = (
-            (getattr(a, name), getattr(b, name), name)
-            for a, b in zip(self, other, strict=True)
-            for name in a.__slots__
-        )
-        return {name: theirs for ours, theirs, name in pairs if ours != theirs}
-
-
-def split_changes(changes: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Split changes into those of the mapping options and those of the QP options."""
-    ik = {name: value for name, value in changes.items() if name in IkOptions.__slots__}
-    return {name: value for name, value in changes.items() if name not in ik}, ik
 
 
 class _Slider(NamedTuple):
@@ -92,6 +56,26 @@ _MAPPING_SLIDERS = (
     _Slider("stretch_min", 0.05, 1.0, 0.05, "Stretches below this value are raised to it"),
     _Slider("stretch_max", 1.0, 5.0, 0.05, "Stretches above this value are lowered to it"),
 )
+_TELEOPERATION_SLIDERS = (
+    _Slider(
+        "residual_gain",
+        0.0,
+        1.0,
+        0.05,
+        "Share of each finger's residual to T that its partner takes over",
+    ),
+    _Slider("extension_weight", 0.0, 10.0, 0.1, "Weight of the fingers' extension, per 10 mm"),
+    _Slider("thumb_extension_weight", 0.0, 10.0, 0.1, "Weight of the thumb's extension, per 10 mm"),
+    _Slider("pinch_weight", 0.0, 20.0, 0.1, "Weight of a pinch, per 10 mm between pads; 0: none"),
+    _Slider(
+        "contact_gap",
+        0.0,
+        0.04,
+        0.001,
+        "Distance between the landmarks of thumb and finger where the skin touches [m]",
+    ),
+    _Slider("ridge", 0.005, 1.0, 0.005, "Pull of the estimated motion towards a rotation"),
+)
 _IK_SLIDERS = (
     _Slider("point_weight", 0.0, 5.0, 0.05, "Weight of the reference points' positions, per 10 mm"),
     _Slider("wrist_position_weight", 0.0, 10.0, 0.1, "Weight of the wrist's position, per 10 mm"),
@@ -112,6 +96,14 @@ _IK_SLIDERS = (
         3.0,
         0.05,
         "Levenberg-Marquardt damping: cost of motion that grows with the error",
+    ),
+    _Slider("speed_weight", 0.0, 10.0, 0.1, "Cost of joint motion within a sample; smooths, lags"),
+    _Slider(
+        "acceleration_weight",
+        0.0,
+        20.0,
+        0.1,
+        "Cost of changes of joint speed from sample to sample; smooths",
     ),
     _Slider("max_iterations", 1, 20, 1, "Largest number of linearisations per sample"),
     _Slider(
@@ -157,72 +149,113 @@ class _Control:
 
 
 class OptionControls:
-    """Sliders, lists and boxes for the options.
+    """Sliders, lists and boxes for the options; those of another method are hidden.
 
     Args:
         server: A running viser server.
         robot: The robot hand. With a fixed wrist, `rigid_from` is `none`. Without collision pairs
             in its description, there is no box for self-collision.
-        options: The initial options.
+        choice: The initial options.
     """
 
-    def __init__(self, server: viser.ViserServer, robot: Hand, options: Options) -> None:
+    def __init__(self, server: viser.ViserServer, robot: Hand, choice: Choice) -> None:
         self._gui = server.gui
-        self._controls: dict[str, _Control] = {}
+        self._mapping: dict[str, _Control] = {}
+        self._teleoperation: dict[str, _Control] = {}
+        self._ik: dict[str, _Control] = {}
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Mapping"):
-            for name, (choices, hint) in _CHOICES.items():
-                if name == "rigid_from" and not robot.has_moving_wrist:
-                    choices = ("none",)
-                self._add_choice(name, choices, hint)
-                if name == "pivot":
-                    self._add_point()
-            for slider in _MAPPING_SLIDERS:
-                self._add_slider(slider)
+            self._add_mapping(robot)
+            self._add_teleoperation()
         with tabs.add_tab("QP"):
             for slider in _IK_SLIDERS:
-                self._add_slider(slider)
+                self._add_slider(self._ik, slider)
             self._add_box(
+                self._ik,
                 "has_velocity_limits",
                 "speed limits",
                 "Enforce speed limits; position limits always hold",
             )
             if robot.spec.collision is not None:
                 self._add_box(
+                    self._ik,
                     "avoids_self_collision",
                     "self-collision",
                     "Keep the link pairs of the hand's `collision` key apart",
                 )
-        self.show(options)
+        self._method = self._mapping
+        self.show(choice)
 
     @property
     def handles(self) -> dict[str, Any]:
-        """The viser controls by option name."""
-        return {name: control.handle for name, control in self._controls.items()}
+        """The viser controls of the method and the QP, by option name."""
+        return {name: control.handle for name, control in self._active.items()}
+
+    @property
+    def _active(self) -> dict[str, _Control]:
+        return self._method | self._ik
 
     def take_changes(self) -> dict[str, Any]:
         """Return the options that the user has changed since the last call, by name."""
         changes = {}
-        for name, control in self._controls.items():
+        for name, control in self._active.items():
             value = control.handle.value
             if value != control.taken:
                 control.taken, changes[name] = value, control.to_option(value)
-        is_point = self._controls["pivot"].taken == "point"
         if "pivot" in changes:
-            changes["pivot_point"] = self._controls["pivot_point"].taken if is_point else None
-        self._controls["pivot_point"].handle.visible = is_point
+            is_point = self._mapping["pivot"].taken == "point"
+            changes["pivot_point"] = self._mapping["pivot_point"].taken if is_point else None
+        self._show_point()
         return changes
 
-    def show(self, options: Options) -> None:
-        """Show the options, except where the user has changed a control since `take_changes`."""
-        for name, control in self._controls.items():
-            part = options.ik if name in IkOptions.__slots__ else options.mapping
-            shown = control.to_shown(getattr(part, name))
-            if shown != control.taken:
-                control.handle.value = control.taken = shown
-        self._controls["pivot_point"].handle.visible = self._controls["pivot"].taken == "point"
+    def show(self, choice: Choice) -> None:
+        """Show the options, except where the user has changed a control since `take_changes`.
 
-    def _add_slider(self, slider: _Slider) -> None:
+        If the method is another one, show its controls instead.
+        """
+        method = self._teleoperation if choice.is_teleoperation else self._mapping
+        if method is not self._method:
+            for control in self._method.values():
+                # What the user changed last was of the method before.
+                control.taken = control.handle.value
+        self._method = method
+        for controls in (self._mapping, self._teleoperation):
+            for control in controls.values():
+                if control.handle.visible != (controls is method):
+                    control.handle.visible = controls is method
+        for controls, part in ((self._method, choice.options), (self._ik, choice.ik)):
+            for name, control in controls.items():
+                shown = control.to_shown(getattr(part, name))
+                if shown != control.taken:
+                    control.handle.value = control.taken = shown
+        self._show_point()
+
+    def _show_point(self) -> None:
+        """Show the pivot point only where it counts."""
+        is_used = self._method is self._mapping and self._mapping["pivot"].taken == "point"
+        self._mapping["pivot_point"].handle.visible = is_used
+
+    def _add_mapping(self, robot: Hand) -> None:
+        for name, (choices, hint) in _CHOICES.items():
+            if name == "rigid_from" and not robot.has_moving_wrist:
+                choices = ("none",)
+            self._add_choice(name, choices, hint)
+            if name == "pivot":
+                self._add_point()
+        for slider in _MAPPING_SLIDERS:
+            self._add_slider(self._mapping, slider)
+
+    def _add_teleoperation(self) -> None:
+        for slider in _TELEOPERATION_SLIDERS:
+            self._add_slider(self._teleoperation, slider)
+        self._add_box(
+            self._teleoperation,
+            "avoids_contact",
+            "keep links apart",
+            "Keep links apart that do not pinch",
+        )
+
+    def _add_slider(self, controls: dict[str, _Control], slider: _Slider) -> None:
         handle = self._gui.add_slider(
             _label(slider.name), slider.low, slider.high, slider.step, slider.low, hint=slider.hint
         )
@@ -237,7 +270,7 @@ class OptionControls:
             return min(value, handle.max)
 
         is_optional = slider.name == "max_acceleration"
-        self._controls[slider.name] = _Control(
+        controls[slider.name] = _Control(
             handle, to_shown, lambda value: (value or None) if is_optional else value
         )
 
@@ -253,21 +286,19 @@ class OptionControls:
                 handle.options = (*handle.options, value)
             return value
 
-        self._controls[name] = _Control(
+        self._mapping[name] = _Control(
             handle, to_shown, lambda value: given[0] if value == _GIVEN else value
         )
 
     def _add_point(self) -> None:
         hint = "The pivot if pivot = point, the same in both worlds [m]"
         handle = self._gui.add_vector3("pivot point", (0.0, 0.0, 0.0), step=0.01, hint=hint)
-        self._controls["pivot_point"] = _Control(
+        self._mapping["pivot_point"] = _Control(
             handle, lambda value: handle.value if value is None else tuple(value)
         )
 
-    def _add_box(self, name: str, label: str, hint: str) -> None:
-        self._controls[name] = _Control(
-            self._gui.add_checkbox(label, initial_value=False, hint=hint)
-        )
+    def _add_box(self, controls: dict[str, _Control], name: str, label: str, hint: str) -> None:
+        controls[name] = _Control(self._gui.add_checkbox(label, initial_value=False, hint=hint))
 
 
 def _label(name: str) -> str:

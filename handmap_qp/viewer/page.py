@@ -40,7 +40,7 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
         InvalidInputError: If the file cannot be written.
     """
     samples = replay.samples
-    scene = HandScene(server, replay.human, replay.robot, samples[0], replay.mapping)
+    scene = HandScene(server, replay.human, replay.robot, samples[0], replay.choice.alignment)
     scene.draw(samples[0])
     serializer = server.get_scene_serializer()
     shown = samples[0].time

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,10 +20,11 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import hand_names, load_hand
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.trackers.landmarks import human_name
+from handmap_qp.mapping.presets import Choice
+from handmap_qp.trackers.landmarks import LandmarkFitter, human_name
 from handmap_qp.transform import rigid_fit
-from handmap_qp.viewer.option_controls import Options, split_changes
 from handmap_qp.viewer.replay import ViewSample
 
 PORT = 5570
@@ -53,8 +55,8 @@ class ServiceSession:
     Attributes:
         name: Public name of the session.
         human: The human hand, with the lengths that the service has measured.
-        robot: The robot hand.
-        options: Options in force at the last status request.
+        robot: The robot hand, with the reference points that the method in force moves.
+        choice: Preset and options in force at the last status request.
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot is released, by its client or by a view.
         is_outdated: Whether the session has changed to other hands.
@@ -109,14 +111,21 @@ class ServiceSession:
                     "open it with has_detail=True or is_shared=True",
                 )
             self._about = {name: about[name] for name in _HANDS}
-            self.options = _options(about)
+            self.choice = _choice(about)
             lengths = about["lengths"] and HumanLengths(
                 **{name: np.array(rows) for name, rows in about["lengths"].items()}
             )
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths or None
             )
-            self.robot = self._load_robot(robot or about["robot"], about)
+            self._given_robot = self._load_robot(robot or about["robot"], about)
+            self.robot = self._with_method_points()
+            # Landmarks are mapped as they are; joint angles are fitted for drawing only.
+            self._fitter = (
+                LandmarkFitter(about["side"], lengths or None)
+                if about["input"] == "landmarks"
+                else None
+            )
         except BaseException:
             self._client.close()
             raise
@@ -180,9 +189,13 @@ class ServiceSession:
         self._requests.append(self._client.clutch)
 
     def configure(self, changes: dict[str, Any]) -> None:
-        """Request other values of some options."""
-        mapping, ik = split_changes(changes)
-        self._requests.append(lambda: self._client.configure(mapping=mapping, ik=ik))
+        """Request another preset or other values of some options, as of `Choice`."""
+        rest = dict(changes)
+        preset = rest.pop("preset", None)
+        ik = {name: rest.pop(name) for name in rest.keys() & set(IkOptions.__slots__)}
+        method = "teleoperation" if (preset or self.choice.preset) == "teleoperation" else "mapping"
+        words: dict[str, Any] = {"ik": ik, method: rest, "preset": preset}
+        self._requests.append(lambda: self._client.configure(**words))
 
     def _carry_out_requests(self) -> None:
         """Carry out pending requests and record their outcome."""
@@ -204,7 +217,9 @@ class ServiceSession:
             if self.is_shared and about["is_shared"] and not about["has_detail"]:
                 self._client.configure(has_detail=True)
             self.is_outdated = {name: about[name] for name in _HANDS} != self._about
-            self.options = _options(about)
+            before, self.choice = self.choice, _choice(about)
+            if before.is_teleoperation != self.choice.is_teleoperation:
+                self.robot = self._with_method_points()
         except (*self._failures, LookupError):
             return
         self.is_released = state.is_released
@@ -240,6 +255,10 @@ class ServiceSession:
             )
         return load_hand(robot, points=about["robot_points"], mount=about["mount"])
 
+    def _with_method_points(self) -> Hand:
+        """Return the robot hand with the reference points that the method in force moves."""
+        return self.choice.method.bind(self.human, self._given_robot).robot
+
     def _is_as_before(self, command: Any) -> bool:
         """Return whether a command fits the session properties read last."""
         if command.detail is None and command.point_error and self.is_shared:
@@ -262,21 +281,19 @@ class ServiceSession:
         if self._start is None:
             self._start = command.server_time
         detail, q, wrist = self._detail, np.array(command.q), command.wrist.matrix
-        human_points, human_q, human_wrist = (
-            detail[name] for name in ("human_points", "human_q", "human_wrist")
-        )
-        human_points = np.array(human_points)
+        human_points, targets = np.array(detail["human_points"]), np.array(detail["targets"])
+        human_q, human_wrist = self._human_posture(detail, human_points, type(command.wrist))
+        # The last detail of a held robot may be of another method.
+        has_targets = len(targets) == len(self.robot.reference_points) and not self.is_released
         return ViewSample(
             time=command.server_time - self._start,
-            human_q=None if human_q is None else np.array(human_q),
-            human_wrist=self._estimate_wrist(human_points)
-            if human_wrist is None
-            else msgspec.convert(human_wrist, type(command.wrist)).matrix,
+            human_q=human_q,
+            human_wrist=human_wrist,
             human_points=human_points,
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),
-            targets=None if self.is_released else np.array(detail["targets"]),
+            targets=targets if has_targets else None,
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
             is_limited=np.array([name in command.at_limit for name in self.robot.joint_names]),
@@ -284,6 +301,20 @@ class ServiceSession:
             duration=command.solve_time,
             is_seen=command.detail is not None,
         )
+
+    def _human_posture(
+        self, detail: dict[str, Any], points: np.ndarray, pose: type[Any]
+    ) -> tuple[np.ndarray | None, np.ndarray]:
+        """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
+        q, wrist, landmarks = (detail[name] for name in ("human_q", "human_wrist", "landmarks"))
+        if landmarks is not None and self._fitter is not None:
+            with suppress(InvalidInputError):
+                fitted_q, fitted_wrist, _ = self._fitter.fit(np.array(landmarks))
+                return fitted_q, fitted_wrist
+        known = (
+            self._estimate_wrist(points) if wrist is None else msgspec.convert(wrist, pose).matrix
+        )
+        return None if q is None else np.array(q), known
 
     def _estimate_wrist(self, points: np.ndarray) -> np.ndarray:
         """Estimate the wrist pose from points (n, 3) by a rigid fit of the hand at rest, (4, 4)."""
@@ -301,10 +332,12 @@ class ServiceSession:
         )
 
 
-def _options(about: dict[str, Any]) -> Options:
-    return Options(
-        msgspec.convert(about["mapping"], MappingOptions), msgspec.convert(about["ik"], IkOptions)
-    )
+def _choice(about: dict[str, Any]) -> Choice:
+    preset, options = about["preset"], about["mapping"]
+    kind: type[MappingOptions] | type[Teleoperation] = MappingOptions
+    if preset == "teleoperation":
+        kind, options = Teleoperation, about["teleoperation"]
+    return Choice(preset, msgspec.convert(options, kind), msgspec.convert(about["ik"], IkOptions))
 
 
 def _address(host: str) -> str:

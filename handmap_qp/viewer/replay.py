@@ -8,11 +8,12 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
+from handmap_qp.mapping.smoothing import Smoothing
+from handmap_qp.mapping.stages import motion_stages
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.trackers.recording import HumanMotion
+from handmap_qp.trackers.recording import HumanMotion, Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,21 +63,23 @@ class ViewSample:
 
 
 class Replay:
-    """A recorded motion, mapped as a whole and again whenever options change.
+    """A recording, mapped as a whole and again whenever options change.
+
+    Landmarks are mapped as they were measured. Joint angles are fitted for drawing only.
 
     Args:
-        motion: The human's motion.
-        human: The human hand with the reference points to use.
+        recording: The recording.
+        motion: Joint angles and wrist poses fitted to it (`fit_recording`).
+        human: The human hand, scaled to the person, with the reference points to use.
         robot: The robot hand.
-        mapping: Options of the mapping.
-        ik: Weights and settings of the QP.
+        choice: Preset and options.
+        smoothing: How samples are smoothed; not at all if omitted.
+        contact_gap: The measured contact gap [m], for other presets than the one chosen.
 
     Attributes:
         human: The human hand.
-        robot: The robot hand.
         time: Time since the first instant [s], shape (T,).
-        mapping: Mapping options of the current `samples`.
-        ik: QP options of the current `samples`.
+        choice: Preset and options of the current `samples`.
         switches: Sample indices at which the user released (True) or clutched (False).
         samples: One per instant.
 
@@ -86,30 +89,59 @@ class Replay:
     """
 
     def __init__(
-        self, motion: HumanMotion, human: Hand, robot: Hand, mapping: MappingOptions, ik: IkOptions
+        self,
+        recording: Recording,
+        motion: HumanMotion,
+        human: Hand,
+        robot: Hand,
+        choice: Choice,
+        *,
+        smoothing: Smoothing | None = None,
+        contact_gap: float | None = None,
     ) -> None:
         if not motion.valid.any():
             raise InvalidInputError(
                 argument="motion", problem="no sample is valid, there is nothing to show"
             )
-        self.human, self.robot = human, robot
+        self.human = human
         self.time = motion.time - motion.time[0]
         self.switches: dict[int, bool] = {}
-        self._motion = motion
-        self.remap(mapping, ik)
+        self._recording, self._motion, self._given_robot = recording, motion, robot
+        self._smoothing, self._contact_gap = smoothing, contact_gap
+        self.remap(choice)
 
-    def remap(self, mapping: MappingOptions, ik: IkOptions) -> None:
-        """Map the whole motion with these options.
+    @property
+    def robot(self) -> Hand:
+        """The robot hand, with the reference points that the method moves."""
+        return self._robot
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """The presets that these hands can be mapped with."""
+        return possible_presets(self.human, self._given_robot)
+
+    def preset(self, name: str) -> Choice:
+        """Return a preset with its own options and the measured contact gap."""
+        return preset_choice(name, self._contact_gap)
+
+    def remap(self, choice: Choice) -> None:
+        """Map the whole recording with another preset or other options.
 
         Args:
-            mapping: Options of the mapping.
-            ik: Weights and settings of the QP.
+            choice: Preset and options.
 
         Raises:
             HandmapError: If the options cannot be used; the replay is then unchanged.
         """
-        self.samples = self._map(HandMapper(self.human, self.robot, mapping, ik=ik))
-        self.mapping, self.ik = mapping, ik
+        mapper = HandMapper(
+            self.human,
+            self._given_robot,
+            choice.method,
+            ik=choice.ik,
+            smoothing=self._smoothing,
+        )
+        self.samples = self._map(mapper)
+        self._robot, self.choice = mapper.robot, choice
 
     def is_released(self, index: int) -> bool:
         """Return whether the robot is released at a sample."""
@@ -117,17 +149,17 @@ class Replay:
         return bool(earlier) and self.switches[max(earlier)]
 
     def _map(self, mapper: HandMapper) -> tuple[ViewSample, ...]:
-        motion = self._motion
+        motion, landmarks = self._motion, self._recording.landmarks
         # Until the hand is first seen, show the reference.
         first = int(np.argmax(motion.valid))
-        step = mapper.map_step(motion.q[first], motion.wrist[first], dt=motion.dt[first])
+        step = mapper.map_landmarks(landmarks[first], dt=motion.dt[first])
         mapper.reset()
         samples = []
         for i in range(len(motion.time)):
             if i in self.switches:
                 (mapper.release if self.switches[i] else mapper.clutch)()
             if motion.valid[i]:
-                step = mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
+                step = mapper.map_landmarks(landmarks[i], dt=motion.dt[i])
             samples.append(
                 view_sample(
                     float(self.time[i]),
@@ -152,14 +184,15 @@ def view_sample(
 
     Args:
         time: Time since the start [s].
-        human_q: Joint angles that were mapped [rad], shape (n_human,).
-        human_wrist: Wrist pose that was mapped, shape (4, 4).
+        human_q: Joint angles of the human, to draw it [rad], shape (n_human,).
+        human_wrist: Its wrist pose, shape (4, 4).
         step: Result of the step.
         is_seen: Whether the tracker saw the hand.
 
     Returns:
         The sample.
     """
+    stages = motion_stages(step)
     return ViewSample(
         time=time,
         human_q=human_q,
@@ -169,8 +202,8 @@ def view_sample(
         robot_wrist=step.command.wrist,
         robot_points=step.points,
         targets=None if step.status == "released" else step.targets,
-        deformation=step.motion_deformation[:3, :3],
-        pivot=step.transfer.image,
+        deformation=None if stages is None else stages.motion_deformation[:3, :3],
+        pivot=None if stages is None else stages.pivot,
         is_limited=step.at_bound,
         status=step.status,
         duration=step.duration,

@@ -19,7 +19,7 @@ from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.mapping.decomposition import polar
-from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.options import Alignment, Rotation
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
 from handmap_qp.viewer.camera import BrowserCameras
 from handmap_qp.viewer.replay import ViewSample
@@ -98,6 +98,54 @@ class _World:
             )
 
 
+class _Spheres:
+    """Spheres at points of a hand's world; their number follows the points, as methods do.
+
+    A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
+
+    Args:
+        server: A running viser server.
+        world: The hand's world.
+        name: Name of the parent node.
+        size: Radius, relative to the hand's.
+        colour: Red, green and blue, 0 to 1.
+        opacity: 0 to 1; opaque if omitted.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        world: _World,
+        name: str,
+        size: float,
+        colour: tuple[float, float, float],
+        *,
+        opacity: float | None = None,
+    ) -> None:
+        self._server, self._path = server, f"{world.frame.name}/{name}"
+        self._radius, self._colour, self._opacity = size * world.radius, _bytes(colour), opacity
+        self._nodes: list[Any] = []
+
+    def move(self, points: np.ndarray | None) -> None:
+        """Place the spheres at points (n, 3), and hide those that have none."""
+        count = 0 if points is None else len(points)
+        for i in range(len(self._nodes), count):
+            self._nodes.append(
+                self._server.scene.add_icosphere(
+                    f"{self._path}/{i}",
+                    self._radius,
+                    self._colour,
+                    opacity=self._opacity,
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
+            )
+        for i, node in enumerate(self._nodes):
+            node.visible = i < count
+            if points is not None and i < count:
+                node.position = points[i]
+
+
 class HandScene:
     """A human hand and a robot hand, their points, targets and deformation.
 
@@ -106,7 +154,7 @@ class HandScene:
         human: The human hand.
         robot: The robot hand.
         first: First sample; its palm gives the scene's axes.
-        options: Mapping options, for the alignment of the two worlds.
+        alignment: Rotation from the human's world axes to the robot's, as of `MappingOptions`.
 
     Attributes:
         follow: `hands` keeps each hand in place; `world` shows how it travels.
@@ -120,7 +168,7 @@ class HandScene:
         human: Hand,
         robot: Hand,
         first: ViewSample,
-        options: MappingOptions,
+        alignment: Alignment | Rotation,
     ) -> None:
         self.server = server
         self.follow: Follow = "hands"
@@ -130,15 +178,15 @@ class HandScene:
         self._human = self._add_hand("human", human, first.human_q)
         self._robot = self._add_hand("robot", robot, first.robot_q)
         self.cameras = BrowserCameras(server)
-        self.align(options)
-        self._human_points = self._add_spheres(
-            self._human, "points", first.human_points, _HUMAN_POINT_SIZE, HUMAN_COLOUR
+        self.align(alignment)
+        self._human_points = _Spheres(
+            server, self._human, "points", _HUMAN_POINT_SIZE, HUMAN_COLOUR
         )
-        self._robot_points = self._add_spheres(
-            self._robot, "points", first.robot_points, _ROBOT_POINT_SIZE, ROBOT_COLOUR
+        self._robot_points = _Spheres(
+            server, self._robot, "points", _ROBOT_POINT_SIZE, ROBOT_COLOUR
         )
-        self._targets = self._add_spheres(
-            self._robot, "targets", first.robot_points, _TARGET_SIZE, TARGET_COLOUR, opacity=0.5
+        self._targets = _Spheres(
+            server, self._robot, "targets", _TARGET_SIZE, TARGET_COLOUR, opacity=0.5
         )
         spread = first.human_points - first.human_points.mean(axis=0)
         self._ball = float(np.sqrt((spread**2).sum(axis=1).mean()))
@@ -171,22 +219,22 @@ class HandScene:
         )
         self._laid_out: tuple[object, ...] = ()
 
-    def align(self, options: MappingOptions) -> None:
+    def align(self, alignment: Alignment | Rotation) -> None:
         """Rotate both worlds: the first human palm is upright, and equal motions look equal.
 
         Args:
-            options: Mapping options; only `alignment` is used.
+            alignment: Rotation from the human's world axes to the robot's.
         """
         first = self._first
         human_palm = (first.human_wrist @ self._human.hand.wrist_to_palm)[:3, :3]
         robot_palm = (first.robot_wrist @ self._robot.hand.wrist_to_palm)[:3, :3]
         self._human.axes = human_palm.T
-        if options.alignment == "world":
+        if alignment == "world":
             self._robot.axes = human_palm.T
-        elif options.alignment == "palm":
+        elif alignment == "palm":
             self._robot.axes = robot_palm.T
         else:
-            self._robot.axes = human_palm.T @ np.array(options.alignment).T
+            self._robot.axes = human_palm.T @ np.array(alignment).T
         for world in (self._human, self._robot):
             world.frame.wxyz = quat_wxyz_from_rotation(world.axes)
             world.travel = np.empty((0, 3))
@@ -219,9 +267,9 @@ class HandScene:
             self._lay_out(centres)
             self._place(self._human, sample.human_q, sample.human_wrist, centres[0])
             self._place(self._robot, sample.robot_q, sample.robot_wrist, centres[1])
-            _move(self._human_points, sample.human_points)
-            _move(self._robot_points, sample.robot_points)
-            _move(self._targets, sample.targets)
+            self._human_points.move(sample.human_points)
+            self._robot_points.move(sample.robot_points)
+            self._targets.move(sample.targets)
             self._draw_deformation(sample)
             self._caption.text = caption(sample)
 
@@ -322,32 +370,6 @@ class HandScene:
             hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius
         )
 
-    def _add_spheres(
-        self,
-        world: _World,
-        name: str,
-        points: np.ndarray,
-        size: float,
-        colour: tuple[float, float, float],
-        *,
-        opacity: float | None = None,
-    ) -> list[Any]:
-        """Add a node per point.
-
-        A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
-        """
-        return [
-            self.server.scene.add_icosphere(
-                f"{world.frame.name}/{name}/{i}",
-                size * world.radius,
-                _bytes(colour),
-                opacity=opacity,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            for i in range(len(points))
-        ]
-
     def _set_up_stage(self) -> None:
         scene = self.server.scene
         scene.set_up_direction("+y")
@@ -376,14 +398,6 @@ def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
 def in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
     """Return the joint angles of a drawn model; 0 for joints that are not the hand's."""
     return np.array([0.0 if i is None else q[i] for i in order])
-
-
-def _move(nodes: list[Any], points: np.ndarray | None) -> None:
-    """Place nodes at points (n, 3), or hide them if there are none."""
-    for i, node in enumerate(nodes):
-        node.visible = points is not None
-        if points is not None:
-            node.position = points[i]
 
 
 def caption(sample: ViewSample) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
-from viewer_cases import COUNT, GAP, closing_motion, make_replay, press
+from viewer_cases import COUNT, GAP, closing_motion, closing_recording, make_replay, press
 
 from handmap_qp import (
     HandMapper,
@@ -24,17 +24,21 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.library import hand_names
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import RigidFrom
-from handmap_qp.offline.trajectory import map_motion
+from handmap_qp.mapping.presets import PRESETS, Choice, preset_choice
+from handmap_qp.offline.trajectory import map_recording
+from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.frames import skip_wakeup_race
 from handmap_qp.viewer.gauges import joint_bars, short_names
-from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls, Options
+from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls
 from handmap_qp.viewer.replay import Replay
 from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
 from handmap_qp.viewer.serving import serving
 
+PAPER = preset_choice("paper")
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -74,21 +78,28 @@ def seek(viewer: ReplayViewer, index: int) -> None:
 # -- mapping
 
 
-def test_replay_gives_the_commands_of_map_motion() -> None:
-    replay, motion = make_replay(), closing_motion()
-    expected = map_motion(HandMapper(motion.human, replay.robot, "paper"), motion)
+def replay_of(motion: HumanMotion, choice: Choice = PAPER) -> Replay:
+    return Replay(closing_recording(), motion, motion.human, load_hand("three_finger"), choice)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_replay_gives_the_commands_of_map_recording(preset: str) -> None:
+    replay, motion = make_replay(preset=preset), closing_motion()
+    mapper = HandMapper(motion.human, load_hand("three_finger"), preset)
+    expected = map_recording(mapper, closing_recording())
     np.testing.assert_allclose(
         [sample.robot_q for sample in replay.samples], expected.q, atol=1e-12
     )
-    np.testing.assert_allclose(
-        [sample.is_seen for sample in replay.samples], motion.valid, atol=1e-12
-    )
+    targets = [sample.targets for sample in replay.samples if sample.targets is not None]
+    np.testing.assert_allclose(targets, expected.targets, atol=1e-12)
+    np.testing.assert_array_equal([sample.is_seen for sample in replay.samples], motion.valid)
+    assert replay.robot.reference_points == mapper.robot.reference_points
 
 
 def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     valid = np.arange(COUNT) >= 7
     motion = replace(closing_motion(), valid=valid)
-    replay = Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
+    replay = replay_of(motion)
     for sample in replay.samples[:7]:
         np.testing.assert_allclose(sample.robot_q, replay.samples[7].robot_q, atol=1e-12)
     assert [sample.is_seen for sample in replay.samples] == valid.tolist()
@@ -97,16 +108,16 @@ def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
 def test_replay_refuses_a_motion_without_a_hand() -> None:
     motion = replace(closing_motion(), valid=np.zeros(COUNT, dtype=bool))
     with pytest.raises(InvalidInputError, match="no sample is valid"):
-        Replay(motion, motion.human, load_hand("three_finger"), MappingOptions(), IkOptions())
+        replay_of(motion)
 
 
 def test_options_that_cannot_be_used_leave_the_replay_as_it_was() -> None:
     replay = make_replay()
     before = replay.samples
     with pytest.raises(InvalidOptionsError, match="abacus"):
-        replay.remap(MappingOptions(ridge=0.3), IkOptions(solver="abacus"))
+        replay.remap(PAPER.with_changes({"ridge": 0.3, "solver": "abacus"}))
     assert replay.samples is before
-    assert replay.mapping == MappingOptions()
+    assert replay.choice.options == MappingOptions()
 
 
 # -- drawing
@@ -119,7 +130,9 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
 ) -> None:
     replay = make_replay(robot, alignment=alignment)
     sample = replay.samples[-1]
-    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene = HandScene(
+        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
+    )
     scene.draw(sample)
     nodes = [handle.name for handle in server.scene._handle_from_node_name.values()]
     for side, hand, points in (
@@ -161,7 +174,7 @@ def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> 
 def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
     replay = make_replay(alignment="palm")
     first = replay.samples[0]
-    HandScene(server, replay.human, replay.robot, first, replay.mapping).draw(first)
+    HandScene(server, replay.human, replay.robot, first, replay.choice.alignment).draw(first)
     for side, hand, wrist in (
         ("human", replay.human, first.human_wrist),
         ("robot", replay.robot, first.robot_wrist),
@@ -170,10 +183,13 @@ def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
         np.testing.assert_allclose(palm[:3, :3], np.eye(3), atol=1e-9)
 
 
-def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> None:
-    replay = make_replay()
+@pytest.mark.parametrize("preset", PRESETS)
+def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any, preset: str) -> None:
+    replay = make_replay(preset=preset)
     sample = replay.samples[-1]
-    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene = HandScene(
+        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
+    )
     scene.draw(sample)
     handle = server.scene.get_handle_by_name("/human/ellipsoid")
     assert sample.deformation is not None
@@ -188,7 +204,9 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any) -> Non
 def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     replay = make_replay(rigid_from="wrist")
     sample = replay.samples[-1]
-    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene = HandScene(
+        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
+    )
     scene.deformation_shape = "cube"
     scene.draw(sample)
     cube = server.scene.get_handle_by_name("/human/cube")
@@ -206,7 +224,9 @@ def test_hands_stay_in_place_or_travel_as_asked(
     server: Any, follow: Literal["hands", "world"]
 ) -> None:
     replay = make_replay()
-    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene = HandScene(
+        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
+    )
     scene.follow = follow
     places = []
     for sample in (replay.samples[0], replay.samples[-1]):
@@ -221,7 +241,9 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
     server: Any, follow: Literal["hands", "world"]
 ) -> None:
     replay = make_replay()
-    scene = HandScene(server, replay.human, replay.robot, replay.samples[0], replay.mapping)
+    scene = HandScene(
+        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
+    )
     scene.reserve_travel(replay.samples)
     scene.follow = follow
     for sample in replay.samples:
@@ -253,13 +275,16 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
     before, drawn = viewer.sample.robot_q, pose_in_scene(viewer.server, "/robot/points/0")
     viewer.steering.options.handles["deformation_gain"].value = 0.0
     viewer.tick(0.0)
-    assert viewer.replay.mapping == MappingOptions(deformation_gain=0.0)
+    assert viewer.replay.choice.options == MappingOptions(deformation_gain=0.0)
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
     assert np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3]) > 1e-3
 
 
-def test_every_control_reaches_its_option(server: Any) -> None:
-    options = Options(MappingOptions(pivot="point", pivot_point=(0.0, 0.0, 0.0)), IkOptions())
+@pytest.mark.parametrize("preset", ["paper", "teleoperation"])
+def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
+    options = preset_choice(preset)
+    if preset == "paper":
+        options = options.with_changes({"pivot": "point", "pivot_point": (0.0, 0.0, 0.0)})
     controls = OptionControls(server, load_hand("allegro_right"), options)
     assert controls.take_changes() == {}
     for name, handle in controls.handles.items():
@@ -284,15 +309,15 @@ def test_every_control_reaches_its_option(server: Any) -> None:
 
 
 def test_every_option_has_a_control_or_is_left_out_by_name(server: Any) -> None:
-    controls = OptionControls(
-        server, load_hand("allegro_right"), Options(MappingOptions(), IkOptions())
-    )
+    controls = OptionControls(server, load_hand("allegro_right"), PAPER)
     assert sorted((*controls.handles, *LEFT_OUT)) == sorted(
         (*MappingOptions.__slots__, *IkOptions.__slots__)
     )
-    with_nothing_to_keep_apart = OptionControls(
-        server, load_hand("hey5"), Options(MappingOptions(), IkOptions())
+    fingers = OptionControls(server, load_hand("allegro_right"), preset_choice("teleoperation"))
+    assert sorted((*fingers.handles, *LEFT_OUT)) == sorted(
+        (*(item.name for item in fields(Teleoperation)), *IkOptions.__slots__)
     )
+    with_nothing_to_keep_apart = OptionControls(server, load_hand("hey5"), PAPER)
     assert controls.handles.keys() - with_nothing_to_keep_apart.handles.keys() == {
         "avoids_self_collision"
     }
@@ -303,9 +328,7 @@ def test_the_wrist_choices_offered_are_those_that_the_mapper_accepts(
     server: Any, name: str
 ) -> None:
     human, robot = load_hand("human"), load_hand(name)
-    controls = OptionControls(
-        server, robot, Options(MappingOptions(rigid_from="none"), IkOptions())
-    )
+    controls = OptionControls(server, robot, PAPER.with_changes({"rigid_from": "none"}))
     for choice in get_args(RigidFrom):
         is_accepted = True
         try:
@@ -324,23 +347,89 @@ def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
         alignment=QUARTER_TURN,
     )
     replay = make_replay()
-    replay.remap(given, IkOptions())
+    replay.remap(PAPER._replace(options=given))
     viewer = ReplayViewer(server, replay)
     viewer.steering.options.handles["pivot"].value = "palm"
     viewer.tick(0.0)
-    assert replay.mapping == replace(given, pivot="palm", pivot_point=None)
+    assert replay.choice.options == replace(given, pivot="palm", pivot_point=None)
     viewer.steering.options.handles["alignment"].value = "palm"
     viewer.tick(0.0)
     viewer.steering.options.handles["alignment"].value = "as given"
     press(viewer.steering.reset)
     viewer.tick(0.0)
-    assert replay.mapping == given
+    assert replay.choice.options == given
+
+
+def shown(server: Any, path: str) -> list[bool]:
+    """Return the visibility of numbered nodes."""
+    found: list[bool] = []
+    while (node := server.scene.get_handle_by_name(f"{path}/{len(found)}")) is not None:
+        found.append(node.visible)
+    return found
+
+
+def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayViewer) -> None:
+    seek(viewer, COUNT - 1)
+    replay, steering, options = viewer.replay, viewer.steering, viewer.steering.options
+    assert steering.preset.options == ("teleoperation", "object", "paper")
+    before = viewer.sample.robot_q
+    few = len(replay.robot.reference_points)
+    assert shown(viewer.server, "/robot/points") == [True] * few
+    options.handles["ridge"].value = 0.3
+    viewer.tick(0.0)
+    steering.preset.value = "teleoperation"
+    viewer.tick(0.0)
+    assert replay.choice == preset_choice("teleoperation")
+    assert np.abs(viewer.sample.robot_q - before).max() > 0.05
+    many = len(replay.robot.reference_points)
+    assert many > few
+    for part in ("points", "targets"):
+        assert shown(viewer.server, f"/robot/{part}") == [True] * many
+    handles = options.handles
+    assert {"pinch_weight", "contact_gap", "rest_weight"} <= handles.keys()
+    assert "scale" not in handles
+    assert handles["ridge"].value == 0.1
+    assert all(handle.visible for handle in handles.values())
+    ellipsoid = viewer.server.scene.get_handle_by_name("/human/ellipsoid")
+    assert ellipsoid is not None
+    assert ellipsoid.visible
+    handles["extension_weight"].value = 0.0
+    viewer.tick(0.0)
+    assert replay.choice == preset_choice("teleoperation").with_changes({"extension_weight": 0.0})
+    steering.preset.value = "object"
+    viewer.tick(0.0)
+    assert replay.choice == preset_choice("object")
+    assert shown(viewer.server, "/robot/points") == [True] * few + [False] * (many - few)
+    assert not handles["pinch_weight"].visible
+    assert options.handles["scale"].visible
+    press(steering.reset)
+    viewer.tick(0.0)
+    assert replay.choice == PAPER
+    assert steering.preset.value == "paper"
+    np.testing.assert_allclose(viewer.sample.robot_q, before, atol=1e-12)
+
+
+def test_the_measured_contact_gap_is_that_of_a_preset_chosen_later(server: Any) -> None:
+    motion = closing_motion()
+    replay = Replay(
+        closing_recording(),
+        motion,
+        motion.human,
+        load_hand("three_finger"),
+        PAPER,
+        contact_gap=0.018,
+    )
+    viewer = ReplayViewer(server, replay)
+    viewer.steering.preset.value = "teleoperation"
+    viewer.tick(0.0)
+    assert replay.choice == preset_choice("teleoperation", 0.018)
+    assert viewer.steering.options.handles["contact_gap"].value == 0.018
 
 
 def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> None:
     replay = make_replay()
     replay.human = replay.human.with_points(("thumb_tip", "index_tip", "middle_tip"))
-    replay.remap(MappingOptions(), IkOptions())
+    replay.remap(PAPER)
     viewer = ReplayViewer(server, replay)
     samples = replay.samples
     viewer.steering.options.handles["ridge"].value = 0.0
@@ -350,7 +439,7 @@ def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> N
     assert "ridge: 0 needs 4" in viewer.steering.message.content
     viewer.steering.options.handles["ridge"].value = 0.2
     viewer.tick(0.0)
-    assert replay.mapping == MappingOptions(ridge=0.2)
+    assert replay.choice.options == MappingOptions(ridge=0.2)
     assert not viewer.steering.message.visible
 
 
@@ -390,9 +479,9 @@ def test_a_frame_dropped_by_visers_race_loses_no_request(
         once.setattr(viewer.server, "flush", fail_to_wake)
         with skip_wakeup_race():
             viewer.tick(0.0)
-        assert viewer.replay.mapping.ridge == 0.1
+        assert viewer.replay.choice.options.ridge == 0.1
     viewer.tick(0.0)
-    assert viewer.replay.mapping.ridge == 0.3
+    assert viewer.replay.choice.options.ridge == 0.3
     with pytest.raises(RuntimeError, match="another"), skip_wakeup_race():
         raise RuntimeError("another mistake")
 

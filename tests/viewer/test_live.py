@@ -16,9 +16,9 @@ from patience import PATIENCE, wait_until
 from viewer_cases import make_replay, press
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
+from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.transform import rotation_from_quat_wxyz
 from handmap_qp.viewer.live import LiveViewer, show_live
-from handmap_qp.viewer.option_controls import Options
 from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.serving import serving
 
@@ -31,7 +31,7 @@ class Source:
     def __init__(self, robot: str = "three_finger") -> None:
         replay = make_replay(robot)
         self.human, self.robot, self.samples = replay.human, replay.robot, replay.samples
-        self.options = Options(replay.mapping, replay.ik)
+        self.choice = replay.choice
         self.is_shared, self.is_released, self.is_busy, self.is_outdated = True, False, False, False
         self.last_error: HandmapError | None = None
         self.asked: list[dict[str, Any]] = []
@@ -51,11 +51,13 @@ class Source:
 
     def configure(self, changes: dict[str, Any]) -> None:
         self.asked.append(changes)
-        options = self.options.with_changes(changes)
+        choice = self.choice.with_changes(changes)
         self.last_error = (
-            InvalidInputError("the service refuses that") if options.mapping.scale > 2.0 else None
+            InvalidInputError("the service refuses that")
+            if getattr(choice.options, "scale", 0.0) > 2.0
+            else None
         )
-        self.options = self.options if self.last_error else options
+        self.choice = self.choice if self.last_error else choice
 
     def close(self) -> None:
         self.given.put(None)
@@ -134,7 +136,7 @@ def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source:
     source.given.put(replace(source.samples[-1], targets=None, deformation=None, pivot=None))
     viewer = LiveViewer(server, source)
     viewer.tick()
-    assert not server.scene.get_handle_by_name("/robot/targets/0").visible
+    assert server.scene.get_handle_by_name("/robot/targets/0") is None
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
     assert server.scene.get_handle_by_name("/robot/points/0").visible
     viewer.close()
@@ -149,7 +151,7 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     handles["ridge"].value = 0.5
     viewer.tick()
     viewer.tick()
-    assert (source.is_released, source.options.mapping) == (True, MappingOptions(ridge=0.5))
+    assert (source.is_released, source.choice.options) == (True, MappingOptions(ridge=0.5))
     assert (viewer.steering.release.disabled, viewer.steering.clutch.disabled) == (True, False)
     press(viewer.steering.release)
     viewer.tick()
@@ -161,14 +163,60 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     viewer.tick()
     assert viewer.steering.message.visible
     assert "refuses that" in viewer.steering.message.content
-    assert source.options.mapping == MappingOptions(ridge=0.5)
+    assert source.choice.options == MappingOptions(ridge=0.5)
     assert handles["scale"].value == 1.0, "the value in force"
     press(viewer.steering.reset)
     viewer.tick()
     viewer.tick()
-    assert (source.is_released, source.options.mapping) == (False, MappingOptions())
+    assert (source.is_released, source.choice.options) == (False, MappingOptions())
     assert not viewer.steering.message.visible
     assert handles["ridge"].value == 0.1
+    viewer.close()
+
+
+def test_the_preset_reaches_a_shared_source_and_that_of_others_is_shown(
+    server: Any, source: Source
+) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    steering = viewer.steering
+    assert steering is not None
+    viewer.tick()
+    steering.preset.value = "teleoperation"
+    viewer.tick()
+    assert source.asked == [{"preset": "teleoperation"}]
+    viewer.tick()
+    assert (steering.preset.value, source.asked[1:]) == ("teleoperation", [])
+    steering.options.handles["pinch_weight"].value = 2.0
+    viewer.tick()
+    assert source.asked[1:] == [{"pinch_weight": 2.0}]
+    source.choice = preset_choice("object")
+    viewer.tick()
+    assert steering.preset.value == "object"
+    assert "rigid_from" in steering.options.handles
+    press(steering.reset)
+    viewer.tick()
+    viewer.tick()
+    assert source.asked[2:] == [{"preset": "paper"}]
+    assert (source.choice, steering.preset.value) == (preset_choice("paper"), "paper")
+    viewer.close()
+
+
+def test_a_preset_that_the_source_refuses_is_explained(server: Any, source: Source) -> None:
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    steering = viewer.steering
+    assert steering is not None
+
+    def refuse(changes: dict[str, Any]) -> None:
+        source.last_error = InvalidInputError(f"the service refuses {changes}")
+
+    source.configure = refuse  # type: ignore[method-assign]
+    steering.preset.value = "object"
+    viewer.tick()
+    viewer.tick()
+    assert "the service refuses" in steering.message.content
+    assert steering.preset.value == "paper"
     viewer.close()
 
 
@@ -186,7 +234,7 @@ def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
         "pivot": "point",
         "pivot_point": (0.0, 1.0, 0.0),
     }
-    source.options = source.options.with_changes(theirs)
+    source.choice = source.choice.with_changes(theirs)
     viewer.tick()
     assert {name: handles[name].value for name in theirs} == theirs | {"alignment": "as given"}
     assert source.asked == []

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -249,7 +250,10 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
     )
     robot_q = viewer.sample.robot_q
     browser.press("Home", 36)
-    wait_until(lambda: viewer.replay.mapping.deformation_gain == 0.0, "the slider does not move")
+    wait_until(
+        lambda: asdict(viewer.replay.choice.options)["deformation_gain"] == 0.0,
+        "the slider does not move",
+    )
     wait_until(
         lambda: np.abs(viewer.sample.robot_q - robot_q).max() > 0.05,
         "the robot's joints do not move",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from service_tools import address_of, client_of, connected, human_q, in_loop, lo
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.client import Client, Command
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.service.keys import make_keys
 from handmap_qp.service.messages import About
 from handmap_qp.service.server import Server
@@ -101,7 +103,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
     ):
         # If its client pauses, the service repeats the robot's posture without details.
         shown = list(islice((sample for sample in samples if sample.is_seen), 5))
-    assert (session.robot.name, session.options.mapping) == (
+    assert (session.robot.name, session.choice.options) == (
         robot,
         MappingOptions(ridge=0.3, pivot="palm"),
     )
@@ -122,6 +124,84 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         np.testing.assert_allclose(
             sample.pivot, (WRIST @ session.human.wrist_to_palm)[:3, 3], atol=0.03
         )
+
+
+def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -> None:
+    with (
+        connected(service, "allegro_right", None, name="lab", has_detail=True) as client,
+        moving(client) as commands,
+        watching(service, session="lab") as (session, samples),
+    ):
+        shown = list(islice((sample for sample in samples if sample.is_seen), 5))
+    assert session.choice == preset_choice("teleoperation")
+    assert len(session.robot.reference_points) > len(load_hand("allegro_right").reference_points)
+    sent = {command.q: command for command in commands}
+    for sample in shown:
+        command = sent[tuple(sample.robot_q.tolist())]
+        assert command.detail is not None
+        assert sample.targets is not None
+        assert sample.deformation is not None
+        np.testing.assert_allclose(sample.targets, command.detail["targets"], atol=1e-12)
+        np.testing.assert_allclose(
+            sample.deformation, np.array(command.detail["motion_deformation"])[:3, :3], atol=1e-12
+        )
+        assert len(sample.robot_points) == len(session.robot.reference_points)
+
+
+def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -> None:
+    with (
+        connected(service, "allegro_right", None, name="lab", is_shared=True) as client,
+        moving(client),
+        serving() as page,
+    ):
+        session = ServiceSession(host_of(service))
+        viewer = LiveViewer(page, session)
+        steering = viewer.steering
+        assert steering is not None
+        assert steering.preset.value == "teleoperation"
+        try:
+            many = len(session.robot.reference_points)
+            for preset, count in (("object", 4), ("teleoperation", many)):
+                steering.preset.value = preset
+                tick_until(viewer, partial(is_shown, viewer, session, preset, count))
+                assert about_lab(service).preset == preset
+            # Of another client.
+            client.configure(preset="object", mapping={"ridge": 0.5})
+            tick_until(viewer, lambda: steering.preset.value == "object")
+            tick_until(viewer, lambda: steering.options.handles["ridge"].value == 0.5)
+        finally:
+            viewer.close()
+
+
+def is_shown(viewer: LiveViewer, session: ServiceSession, preset: str, count: int) -> bool:
+    """Return whether the view has a preset, and points and targets that it moves."""
+    sample = viewer.sample
+    points = (sample.robot_points, sample.targets)
+    return session.choice.preset == preset and all(
+        found is not None and len(found) == count for found in points
+    )
+
+
+def test_the_human_of_a_session_of_landmarks_is_drawn_as_its_landmarks(service: Server) -> None:
+    person = load_hand("human", points="landmarks", hand_length=0.21)
+    postures = [human_q(0.05 * i) for i in range(40)]
+
+    def landmarks(i: int) -> dict[str, Any]:
+        return {"landmarks": person.points(postures[i % 40], WRIST)}
+
+    with (
+        connected(
+            service, input="landmarks", preset=None, hand_length=0.21, is_shared=True, name="lab"
+        ) as client,
+        moving(client, landmarks),
+        watching(service, session="lab") as (session, samples),
+    ):
+        shown = list(islice((sample for sample in samples if sample.is_seen), 10))
+    for sample in shown:
+        assert sample.human_q is not None
+        drawn = session.human.points(sample.human_q, sample.human_wrist)
+        # Fitted from the sample before, which may be another posture.
+        assert np.linalg.norm(drawn - sample.human_points, axis=1).mean() < 5e-3
 
 
 def test_the_human_hand_has_the_lengths_that_the_service_measured(service: Server) -> None:
@@ -227,7 +307,7 @@ def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(servic
         try:
             handles["ridge"].value = 0.5
             # Wait until the view shows it; otherwise 0.1 below could be the old value.
-            tick_until(viewer, lambda: session.options.mapping.ridge == 0.5)
+            tick_until(viewer, lambda: session.choice.options.ridge == 0.5)
             lose_sessions(service)
             tick_until(viewer, lambda: handles["ridge"].value == 0.1)
             assert mapping_of(service)["ridge"] == 0.1
