@@ -16,6 +16,8 @@ DEFAULT_METHODS = (
     "object",
     "paper",
     "fingertip-vectors",
+    "finger-vectors",
+    "joint-to-joint",
     "virtual-sphere",
     "virtual-ellipsoid",
 )
