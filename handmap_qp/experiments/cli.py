@@ -12,7 +12,7 @@ from handmap_qp.arguments import HandName
 
 DEFAULT_METHODS = (
     "teleoperation",
-    "teleoperation+filter",
+    "teleoperation+smooth",
     "object",
     "paper",
     "fingertip-vectors",
@@ -92,7 +92,7 @@ class Compare:
         recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
         robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
-        methods: Methods to run: presets and other mappings by name, with +filter for smoothed
+        methods: Methods to run: presets and other mappings by name, with +smooth for smoothed
             samples. Peers may be named too, such as dex-vector; then --peers runs those only.
         peers: Run the peers too.
         peers_from: Folder of the program that runs the peers, compare.py.

@@ -29,7 +29,7 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods import METHODS
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.mapping.smoothing import Smoothing
+from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.takes import Take
 from handmap_qp.offline.trajectory import map_recording
@@ -37,8 +37,8 @@ from handmap_qp.transform import as_floats
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
-FILTER = "+filter"
-"""Ending of a name that asks for smoothed samples (`Smoothing`)."""
+SMOOTH = "+smooth"
+"""Ending of a name that asks for smoothed samples and motion, as `--smooth` of `handmap map`."""
 _FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
 # The preset `paper` is this method.
 _COVERED = ("homogeneous",)
@@ -53,7 +53,7 @@ class OwnMethod:
     """A method of this package.
 
     Attributes:
-        name: Name of a preset, or of a method of `handmap_qp.mapping.methods`; with `+filter` for
+        name: Name of a preset, or of a method of `handmap_qp.mapping.methods`; with `+smooth` for
             smoothed samples.
     """
 
@@ -61,14 +61,16 @@ class OwnMethod:
 
     def map_take(self, take: Take, robot: Hand) -> RobotMotion:
         """Map the landmarks of a take, with the palm that it is measured against."""
-        name = self.name.removesuffix(FILTER)
+        name = self.name.removesuffix(SMOOTH)
         if name in PRESETS:
             method, ik = PRESETS[name].method, PRESETS[name].ik
         else:
             method, ik = METHODS[name](), _FOLLOWING
         if isinstance(method, Teleoperation):
             method = replace(method, contact_gap=take.contact_gap)
-        smoothing = Smoothing() if self.name.endswith(FILTER) else None
+        smoothing = None
+        if self.name.endswith(SMOOTH):
+            smoothing, ik = Smoothing(), replace(ik, **SMOOTH_IK)
         mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
         trajectory = map_recording(mapper, take.recording, wrist_poses=take.wrist)
         return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
@@ -122,7 +124,7 @@ class OutsideMethod:
 
 
 def own_methods() -> tuple[str, ...]:
-    """Return the names of the package's own methods, without `+filter`."""
+    """Return the names of the package's own methods, without `+smooth`."""
     return (*PRESETS, *(name for name in METHODS if name not in (*PRESETS, *_COVERED)))
 
 
@@ -132,7 +134,7 @@ def own_method(name: str) -> OwnMethod:
     Raises:
         InvalidInputError: If there is no such method.
     """
-    if name.removesuffix(FILTER) not in own_methods():
+    if name.removesuffix(SMOOTH) not in own_methods():
         raise InvalidInputError(
             argument="--methods", expected=f"some of {', '.join(own_methods())}", value=name
         )

@@ -168,7 +168,7 @@ def test_sheet_of_many_methods_has_bands(
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
     methods = [line.split()[0] for line in printed.splitlines() if line.startswith(" tele")]
-    assert methods[:2] == ["teleoperation", "teleoperation+filter"]
+    assert methods[:2] == ["teleoperation", "teleoperation+smooth"]
     sheet = picture(out / "poses.png")
     # Six methods beside the human, and the rest below, beside the human again.
     assert sheet.shape[1] == cell_of(7, 0, 0)[0]

@@ -199,8 +199,8 @@ def test_robot_without_named_fingers_is_rejected(take: Take, robot: Hand) -> Non
 
 def test_own_methods_are_presets_and_methods_by_name() -> None:
     assert set(own_methods()) == (set(PRESETS) | set(METHODS)) - {"homogeneous"}
-    assert own_method("paper+filter") == OwnMethod("paper+filter")
-    for name in ("homogeneous", "paper+", "+filter", ""):
+    assert own_method("paper+smooth") == OwnMethod("paper+smooth")
+    for name in ("homogeneous", "paper+", "+smooth", ""):
         with pytest.raises(InvalidInputError) as caught:
             own_method(name)
         assert caught.value.argument == "--methods"
@@ -208,7 +208,7 @@ def test_own_methods_are_presets_and_methods_by_name() -> None:
 
 def test_filter_smooths_and_lags(take: Take, robot: Hand) -> None:
     raw, smooth = (
-        OwnMethod(name).map_take(take, robot) for name in ("teleoperation", "teleoperation+filter")
+        OwnMethod(name).map_take(take, robot) for name in ("teleoperation", "teleoperation+smooth")
     )
     assert not np.allclose(raw.q, smooth.q, atol=1e-3)
     np.testing.assert_allclose(raw.q[-1], smooth.q[-1], atol=0.3)
