@@ -22,9 +22,17 @@ settings.register_profile(
     database=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
+# `-m "not slow"` draws a few examples: the whole suite draws them all.
+settings.register_profile("fast", settings.get_profile("ci"), max_examples=12)
 settings.load_profile("ci")
 
 TESTS = Path(__file__).resolve().parent
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Load the profile of the fast suite, unless the command line names one."""
+    if "not slow" in config.option.markexpr and config.option.hypothesis_profile is None:
+        settings.load_profile("fast")
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,13 @@ its limits: there both bounds meet at the speed limit and the joint comes back a
 The stacked position and speed rows of mink and pink are infeasible in that case.
 
 An acceleration limit is clipped into that box the same way, `clip(v_last dt -+ a dt^2, lower,
-upper)`: position and speed go before it. That they ever have to is made rare by letting a joint
-approach its limit only as fast as it can still brake,
+upper)`: position and speed limits have priority. To avoid such conflicts, a joint approaches its
+limit only as fast as it can still brake,
 
-    v dt + v^2 / (2 a) <= distance to the limit,
+    v dt + v^2 / (2 a) <= distance to the limit.
 
-which, once true, stays true from sample to sample whatever their length: a joint that starts at
-rest inside its limits never has to break either limit for the other.
+Once true, this stays true from sample to sample for any sample times. So a joint that starts at
+rest inside its limits keeps both limits.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class BoxLimits:
     def bounds(
         self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bound of the displacement from `q`.
+        """Return the lower and upper bound of the displacement from `q`.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
@@ -103,13 +103,12 @@ class BoxLimits:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the part of the box within reach of the last velocity, or its nearest corner."""
         joints = self._joints
-        # The smallest number is for samples so short that their square is zero.
+        # The lower bound avoids a division by zero for samples so short that dt^2 underflows.
         change = np.maximum(acceleration * dt**2, 1e-200)
         middle = 0.0 if previous_velocity is None else previous_velocity * dt
         lowest, highest = middle - change, middle + change
         least, most = lowest.copy(), highest.copy()
-        # Where a limit has been passed there is no distance left to brake in; the box will bring
-        # the joint back.
+        # Past a limit there is no braking distance left; the box brings the joint back.
         to_upper = _braking_displacement(np.maximum(self._upper - angles, 0.0), change[joints])
         to_lower = _braking_displacement(np.maximum(angles - self._lower, 0.0), change[joints])
         most[joints] = np.minimum(np.maximum(to_upper, lowest[joints]), highest[joints])
@@ -120,7 +119,7 @@ class BoxLimits:
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Consecutive indices as a slice, which is quicker and makes no copy."""
+    """Return consecutive indices as a slice, which is quicker and makes no copy."""
     first, count = int(indices[0]), len(indices)
     return (
         slice(first, first + count)
@@ -130,11 +129,10 @@ def as_slice(indices: np.ndarray) -> slice | np.ndarray:
 
 
 def _braking_displacement(distance: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """The largest displacement x after which a joint can still stop within `distance`.
+    """Return the largest displacement x after which a joint can still stop within `distance`.
 
-    X + x^2 / (2 a dt^2) = distance.
-
-    In a form that cancels nothing, however small the distance; `change` is a dt^2.
+    The root of `x + x^2 / (2 a dt^2) = distance`, in a form without cancellation; `change` is
+    `a dt^2`.
     """
     return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / change))
 

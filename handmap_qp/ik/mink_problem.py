@@ -30,9 +30,9 @@ from handmap_qp.ik.tasks import Task
 
 
 class BoxLimit(mink.Limit):
-    """Position, speed and acceleration limits as rows `[I; -I] dq <= [upper.
+    """Position, speed and acceleration limits as rows, without infinite ones.
 
-    -lower]`, infinite ones left out.
+    The rows are `[I; -I] dq <= [upper; -lower]`.
 
     Args:
         limits: The box.
@@ -133,8 +133,8 @@ def build_problem(
         hand: The hand.
         options: The weights.
         configuration: Of the hand, placed with Jacobians.
-        point_targets: Where the reference points shall be [m], shape (m, 3).
-        wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+        point_targets: Targets of the reference points [m], shape (m, 3).
+        wrist_target: Target of the wrist frame, shape (4, 4); None leaves it free.
         dt: Time for the displacement [s].
         rest: Joint positions that the rest term pulls to, shape (n,); the hand's if omitted.
         tasks: Further terms of the cost, as of `PointIk.solve`.

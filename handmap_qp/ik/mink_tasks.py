@@ -26,7 +26,7 @@ class PointTask(mink.Task):
     """All reference points to their targets, as one stacked task.
 
     Args:
-        targets: Where the points shall be [m], shape (m, 3).
+        targets: Targets of the points [m], shape (m, 3).
         cost: Weight of each point's error [cost]/[m], shape (m,).
     """
 
@@ -47,7 +47,7 @@ class WristTask(mink.Task):
     """The wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
 
     Args:
-        target: Where the wrist frame shall be, shape (4, 4).
+        target: Target of the wrist frame, shape (4, 4).
         position_cost: Weight of the translational error [cost]/[m].
         orientation_cost: Weight of the rotational error [cost]/[rad].
     """

@@ -142,8 +142,8 @@ class MujocoIk:
         MuJoCo's, carried into our active coordinates.
 
         Args:
-            point_targets: Where the reference points shall be [m], shape (m, 3).
-            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+            point_targets: Targets of the reference points [m], shape (m, 3).
+            wrist_target: Target of the wrist frame, shape (4, 4); None leaves it free.
             dt: Time for the displacement [s].
 
         Returns:

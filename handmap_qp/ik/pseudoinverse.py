@@ -10,7 +10,7 @@ to the rest posture:
 With singular values `s` of A, `A#` has `s / (s^2 + damping^2)`: eq. (8) for `damping = 0`, which is
 the limit of the QP for slack limits and vanishing regularisation; damped least squares (Nakamura
 and Hanafusa 1986, Wampler 1986) for `damping > 0`. At `damping = 1` it is the QP without its
-limits. Limits are either not looked at, or the finished step is clipped into them, which bends its
+limits. Limits are either ignored, or the finished step is clipped into them, which changes its
 direction.
 """
 
@@ -53,7 +53,7 @@ class PseudoinverseIk:
         configuration: The present posture; `place` puts the hand somewhere else.
 
     Raises:
-        InvalidOptionsError: If the damping is negative or no number, or the limit handling is
+        InvalidOptionsError: If the damping is negative or not a number, or the limit handling is
             unknown.
     """
 
@@ -103,8 +103,8 @@ class PseudoinverseIk:
         """Eq. (8) at the present configuration.
 
         Args:
-            point_targets: Where the reference points shall be, in the world [m], shape (m, 3).
-            wrist_target: Where the wrist frame shall be, shape (4, 4); None leaves it free.
+            point_targets: Targets of the reference points in the world [m], shape (m, 3).
+            wrist_target: Target of the wrist frame, shape (4, 4); None leaves it free.
 
         Returns:
             Displacement before any clipping, shape (nv,).
@@ -165,7 +165,7 @@ class PseudoinverseIk:
         return self._result(end, point_targets, total, lower, upper, iterations, last_step)
 
     def hold(self) -> IkResult:
-        """Stay where the hand is, as if it were released from its targets."""
+        """Keep the hand where it is, without targets."""
         free = np.full(self.configuration.nv, np.inf)
         return self._result(
             "released",

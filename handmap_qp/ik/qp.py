@@ -34,7 +34,7 @@ from handmap_qp.ik.tasks import Task
 from handmap_qp.transform import frozen
 
 End = Literal["solved", "failed", "released"]
-# A hand whose last step is shorter than this stands still, whatever its status says [rad or m].
+# A hand counts as at rest if its last step is shorter than this [rad or m].
 _AT_REST = 1e-3
 # A displacement counts as at its bound within this tolerance, relative to min(bound width, 1 rad or
 # 1 m). Iterations add up to a bound up to rounding, and solvers up to their tolerance (clarabel and
@@ -48,11 +48,11 @@ Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "
 
 
 class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """Where the iterations of one sample ended.
+    """Result of the iterations of one sample.
 
     Attributes:
         end: `solved`; `failed`: the solver found no answer, and the hand stays where it was, or
-            comes back into its limits; `released`: nothing was asked of it.
+            comes back into its limits; `released`: it had no targets.
         points: Reference points [m], shape (m, 3).
         errors: Target minus point [m], shape (m, 3).
         point_tolerance: Length of an error that counts as none [m].
@@ -88,7 +88,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @property
     def status(self) -> Status:
-        """How well the targets were met.
+        """Outcome: how well the targets were met.
 
         `converged`: all points have arrived; `limited`: joints or wrist at a limit keep some away;
         `unreachable`: no limit does and the hand does not move any more; `unsettled`: it is still
@@ -104,7 +104,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
 
 
 class IkState:
-    """Where a hand is and how fast it moves; shared by the `PointIk`s that drive it in turn.
+    """Posture and velocity of a hand; shared by the `PointIk`s that drive it in turn.
 
     Attributes:
         configuration: The present posture.
@@ -241,7 +241,7 @@ class PointIk:
             margins: Distance that each pair of `contacts` keeps [m]; the hand's own if omitted.
 
         Returns:
-            Where it ended. On `failed`, the configuration is the one before the call, except for
+            The result. On `failed`, the configuration is the one before the call, except for
             joints outside their limits.
         """
         configuration, options = self.configuration, self.options
@@ -295,7 +295,7 @@ class PointIk:
         )
 
     def hold(self) -> IkResult:
-        """Stay where the hand is, as if it were released from its targets."""
+        """Keep the hand where it is, without targets."""
         self.state.velocity, configuration = self._zero_step, self.configuration
         points, free = configuration.points.copy(), np.full(configuration.nv, np.inf)
         columns, tolerance = self.hand.joint_columns, self.options.point_tolerance
@@ -336,7 +336,7 @@ class PointIk:
         return self._H.copy(), self._c.copy(), lower, upper
 
     def _smooth(self, total: np.ndarray, dt: float) -> None:
-        """Pull the displacement so far towards zero and towards the last sample's."""
+        """Add the costs of speed and acceleration, given the displacement so far."""
         so_far = total[self._first_joint :]
         self._c_joints += self._speed_cost * so_far
         self._c_joints += self._acceleration_cost * (

@@ -1,8 +1,7 @@
 """Further terms of the QP's cost: a small protocol, and the distances of pairs of points.
 
 A task adds `|J dq + e|^2 + dq^T diag(d) dq` to the cost, with its weights already multiplied in.
-Give
-tasks of your own to `HandMapper(..., tasks=[...])`:
+Give tasks of your own to `HandMapper(..., tasks=[...])`:
 
     class KeepTipUp:
         def linearise(self, hand):

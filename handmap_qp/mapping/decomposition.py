@@ -1,10 +1,7 @@
-"""Split a motion into a rigid part and a deformation (eqs.
+"""Split a motion into rigid part and deformation, or into primitives (eqs. 2-3, Sec. II).
 
-2-3), and into primitive transformations (Sec. II).
-
-`T = T_def T_rb`: the left polar decomposition `A = U R` gives the rotation and the stretch; the
-pivot says about which point both act. `T_rb` carries the pivot to where T takes it, and `T_def`
-leaves it there.
+`T = T_def T_rb`: the left polar decomposition `A = U R` gives the rotation and the stretch, which
+act about the pivot. `T_rb` carries the pivot to its image under T, and `T_def` keeps it there.
 """
 
 from __future__ import annotations
@@ -90,7 +87,7 @@ def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) 
         The parts; `deformation @ rigid == motion` up to rounding.
 
     Raises:
-        InvalidInputError: If `motion` is no affine 4x4 matrix or `pivot` no point.
+        InvalidInputError: If `motion` is not an affine 4x4 matrix or `pivot` not a point.
     """
     matrix = _check_motion(motion)
     point = as_floats(pivot, "pivot")
@@ -149,9 +146,7 @@ class Primitives:
 
 
 def primitives(motion: npt.ArrayLike) -> Primitives:
-    """Recover the primitive transformations of a motion.
-
-    Translation, rotation, isotropic scale, axis scales, shear.
+    """Factor a motion into translation, rotation, shear, axis scales and isotropic scale.
 
     The linear part is factored as rotation times upper-triangular matrix (QR); the diagonal of the
     latter gives the scales and the rest the shear. This rotation is not the polar one of
@@ -164,7 +159,7 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
         Each primitive as numbers and as a 4x4 whose product is the motion.
 
     Raises:
-        InvalidInputError: If the matrix is no affine motion, or its linear part is singular.
+        InvalidInputError: If the matrix is not an affine motion, or its linear part is singular.
     """
     matrix = _check_motion(motion)
     rotation, upper = np.linalg.qr(matrix[:3, :3])

@@ -22,16 +22,15 @@ from handmap_qp.transform import (
     svd3,
 )
 
-# Below this ratio of smallest to largest singular value the points are a plane (or a line) for all
-# that doubles can tell.
+# Below this ratio of smallest to largest singular value, rounding hides whether the points span
+# more than a plane (or a line).
 _RANK_TOLERANCE = 1e-9
-# Below this part of the largest coordinate, the spread of the points is the rounding of their
-# coordinates.
+# Below this share of the largest coordinate, the points' spread is rounding error.
 _SPREAD_TOLERANCE = 1e-14
 
 
 class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
-    """A motion fitted to point pairs. T and its residuals are computed when asked for.
+    """A motion fitted to point pairs; T and its residuals are computed on first access.
 
     Attributes:
         linear: Linear part A of T, shape (3, 3).
@@ -118,7 +117,7 @@ class MotionEstimator:
         frozen(self.singular_values)
         floor = max(_RANK_TOLERANCE * values[0], _SPREAD_TOLERANCE * np.abs(points).max())
         self._check_rank(floor, has_prior)
-        # A direction in which the points do not spread has no gain: there A is the prior, however
+        # Directions in which the points do not spread get no gain: A is the prior there, however
         # small the ridge.
         known = np.where(values > floor, values, 0.0)
         pull = self.ridge * (values @ values) / 3.0
@@ -126,8 +125,7 @@ class MotionEstimator:
         # (n, 3) and (3, 3): A = y^T gain + R0 prior_gain
         self._gain = np.ascontiguousarray((roots[:, None] * left * gains) @ right)
         self._prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
-        # One product gives both sums that a sample needs: with the gain, and the covariance that
-        # Kabsch's rotation comes from.
+        # One product gives both sums of a sample: the one with the gain, and Kabsch's covariance.
         self._moments = np.hstack([self._gain, self._weighted])
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
@@ -156,7 +154,7 @@ class MotionEstimator:
         Returns:
             The estimate.
         """
-        # `dot` where `@` would do: on arrays this small it takes half the time.
+        # `dot` takes half the time of `@` on arrays this small.
         centroid_after = self.weights.dot(points_after)
         after = points_after - centroid_after
         moments = after.T.dot(self._moments)
@@ -185,8 +183,8 @@ def estimate_motion(
         points_before: Reference points before the motion [m], shape (n, 3).
         points_after: The same points after it [m], shape (n, 3).
         weights: Weight of each point, shape (n,); equal if omitted.
-        ridge: Pull towards the prior rotation, without unit; 0 is eq. (6) of the paper, 0.1 a good
-            value for fingertips.
+        ridge: Pull towards the prior rotation, without unit; 0 is eq. (6) of the paper, 0.1 suits
+            fingertips.
         prior: Prior rotation, shape (3, 3); the Kabsch fit of the same points if omitted.
 
     Returns:

@@ -1,6 +1,6 @@
-"""What a human hand and a robot hand have in common: fingers, ratios of reach, the matched posture.
+"""Correspondence of a human and a robot hand: fingers, ratios of reach, the matched posture.
 
-Everything is measured on the two models, once for each pair of hands.
+All of it is measured on the two models, once for each pair of hands.
 """
 
 from __future__ import annotations

@@ -123,12 +123,12 @@ class HandMapper:
 
     @property
     def method(self) -> Method:
-        """How a sample becomes targets."""
+        """The mapping method: turns a sample into targets."""
         return self._plan.method
 
     @property
     def smoothing(self) -> Smoothing | None:
-        """How samples are smoothed."""
+        """The smoothing of samples before they are mapped; None for none."""
         return self._plan.smoothing
 
     @property
@@ -258,7 +258,7 @@ class HandMapper:
         out_of_range: tuple[str, ...],
         started: float,
     ) -> MapStep:
-        """Map one sample whose points are known: targets by the method, motion by the QP."""
+        """Map one sample with known points: targets by the method, motion by the QP."""
         dt = self.dt if dt is None else _check_dt(dt)
         plan, smooth = self._plan, None
         if plan.smoothing is not None:
@@ -339,7 +339,7 @@ class HandMapper:
             self._begin(course)
 
     def release(self) -> None:
-        """Let go: the robot holds still, whatever the human does, until `clutch`."""
+        """Release the robot: it holds still until `clutch`, whatever the human does."""
         self._is_released = True
 
     def clutch(self) -> None:
@@ -355,7 +355,7 @@ class HandMapper:
         tasks: Sequence[Task] | None = None,
         smoothing: Smoothing | Literal["none"] | None = None,
     ) -> None:
-        """Change options on the way: the reference stays, and the robot goes on from where it is.
+        """Change options between samples: reference and posture of the robot stay.
 
         A reference that was taken without a wrist pose is given up where the new method needs one;
         the next sample then takes its place.

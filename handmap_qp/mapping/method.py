@@ -49,12 +49,12 @@ class RobotPosture(NamedTuple):
 
 
 class Targets(msgspec.Struct, frozen=True, eq=False):
-    """What a method asks of the robot for one sample.
+    """The targets of a method for one sample.
 
     Attributes:
-        points: Where the robot's reference points should be [m], shape (n_r, 3).
-        wrist: Where its wrist should be, shape (4, 4); a fixed wrist stays where it is.
-        diagnostics: How the method came to it; `MapStep.diagnostics` carries it.
+        points: Targets of the robot's reference points [m], shape (n_r, 3).
+        wrist: Target pose of its wrist, shape (4, 4); ignored if the wrist is fixed.
+        diagnostics: Intermediate results of the method; `MapStep.diagnostics` carries them.
         tasks: Further terms of the QP's cost, for this sample.
         margins: Distance that each pair of collision shapes keeps in this sample [m], shape (k,);
             the hand's own margin if omitted.
@@ -95,17 +95,17 @@ class BoundMethod(Protocol):
 
     @property
     def needs_wrist(self) -> str:
-        """What every sample's wrist pose is needed for; empty if for nothing."""
+        """Use of every sample's wrist pose, for error messages; empty if it is not needed."""
         ...
 
     @property
     def reference_needs_wrist(self) -> str:
-        """What the wrist pose of a reference sample is needed for; empty if for nothing."""
+        """Use of the reference sample's wrist pose, for error messages; empty if not needed."""
         ...
 
     @property
     def renews_reference(self) -> bool:
-        """Whether every sample becomes the reference of the next one (Fig. 3)."""
+        """True if every sample becomes the reference of the next one (Fig. 3)."""
         ...
 
     def start_palm(self, sample: HumanSample) -> np.ndarray:

@@ -19,7 +19,7 @@ Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[f
 
 @dataclass(frozen=True, slots=True)
 class MappingOptions:
-    """How T is estimated, split and carried to the robot.
+    """Choices of how T is estimated, split and carried to the robot.
 
     Attributes:
         ridge: Pull of the estimated linear motion towards a rotation (eq. 6 with a ridge). 0 is the
@@ -62,7 +62,7 @@ class MappingOptions:
         """Reject values and combinations without a meaning.
 
         Raises:
-            InvalidOptionsError: With the option at fault, what it must be and what it is.
+            InvalidOptionsError: Names the option at fault.
         """
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:

@@ -15,9 +15,9 @@ _ORIGIN = frozen(np.zeros(3))
 class PalmFollower:
     """Moves the robot's palm as the human's palm moves from a reference on.
 
-    Both turn and translate alike in the axes of both worlds; what translates alike is an anchor on
-    each palm. Where the anchors and the axes of both palms coincide at the reference, they stay
-    together. A robot whose wrist cannot move keeps its palm.
+    Both palms have the same rotation and the same translation in world axes; the translation is
+    that of an anchor point on each palm. If anchors and axes coincide at the reference, they stay
+    together. A robot with a fixed wrist keeps its palm.
 
     Args:
         human: The hand that leads.

@@ -26,10 +26,10 @@ class Preset(NamedTuple):
     """A method and QP weights that go together.
 
     Attributes:
-        method: How a sample becomes targets.
+        method: Mapping method.
         ik: Weights and settings of the QP.
-        purpose: What it is for.
-        weakness: Where it loses.
+        purpose: Intended use, in words.
+        weakness: Known weaknesses, in words.
     """
 
     method: Method
@@ -127,7 +127,7 @@ class Choice(NamedTuple):
 
     @property
     def is_teleoperation(self) -> bool:
-        """Whether the options are those of `Teleoperation`."""
+        """True if the options are those of `Teleoperation`."""
         return isinstance(self.options, Teleoperation)
 
     @property

@@ -15,7 +15,7 @@ from handmap_qp.transform import frozen
 
 
 class Reference(NamedTuple):
-    """Both hands at the instant from which the motion counts.
+    """Both hands at the start of the motion.
 
     Attributes:
         estimator: The human reference points there, factored for eq. (6).
@@ -103,14 +103,14 @@ def partner_pairs(human: Hand, robot: Hand) -> list[tuple[int, int]]:
 def require_partners(
     human: Hand, robot: Hand, *, option: str, value: object = None, advice: str = ""
 ) -> list[tuple[int, int]]:
-    """Return the pairs of `partner_pairs`, of which there must be one.
+    """Return the pairs of `partner_pairs`; reject hands without any.
 
     Args:
         human: The hand that leads.
         robot: The hand that follows.
         option: The option that needs them.
         value: Its value.
-        advice: What else to do than to name partners.
+        advice: Alternative to naming partners, appended to the message.
 
     Raises:
         InvalidOptionsError: If no robot point has a partner.
@@ -130,7 +130,7 @@ def require_partners(
 def _alignment(
     options: MappingOptions, human_palm: np.ndarray | None, robot_palm: np.ndarray
 ) -> np.ndarray | None:
-    """Return Q, or None where the axes of both worlds agree."""
+    """Return Q, or None if the axes of both worlds agree."""
     if not isinstance(options.alignment, str):
         return np.array(options.alignment)
     if options.alignment == "world" or human_palm is None:

@@ -1,4 +1,4 @@
-"""Where the rigid part T_rb comes from: one class for each value of `MappingOptions.rigid_from`."""
+"""Sources of the rigid part T_rb: one class for each value of `MappingOptions.rigid_from`."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class RigidPart(Protocol):
     """A choice of T_rb.
 
     Attributes:
-        needs_wrist: Whether it needs the wrist pose of every sample.
-        moves_wrist: Whether the robot's wrist has to move.
+        needs_wrist: True if it needs the wrist pose of every sample.
+        moves_wrist: True if the robot's wrist has to move.
     """
 
     needs_wrist: bool
@@ -80,7 +80,7 @@ class FromPoints:
 
 
 class FromWrist:
-    """The measured displacement of the wrist; T_def takes all the rest of T."""
+    """The measured displacement of the wrist; T_def is the rest of T."""
 
     needs_wrist, moves_wrist = True, True
 

@@ -1,9 +1,8 @@
 """Smoothing of human samples before they are mapped: the one-euro filter, aware of time.
 
 A low-pass filter whose cutoff rises with speed (Casiez, Roussel and Vogel, CHI 2012): a still hand
-is smoothed much, a quick one hardly lags. Targets follow from samples, so smooth samples give
-smooth targets, and the QP's speed limits hold for what the robot does. Filtered commands would
-break them.
+is smoothed much, a quick one hardly lags. Samples are filtered rather than commands, so that the
+QP's speed limits hold for the commands.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _HAND = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Smoothing:
-    """How samples are smoothed.
+    """Settings of the filter.
 
     Attributes:
         min_cutoff: Cutoff frequency of a point at rest [Hz].
@@ -56,11 +55,11 @@ class Smoothing:
 
 
 SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}
-"""Weights of `IkOptions` that go with smoothing: they calm what the QP adds to smooth targets."""
+"""Weights of `IkOptions` that go with smoothing: they damp what the QP adds to smooth targets."""
 
 
 class SmoothState(NamedTuple):
-    """What the filter remembers of the sample before.
+    """State of the filter after a sample.
 
     Attributes:
         points: Smoothed points in wrist axes, or in the world without a wrist [m], shape (n, 3).
@@ -78,10 +77,10 @@ class SmoothState(NamedTuple):
 def smooth_sample(
     options: Smoothing, before: SmoothState | None, sample: HumanSample, dt: float
 ) -> tuple[HumanSample, SmoothState]:
-    """Smooth one sample; the fingers in the axes of the wrist, and the wrist itself.
+    """Smooth one sample: the points in wrist axes, and the wrist pose.
 
     Args:
-        options: How.
+        options: Settings.
         before: State after the sample before; None for the first sample.
         sample: The human hand.
         dt: Time since the sample before [s].

@@ -1,4 +1,4 @@
-"""What comes out of a mapper: one robot command, and one step with all its stages."""
+"""Results of a mapper: one robot command, and one step with all its stages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from handmap_qp.mapping.transfer import Transfer
 
 
 class RobotCommand(msgspec.Struct, frozen=True, eq=False):
-    """What a robot driver takes.
+    """Command for a robot driver.
 
     Attributes:
         joint_names: Names of the joints, in the order of `q`.
@@ -32,7 +32,7 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
 class MapStep(msgspec.Struct, frozen=True, eq=False):
     """One step of the mapping, stage by stage.
 
-    Derived values are computed when asked for. Those of T exist for the paper's method alone; the
+    Derived values are computed on access. Those of T exist for the paper's method alone; the
     diagnostics of other methods are in `diagnostics`.
 
     Attributes:
@@ -41,9 +41,9 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         human_wrist: Pose of the human's wrist there, given or fitted to landmarks, shape (4, 4);
             None if it is not known.
         asked: The method's targets and diagnostics.
-        ik: Where the inverse kinematics ended (in place of eq. 8).
+        ik: Result of the inverse kinematics (in place of eq. 8).
         out_of_range: Names of human joints that were outside their limits, within the tolerance,
-            and used all the same.
+            and were used.
         duration: Wall time of the step [s].
     """
 
@@ -57,7 +57,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def diagnostics(self) -> Any:
-        """How the method came to its targets."""
+        """Intermediate results of the method."""
         return self.asked.diagnostics
 
     @property
@@ -100,23 +100,23 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def is_clamped(self) -> bool:
-        """Whether a stretch was outside its allowed range; False for methods without T."""
+        """True if a stretch was outside its allowed range; False for methods without T."""
         diagnostics = self.asked.diagnostics
         return isinstance(diagnostics, HomogeneousDiagnostics) and diagnostics.transfer.is_clamped
 
     @property
     def targets(self) -> np.ndarray:
-        """Where the robot's reference points should be (eq. 7) [m], shape (n_r, 3)."""
+        """Targets of the robot's reference points (eq. 7) [m], shape (n_r, 3)."""
         return self.asked.points
 
     @property
     def wrist_target(self) -> np.ndarray:
-        """Where the robot's wrist should be, shape (4, 4)."""
+        """Target pose of the robot's wrist, shape (4, 4)."""
         return self.asked.wrist
 
     @property
     def points(self) -> np.ndarray:
-        """Where the robot's reference points are [m], shape (n_r, 3)."""
+        """The robot's reference points after the step [m], shape (n_r, 3)."""
         return self.ik.points
 
     @property
@@ -126,12 +126,12 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def at_bound(self) -> np.ndarray:
-        """Whether a position or speed limit holds each joint, in the order of `command.q`; (n,)."""
+        """True for joints at a position or speed limit, in the order of `command.q`, shape (n,)."""
         return self.ik.active[self.ik.joint_columns] != 0
 
     @property
     def status(self) -> Status:
-        """How the inverse kinematics ended; see `IkResult.status`."""
+        """Outcome of the inverse kinematics; see `IkResult.status`."""
         return self.ik.status
 
     @property

@@ -22,7 +22,7 @@ from handmap_qp.transform import affine
 
 
 class Transfer(msgspec.Struct, frozen=True, eq=False):
-    """A motion split about its pivot, and what it asks of the robot.
+    """A motion split about its pivot, and the targets that follow from it.
 
     Attributes:
         linear: Linear part of the imposed motion, `U R` after clamping and gain, shape (3, 3).
@@ -90,7 +90,7 @@ def transfer_motion(
     )
     points = _points_after(reference, linear, options.scale * (image - pivot))
     if reference.residual_share is not None:
-        # The residual to the motion that is imposed: what clamping and gain take away comes back.
+        # The residual refers to the imposed motion, so it makes up for clamping and gain.
         residual = sample.points - (reference.human_offsets.dot(linear.T) + image)
         share = reference.residual_share.dot(residual)
         points += share if reference.alignment is None else share @ reference.alignment.T

@@ -31,7 +31,7 @@ _FEWEST = 3
 
 
 class ObjectMotion(NamedTuple):
-    """How an object moved and deformed since its reference.
+    """Motion and deformation of an object since its reference.
 
     Attributes:
         shift: Displacement of its centre [m], shape (3,).
@@ -66,7 +66,7 @@ class VirtualObject(Protocol):
 
 
 class VirtualObjectDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """How the targets of one sample came about; all in palm axes.
+    """Intermediate results for one sample, in palm axes.
 
     Attributes:
         human_centre: Centre of the human's object at the reference [m], shape (3,).

@@ -84,7 +84,7 @@ def test_the_robot_follows_and_comes_home(result: DemoResult) -> None:
 
 
 @pytest.mark.slow
-def test_the_summary_says_what_the_trajectory_holds(result: DemoResult) -> None:
+def test_the_summary_agrees_with_the_trajectory(result: DemoResult) -> None:
     summary = result.summary()
     assert summary["samples"] == SAMPLES
     assert summary["point_error_mm_mean"] == pytest.approx(
@@ -162,7 +162,7 @@ def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("light_figures")
-def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "demo"
     folder.mkdir()
     (folder / "trajectory.npz").write_text("old")

@@ -352,9 +352,7 @@ def palm_directions(robot: Hand, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vector", "dexpilot"])
-def test_real_runs_do_what_the_hand_does(
-    built: Any, allegro: Hand, recordings: Path, kind: str
-) -> None:
+def test_real_runs_follow_the_hand(built: Any, allegro: Hand, recordings: Path, kind: str) -> None:
     recording = stretch(read_recording(recordings / "quest3_webxr_right.npz"), 0, 200)
     runs = {
         name: built.results.run_peer(f"{name}-{kind}-unfiltered", recording, allegro)

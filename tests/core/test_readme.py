@@ -58,6 +58,6 @@ def test_pictures_exist(picture: str) -> None:
     assert (ROOT / picture).is_file()
 
 
-def test_public_names_are_what_they_say() -> None:
+def test_public_names_exist() -> None:
     for name in handmap_qp.__all__:
         assert hasattr(handmap_qp, name)

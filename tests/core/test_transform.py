@@ -133,7 +133,7 @@ def test_the_nearest_rotation_turns_with_its_matrix(matrix: np.ndarray, turn: np
     )
 
 
-def test_the_nearest_rotation_to_a_mirror_is_no_mirror() -> None:
+def test_the_nearest_rotation_to_a_reflection_is_proper() -> None:
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
 
 
@@ -202,7 +202,7 @@ def test_a_point_without_weight_does_not_count(generator: np.random.Generator) -
 
 
 @given(point_sets())
-def test_a_rigid_fit_of_mirrored_points_is_no_mirror(points: np.ndarray) -> None:
+def test_a_rigid_fit_of_mirrored_points_is_proper(points: np.ndarray) -> None:
     fitted = rigid_fit(points, points * (1.0, 1.0, -1.0))
     assert np.linalg.det(fitted[:3, :3]) == pytest.approx(1.0)
 
@@ -286,7 +286,7 @@ def test_quaternions_are_normalised_first(quat: np.ndarray, length: float) -> No
         None,
     ],
 )
-def test_what_is_not_a_quaternion_is_rejected(quat: Any) -> None:
+def test_an_invalid_quaternion_is_rejected(quat: Any) -> None:
     with pytest.raises(InvalidInputError, match="quat_wxyz: expected"):
         rotation_from_quat_wxyz(quat)
 
@@ -317,7 +317,7 @@ def test_xyzw_is_the_order_of_pinocchio() -> None:
     "values", [np.zeros(6), np.zeros(8), np.zeros((1, 7)), np.zeros(7), ["a"] * 7, None, 7.0]
 )
 @pytest.mark.parametrize("order", ORDERS)
-def test_what_is_not_a_pose_of_seven_numbers_is_rejected(values: Any, order: QuatOrder) -> None:
+def test_an_invalid_pose_of_seven_numbers_is_rejected(values: Any, order: QuatOrder) -> None:
     with pytest.raises(InvalidInputError):
         pose_from_xyz_quat(values, order)
 
@@ -429,7 +429,7 @@ SCALES = [
 
 
 @pytest.mark.parametrize("linear", SHEARS + SCALES)
-def test_what_scales_or_shears_is_no_pose(linear: np.ndarray) -> None:
+def test_a_matrix_that_scales_or_shears_is_rejected_as_pose(linear: np.ndarray) -> None:
     with pytest.raises(InvalidInputError, match="expected a rotation"):
         check_pose(affine(linear, np.zeros(3)))
 
@@ -529,7 +529,7 @@ CHECKED: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 @pytest.mark.parametrize("name", CHECKED)
-def test_what_enters_is_checked_and_named(name: str) -> None:
+def test_invalid_arguments_are_named(name: str) -> None:
     call, argument = CHECKED[name]
     for bad in BAD:
         with pytest.raises(InvalidInputError) as caught:

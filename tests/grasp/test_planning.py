@@ -352,7 +352,7 @@ def test_quality_does_not_depend_on_where_the_grasp_is(measure: str, pose: np.nd
 
 @given(rotations, generators, st.integers(3, 6), st.floats(0.1, 1.0))
 @settings(max_examples=30)
-def test_force_closure_is_what_a_linear_program_finds(
+def test_force_closure_agrees_with_a_linear_program(
     rotation: np.ndarray, generator: np.random.Generator, count: int, friction: float
 ) -> None:
     directions = generator.normal(size=(count, 3)) @ rotation
@@ -374,7 +374,7 @@ def test_force_closure_is_what_a_linear_program_finds(
     assert closes == (radius > 1e-9)
 
 
-def test_no_direction_is_resisted_less_than_the_ball_promises() -> None:
+def test_every_direction_is_resisted_by_at_least_the_ball() -> None:
     reference = reference_grasp("human").grasp
     offsets = (reference.points - reference.centre) / 0.04
     radius = ferrari_canny(offsets, reference.normals, 0.5)

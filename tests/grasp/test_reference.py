@@ -87,7 +87,7 @@ def test_the_best_palm_for_the_published_robot_angles_is_hardly_better() -> None
     )
 
 
-def test_there_is_no_reference_grasp_of_other_hands() -> None:
+def test_other_hands_have_no_reference_grasp() -> None:
     with pytest.raises(InvalidInputError, match="human, three_finger"):
         reference_grasp("allegro_right")
 

@@ -94,7 +94,7 @@ CALLS_WITH_POSE: dict[str, Callable[[Any], Any]] = {
 
 
 @pytest.mark.parametrize("call", CALLS_WITH_Q)
-def test_what_is_not_joint_angles_is_named(call: str) -> None:
+def test_invalid_joint_angles_are_named(call: str) -> None:
     before = HAND.points(HAND.rest)
     for name, q in NOT_Q.items():
         with pytest.raises(InvalidInputError) as caught:
@@ -106,7 +106,7 @@ def test_what_is_not_joint_angles_is_named(call: str) -> None:
 
 
 @pytest.mark.parametrize("call", CALLS_WITH_POSE)
-def test_what_is_not_a_wrist_pose_is_named(call: str) -> None:
+def test_an_invalid_wrist_pose_is_named(call: str) -> None:
     for name, pose in NOT_POSES.items():
         with pytest.raises(InvalidInputError) as caught:
             CALLS_WITH_POSE[call](pose)
@@ -195,7 +195,7 @@ SYNERGY_CALLS: dict[str, tuple[Callable[[Any], Any], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("call", SYNERGY_CALLS)
-def test_what_is_not_a_human_measure_is_named(call: str) -> None:
+def test_an_invalid_human_measure_is_named(call: str) -> None:
     use, bad, argument = SYNERGY_CALLS[call]
     # Fifteen numbers are fine for a posture.
     for name in bad.keys() - ({"too few"} if call == "posture" else set()):
@@ -227,7 +227,7 @@ def test_a_spec_built_in_code_is_checked_throughout(case: str) -> None:
     assert (caught.value.key or "").startswith(key or "")
 
 
-def test_a_spec_takes_what_numpy_gives_and_keeps_nothing_of_the_caller() -> None:
+def test_a_spec_accepts_numpy_values_and_copies_its_arguments() -> None:
     rest = dict(HAND.spec.rest)
     changes = {"rest": rest, "joints": list(HAND.spec.joints)}
     spec: HandSpec = msgspec.structs.replace(

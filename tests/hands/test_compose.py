@@ -178,7 +178,7 @@ def test_links_of_the_same_name_do_not_meet() -> None:
     )
 
 
-def test_what_cannot_be_mounted() -> None:
+def test_a_mount_that_is_impossible_is_rejected() -> None:
     ur5 = ARMS["ur5"]
     for changes, message in (
         ({"tip": "moon"}, "no link 'moon'"),

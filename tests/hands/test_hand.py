@@ -81,7 +81,7 @@ def test_a_point_lies_on_its_link_where_the_description_says(hand: Hand) -> None
 
 
 @every_hand
-def test_palm_axes_are_what_anatomy_calls_them(hand: Hand) -> None:
+def test_palm_axes_are_anatomical(hand: Hand) -> None:
     """Stretched fingers point distally, and closing them moves their tips to the palm's side."""
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
     tips = hand.with_points("fingertips")

@@ -92,7 +92,7 @@ def test_limits_hold_grasp_mean_posture_and_first_synergies(
 
 
 @pytest.mark.parametrize("finger", FINGERS[1:])
-def test_limits_allow_what_a_finger_does(finger: str) -> None:
+def test_limits_allow_the_motions_of_a_finger(finger: str) -> None:
     for name, least_lower, least_upper in (
         ("MCP_flexion", -45, 90),
         ("PIP_flexion", -10, 100),
@@ -364,7 +364,7 @@ def test_first_synergies_explain_all_of_a_motion_along_them(z: np.ndarray, count
 
 
 @given(q=arrays(float, (8, 20), elements=st.floats(-1.5, 1.5)))
-def test_explained_variance_is_what_projection_leaves_over(q: np.ndarray) -> None:
+def test_explained_variance_is_one_minus_the_residual_share(q: np.ndarray) -> None:
     synergies = load_synergies()
     q[0] += 1.0
     motion = q - q.mean(axis=0)

@@ -64,7 +64,7 @@ def changed(**changes: object) -> HandSpec:
 
 
 @given(q=angles)
-def test_all_joints_are_what_the_rules_say(q: np.ndarray) -> None:
+def test_all_joints_follow_the_rules(q: np.ndarray) -> None:
     by_name = dict(zip(HAND.all_joint_names, HAND.all_joints(q), strict=True))
     expected = dict(zip(ACTIVE, q, strict=True))
     expected |= {name: rule(expected) for name, rule in FOLLOWERS.items()}

@@ -150,6 +150,6 @@ def test_output_has_no_minus_zero() -> None:
         ),
     ],
 )
-def test_what_cannot_be_mirrored(text: str, message: str) -> None:
+def test_a_hand_that_cannot_be_mirrored_is_rejected(text: str, message: str) -> None:
     with pytest.raises(HandError, match=message):
         mirrored_urdf(text)

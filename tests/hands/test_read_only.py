@@ -85,7 +85,7 @@ def test_writing_into_a_workspaces_views_is_rejected() -> None:
             array[...] = 77
 
 
-def test_writing_into_what_is_human_is_rejected() -> None:
+def test_writing_into_human_measures_is_rejected() -> None:
     lengths = HumanLengths.from_hand_length(0.19)
     for array in arrays_in((lengths, load_synergies())):
         with pytest.raises(ValueError, match="read-only"):

@@ -25,7 +25,7 @@ def hand(name: str) -> Hand:
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_no_posture_reaches_farther_than_the_reach(name: str) -> None:
+def test_reach_bounds_every_posture(name: str) -> None:
     robot, rng = hand(name), np.random.default_rng(0)
     data = robot.model.createData()
     for chain in find_fingers(robot).values():
@@ -109,7 +109,7 @@ def test_views_follow_every_placement() -> None:
     assert not translations.flags.writeable
 
 
-def test_what_moves_a_joint_is_what_changes_its_placement() -> None:
+def test_moved_by_marks_the_columns_that_change_a_placement() -> None:
     robot = hand("ur5_allegro")
     data, q = robot.model.createData(), robot.configuration_vector(robot.rest)
     for joint in (3, robot.model.njoints - 1):

@@ -232,7 +232,7 @@ def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:
         CollisionLimit(Hand(msgspec.structs.replace(hand.spec, directory=tmp_path), urdf_text=text))
 
 
-def test_a_hand_without_pairs_says_what_to_add() -> None:
+def test_a_hand_without_pairs_is_rejected_with_advice() -> None:
     spec = msgspec.structs.replace(load("three_finger").spec, collision=None)
     with pytest.raises(InvalidOptionsError, match=r"collision\.pairs"):
         CollisionLimit(Hand(spec))

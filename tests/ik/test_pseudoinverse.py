@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import msgspec
 import numpy as np
@@ -33,9 +34,10 @@ def smallest_singular_value(hand: Hand, case: Case) -> float:
 
 
 def well_conditioned_cases(hand: Hand, count: int, seed: int) -> list[Case]:
-    """Cases where no direction is nearly lost; one that is lost is fine."""
-    cases = random_cases(hand, count, seed=seed)
-    return [case for case in cases if smallest_singular_value(hand, case) > WELL_CONDITIONED]
+    """Return up to `count` cases in which no direction is nearly lost; one that is lost is fine."""
+    cases = random_cases(hand, 60, seed=seed)
+    good = (case for case in cases if smallest_singular_value(hand, case) > WELL_CONDITIONED)
+    return list(islice(good, count))
 
 
 def eq_8(hand: Hand, case: Case, options: IkOptions = PLAIN, damping: float = 0.0) -> np.ndarray:
@@ -66,7 +68,7 @@ def test_eq_8_is_the_qp_without_limits_for_vanishing_damping(
     which: tuple[str, str, str | None],
 ) -> None:
     hand = hand_of(which)
-    cases = well_conditioned_cases(hand, 60, seed=0)
+    cases = well_conditioned_cases(hand, 12, seed=0)
     assert cases
     for case in cases:
         expected = eq_8(hand, case)
@@ -92,7 +94,7 @@ def test_damped_least_squares_is_the_qp_without_limits(which: tuple[str, str, st
 def test_null_space_motion_does_not_move_the_points(which: tuple[str, str, str | None]) -> None:
     hand = hand_of(which)
     other = hand.rest + 0.3 * (hand.upper_limits - hand.rest)
-    for case in well_conditioned_cases(hand, 30, seed=2):
+    for case in well_conditioned_cases(hand, 12, seed=2):
         ik = PseudoinverseIk(hand, PLAIN)
         ik.place(case.q)
         # Two rest postures differ by null-space motion alone.
@@ -178,7 +180,7 @@ def test_clipping_costs_more_than_the_qp(damping: float) -> None:
     assert dearer > 10
 
 
-def test_it_arrives_like_the_qp_where_nothing_is_in_the_way() -> None:
+def test_it_converges_like_the_qp_without_active_limits() -> None:
     hand = load_hand("allegro_right")
     configuration = hand.configuration()
     vector = hand.configuration_vector(hand.rest, np.eye(4))

@@ -111,7 +111,7 @@ def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> 
     np.testing.assert_array_equal(upper, lower)
 
 
-def test_an_infinite_acceleration_is_no_limit() -> None:
+def test_an_infinite_acceleration_limit_limits_nothing() -> None:
     q = any_posture(HAND, np.random.default_rng(0))
     expected = BoxLimits(HAND).bounds(q, 0.01)
     for bound, other in zip(

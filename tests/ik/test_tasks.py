@@ -146,7 +146,7 @@ def settle(mapper: HandMapper, human: Hand) -> MapStep:
     return [mapper.map_step(human.rest, np.eye(4)) for _ in range(60)][-1]
 
 
-def test_tasks_of_ones_own_reach_the_qp_through_the_mapper() -> None:
+def test_a_users_task_reaches_the_qp_through_the_mapper() -> None:
     human, robot = load_hand("human"), load_hand("three_finger")
     task = Height(0, -0.05, 1000.0)
     plain, tasked = (
@@ -229,7 +229,7 @@ def test_reference_points_are_attached_points() -> None:
     )
 
 
-def test_aimed_at_leaves_out_what_has_no_weight_and_is_the_same_task_otherwise() -> None:
+def test_aimed_at_drops_pairs_without_weight_and_keeps_the_rest() -> None:
     hand = load_hand("allegro_right")
     points = AttachedPoints.reference_points(hand)
     task = PointDistances(points, [(0, 1), (0, 2), (0, 3)], np.zeros(3), damping=[1.0, 2.0, 3.0])

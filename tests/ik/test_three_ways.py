@@ -225,7 +225,7 @@ def test_stacked_limits_contradict_each_other_where_the_box_does_not() -> None:
     assert 0 < answered < 40
 
 
-def test_a_task_of_ones_own_joins_the_problem() -> None:
+def test_a_users_task_joins_the_mink_problem() -> None:
     hand = hand_of(HANDS[0])
     case = next(random_cases(hand, 1))
     ik = placed(hand, case)

@@ -52,7 +52,7 @@ def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, A
     "ik", [IkOptions(), IkOptions(max_acceleration=30.0)], ids=["plain", "acceleration"]
 )
 @pytest.mark.parametrize("reference", ["first", "previous"])
-def test_configuring_what_is_there_changes_nothing(ik: IkOptions, reference: Any) -> None:
+def test_configuring_the_present_options_changes_nothing(ik: IkOptions, reference: Any) -> None:
     touched, untouched = (HandMapper(HUMAN, ALLEGRO, ik=ik, reference=reference) for _ in range(2))
     for i in range(12):
         touched.configure(touched.options, ik=touched.ik)
@@ -88,7 +88,7 @@ def test_a_reference_without_wrist_is_given_up_where_the_wrist_is_needed() -> No
     )
 
 
-def test_what_cannot_be_leaves_everything_as_it_was() -> None:
+def test_a_rejected_configuration_changes_nothing() -> None:
     fixed = MappingOptions(rigid_from="none")
     mapper = HandMapper(HUMAN, load_hand("three_finger", mount="fixed"), fixed)
     before = mapper.map_step(*sample(0.0))

@@ -302,7 +302,7 @@ def test_a_singular_motion_has_no_primitives(linear: np.ndarray) -> None:
     "motion",
     [np.eye(3), np.eye(4)[:3], np.zeros(16), "motion", [["1"] * 4] * 4, None, [[1, 2], [3]], {}],
 )
-def test_what_is_no_motion_is_refused(function: Any, motion: Any) -> None:
+def test_an_invalid_motion_is_rejected(function: Any, motion: Any) -> None:
     with pytest.raises(InvalidInputError, match="motion: expected"):
         function(motion)
 
@@ -341,6 +341,6 @@ def test_a_perspective_is_refused(motion: np.ndarray, column: int, change: float
         0.0,
     ],
 )
-def test_what_is_no_pivot_is_refused(pivot: Any) -> None:
+def test_an_invalid_pivot_is_rejected(pivot: Any) -> None:
     with pytest.raises(InvalidInputError, match="pivot: expected"):
         decompose(np.eye(4), pivot=pivot)

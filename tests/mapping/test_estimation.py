@@ -334,7 +334,7 @@ def test_points_that_coincide_leave_the_prior_as_it_is(count: int, place: float)
 
 
 @given(point_sets(), ridges, st.data())
-def test_a_reused_estimator_gives_what_estimate_motion_gives(
+def test_a_reused_estimator_equals_estimate_motion(
     points: np.ndarray, ridge: float, data: st.DataObject
 ) -> None:
     weights = data.draw(weights_for(points))
@@ -378,7 +378,7 @@ def test_an_estimator_keeps_nothing_of_the_callers_arrays() -> None:
     np.testing.assert_array_equal(estimator.estimate(after).motion, expected)
 
 
-def test_no_result_shares_memory_with_the_next() -> None:
+def test_results_share_no_memory() -> None:
     points = 0.05 * np.random.default_rng(5).normal(size=(6, 3))
     estimator = MotionEstimator(points)
     first = estimator.estimate(points)

@@ -269,7 +269,7 @@ NOT_ROTATIONS += [
 
 
 @pytest.mark.parametrize("points", NOT_POINTS)
-def test_what_is_no_array_of_points_is_refused(points: Any) -> None:
+def test_an_invalid_array_of_points_is_rejected(points: Any) -> None:
     with pytest.raises(InvalidInputError, match="points_before: expected"):
         estimate_motion(points, FINGERTIPS)
     with pytest.raises(InvalidInputError, match="points_after: expected"):
@@ -295,7 +295,7 @@ def test_points_before_and_after_must_be_as_many(count: int) -> None:
 
 
 @pytest.mark.parametrize("weights", NOT_WEIGHTS)
-def test_weights_that_are_none_are_refused(weights: Any) -> None:
+def test_invalid_weights_are_rejected(weights: Any) -> None:
     with pytest.raises(InvalidInputError, match="weights: expected"):
         estimate_motion(FINGERTIPS, FINGERTIPS, weights=weights)
 
@@ -309,7 +309,7 @@ def test_a_ridge_that_is_none_is_refused(ridge: Any) -> None:
 
 
 @pytest.mark.parametrize("prior", NOT_ROTATIONS)
-def test_a_prior_that_is_no_rotation_is_refused(prior: Any) -> None:
+def test_a_prior_other_than_a_rotation_is_rejected(prior: Any) -> None:
     with pytest.raises(InvalidInputError, match="prior: expected"):
         estimate_motion(FINGERTIPS, FINGERTIPS, ridge=0.1, prior=prior)
 

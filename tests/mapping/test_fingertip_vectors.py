@@ -66,7 +66,7 @@ def test_vectors_begin_at_the_measured_knuckles() -> None:
     )
 
 
-def test_where_the_hands_stand_in_the_world_changes_no_joint() -> None:
+def test_joints_are_independent_of_the_hands_place_in_the_world() -> None:
     rng = np.random.default_rng(4)
     here, there = (HandMapper(HUMAN, ALLEGRO, KNUCKLE) for _ in range(2))
     moved = little_pose(rng, 2.0)
@@ -76,7 +76,7 @@ def test_where_the_hands_stand_in_the_world_changes_no_joint() -> None:
         np.testing.assert_allclose(found.command.q, expected.command.q, atol=1e-6)
 
 
-def test_what_knuckles_need_is_said() -> None:
+def test_knuckle_vectors_name_their_missing_requirement() -> None:
     with pytest.raises(InvalidOptionsError) as unknown:
         FingertipVectors(origin="wrist")  # type: ignore[arg-type]
     assert unknown.value.option == "origin"

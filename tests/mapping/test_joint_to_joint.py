@@ -174,7 +174,7 @@ def test_fewer_flexions_take_the_rest_together_and_more_share_them() -> None:
     assert led("hey5", "index") == [[0], [1], [1], [2], [2], [3], [3]]
 
 
-def test_where_the_hands_stand_in_the_world_changes_no_joint() -> None:
+def test_joints_are_independent_of_the_hands_place_in_the_world() -> None:
     rng = np.random.default_rng(4)
     here, there = (HandMapper(HUMAN, ALLEGRO, JointToJoint()) for _ in range(2))
     moved = little_pose(rng, 2.0)
@@ -202,7 +202,7 @@ def test_the_arm_of_a_hand_follows_the_wrist() -> None:
     np.testing.assert_allclose(step.command.q[fingers], first.command.q[fingers], atol=1e-2)
 
 
-def test_what_joints_need_is_said() -> None:
+def test_joint_to_joint_names_its_missing_requirement() -> None:
     with pytest.raises(InvalidInputError) as unmeasured:
         HandMapper(HUMAN, ALLEGRO, JointToJoint()).map_points(HUMAN.points(HUMAN.rest))
     assert unmeasured.value.argument == "wrist_pose"

@@ -39,7 +39,7 @@ def small_postures(amount: float = 0.3) -> st.SearchStrategy[np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_no_human_motion_is_no_robot_motion(name: str) -> None:
+def test_without_human_motion_the_robot_stays(name: str) -> None:
     robot = load_hand(name)
     mapper = HandMapper(HUMAN, robot, "paper", ik=IkOptions(rest_weight=0.0))
     first = mapper.map_step(HUMAN.rest, np.eye(4))
@@ -208,7 +208,7 @@ def test_angles_a_little_outside_are_used_and_named() -> None:
     np.testing.assert_allclose(step.human_points, HUMAN.points(q), atol=1e-12)
 
 
-def test_the_callers_arrays_are_neither_kept_nor_changed() -> None:
+def test_arguments_are_copied_and_not_changed() -> None:
     mapper, pose, q = HandMapper(HUMAN, THREE, rigid_from="wrist"), np.eye(4), HUMAN.rest.copy()
     mapper.map_step(q, pose)
     pose[0, 3] = 0.1

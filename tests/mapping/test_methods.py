@@ -151,7 +151,7 @@ class StillMap:
         return Targets(self._robot.points, self._robot.wrist, "still")
 
 
-def test_a_method_of_ones_own_needs_no_change_elsewhere() -> None:
+def test_a_users_method_needs_no_other_change() -> None:
     mapper = HandMapper(HUMAN, THREE, Mirror())
     for share in (0.0, 0.2):
         step = mapper.map_step(HUMAN.rest + share * (HUMAN.upper_limits - HUMAN.rest), np.eye(4))
@@ -220,7 +220,7 @@ def test_tip_vectors_are_scaled_in_the_axes_of_the_palm() -> None:
             np.testing.assert_allclose(target, 1.5 * vector, atol=1e-12)
 
 
-def test_the_palm_follows_the_wrist_in_world_axes_from_wherever_it_started() -> None:
+def test_the_palm_follows_the_wrist_in_world_axes_from_any_start() -> None:
     start = affine(pin.exp3(np.array([0.3, -1.0, 0.2])), np.array([1.0, 2.0, 3.0]))
     mapper = HandMapper(HUMAN, ALLEGRO, FingertipVectors())
     mapper.reset(HUMAN.rest, np.eye(4), robot_wrist=start)
@@ -241,7 +241,7 @@ def test_a_fixed_wrist_keeps_its_palm() -> None:
     assert step.status in ("converged", "limited", "unsettled", "unreachable")
 
 
-def test_tip_vectors_say_what_they_need() -> None:
+def test_tip_vectors_name_their_missing_requirement() -> None:
     with pytest.raises(InvalidInputError) as raised:
         HandMapper(HUMAN, ALLEGRO, FingertipVectors()).map_points(HUMAN.points(HUMAN.rest))
     assert raised.value.argument == "wrist_pose"
@@ -258,7 +258,7 @@ def test_tip_vectors_say_what_they_need() -> None:
 @pytest.mark.parametrize(
     "method", [m for m in CHOICES if not isinstance(m, FingertipVectors | JointToJoint)], ids=str
 )
-def test_a_human_who_keeps_still_moves_no_robot_wherever_it_started(method: Any) -> None:
+def test_a_still_human_keeps_the_robot_still_from_any_start(method: Any) -> None:
     # The rest term pulls to the posture of the reference: elsewhere it would move joints that the
     # points hardly see.
     if isinstance(method, MappingOptions) and method.reference == "previous":
@@ -318,7 +318,7 @@ def test_the_previous_reference_takes_the_wrist_along() -> None:
     np.testing.assert_allclose(moved, (0.1, 0.0, 0.0), atol=1e-5)
 
 
-def test_the_residual_gives_back_what_gain_and_clamping_take_away() -> None:
+def test_residual_gain_one_cancels_gain_and_clamping() -> None:
     # With residual gain 1 on a hand mapped to itself the targets are the human's points, whatever
     # part of the stretch is imposed.
     rng = np.random.default_rng(5)
@@ -363,7 +363,7 @@ def test_the_residual_gives_back_what_gain_and_clamping_take_away() -> None:
         (lambda m: HUMAN.points(["a"] * 20), "q"),
     ],
 )
-def test_what_cannot_be_used_is_named_and_changes_nothing(call: Any, argument: str) -> None:
+def test_an_invalid_argument_is_named_and_changes_nothing(call: Any, argument: str) -> None:
     mapper, untouched = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
     for each in (mapper, untouched):
         each.map_step(HUMAN.rest, np.eye(4))

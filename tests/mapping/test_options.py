@@ -153,7 +153,7 @@ def options_of(**choices: Any) -> MappingOptions:
     residual_gain=st.floats(0.0, 1.0),
     ridge=st.sampled_from([0.0, 0.1, 1.0]),
 )
-def test_a_step_is_what_the_definition_says(
+def test_a_step_equals_the_definition(
     rigid_from: Any,
     pivot: Any,
     alignment: Any,
@@ -333,7 +333,7 @@ def test_values_without_a_meaning_are_refused_by_name(choices: dict[str, Any], w
     ],
     ids=["human fixed", "robot fixed", "three points", "no such option", "no partners"],
 )
-def test_what_two_hands_cannot_do_is_refused_with_a_way_out(
+def test_options_that_contradict_the_hands_are_rejected_with_advice(
     human: dict[str, Any], robot: dict[str, Any], choices: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(InvalidOptionsError, match=re.escape(words)):

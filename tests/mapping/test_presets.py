@@ -100,7 +100,7 @@ def test_a_method_without_t_has_no_stages() -> None:
     np.testing.assert_array_equal(step.human_wrist, WRIST)
 
 
-def test_people_share_what_belongs_to_the_robot() -> None:
+def test_pairs_with_one_robot_share_its_contacts() -> None:
     robot = load_hand("allegro_right")
     pairs = [hand_pair(load_hand("human"), robot) for _ in range(2)]
     assert pairs[0] is not pairs[1]

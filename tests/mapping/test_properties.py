@@ -155,7 +155,7 @@ def test_turning_the_robots_world_and_the_alignment_turns_the_robot(
 @pytest.mark.parametrize("alignment", ["world", "palm", QUARTER], ids=["world", "palm", "rotation"])
 @settings(max_examples=3)
 @given(start=poses, robot_start=poses, generator=generators)
-def test_a_human_who_stays_leaves_the_robot_where_it_is(
+def test_a_still_human_leaves_the_robot_where_it_is(
     rigid_from: Any,
     reference: Any,
     pivot: Any,
@@ -246,7 +246,7 @@ def test_with_the_initial_reference_the_same_motion_does_not_drift() -> None:
 @references
 @settings(max_examples=20)
 @given(generator=generators)
-def test_a_released_robot_holds_still_whatever_the_human_does_and_starts_anew_from_there(
+def test_a_released_robot_holds_still_and_restarts_from_there(
     reference: Any, generator: np.random.Generator
 ) -> None:
     # The rest term pulls a little while the human is still, so it is left out.

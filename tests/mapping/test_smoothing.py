@@ -39,7 +39,7 @@ def line(times: np.ndarray, speed: float) -> list[HumanSample]:
     return [HumanSample(np.array([[speed * t, 0.0, 0.0]]), None) for t in times]
 
 
-def test_what_stands_still_stays_and_the_first_sample_passes() -> None:
+def test_a_constant_sample_passes_unchanged() -> None:
     rng = np.random.default_rng(0)
     sample = HumanSample(rng.normal(size=(5, 3)), little_pose(rng))
     for result in run([sample] * 10, 0.01 * np.arange(10)):

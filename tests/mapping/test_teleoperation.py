@@ -277,7 +277,7 @@ def test_a_fixed_hand_and_a_hand_on_an_arm_follow_with_their_fingers() -> None:
     assert on_arm["middle"] < 0.75
 
 
-def test_what_is_needed_is_said() -> None:
+def test_a_missing_requirement_is_named() -> None:
     with pytest.raises(InvalidInputError) as missing:
         HandMapper(HUMAN, ALLEGRO).map_points(HUMAN.points(HUMAN.rest))
     assert missing.value.argument == "wrist_pose"

@@ -162,9 +162,7 @@ def test_mirrored_points_never_turn_the_robots_wrist_inside_out(
 
 
 @given(motion=affine_motions(largest=8.0), low=st.floats(0.2, 1.0), high=st.floats(1.0, 4.0))
-def test_no_stretch_outside_its_range_is_passed_on(
-    motion: np.ndarray, low: float, high: float
-) -> None:
+def test_stretches_are_clamped_to_their_range(motion: np.ndarray, low: float, high: float) -> None:
     options = options_of(stretch_min=low, stretch_max=high)
     transfer = transfer_of(
         exact(motion), reference_of(options, np.eye(4), np.eye(4)), None, options
@@ -213,7 +211,7 @@ def test_the_robots_points_see_the_motion_in_their_own_axes(
 @pivots
 @settings(max_examples=15)
 @given(generator=generators, wrist=poses, start=poses, unit=st.sampled_from([1e-3, 39.37, 1000.0]))
-def test_other_units_of_length_scale_what_has_a_length_and_nothing_else(
+def test_other_units_of_length_scale_lengths_and_nothing_else(
     residual_gain: float,
     rigid_from: Any,
     pivot: Any,

@@ -56,7 +56,7 @@ def test_a_motion_along_the_axes_is_recovered_exactly_without_a_ridge() -> None:
     np.testing.assert_allclose(motion.shift, shift, atol=1e-8)
 
 
-def test_a_similarity_is_recovered_whatever_the_ridge() -> None:
+def test_a_similarity_is_recovered_with_any_ridge() -> None:
     points = HUMAN.points(HUMAN.rest)
     turn, shift = rotation_of(-0.3, 0.1, 0.5), np.array([0.01, 0.02, -0.03])
     for ridge in (0.0, 0.1, 10.0):

@@ -201,7 +201,7 @@ def test_a_closing_hand_closes_hands_without_partners(method: Any, robot: Any) -
 
 
 @pytest.mark.parametrize("method", [VirtualSphere(), VirtualEllipsoid()], ids=str)
-def test_where_the_hands_stand_in_the_world_changes_no_joint(method: Any) -> None:
+def test_joints_are_independent_of_the_hands_place_in_the_world(method: Any) -> None:
     rng = np.random.default_rng(4)
     postures = [near_rest(rng, 0.5, HUMAN) for _ in range(4)]
     here, there = (HandMapper(HUMAN, THREE, method) for _ in range(2))
@@ -225,7 +225,7 @@ def test_the_wrist_carries_the_object_along(method: Any) -> None:
 
 
 @pytest.mark.parametrize("method", [VirtualSphere(), VirtualEllipsoid()], ids=str)
-def test_what_a_virtual_object_needs_is_said(method: Any) -> None:
+def test_a_virtual_object_names_its_missing_requirement(method: Any) -> None:
     mapper = HandMapper(HUMAN, THREE, method)
     with pytest.raises(InvalidInputError) as unmeasured:
         mapper.map_points(HUMAN.points(HUMAN.rest))

@@ -172,7 +172,7 @@ def test_the_papers_figures_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("light")
-def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "figures"
     folder.mkdir()
     (folder / "report.md").write_text("old")

@@ -95,7 +95,7 @@ def test_frozen_fingers(scene: Scene, table: dict[str, Any], synergy: int) -> No
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
-def test_distance_of_the_points_from_what_T_wants(
+def test_distance_of_the_points_from_their_targets(
     scene: Scene, table: dict[str, Any], synergy: int
 ) -> None:
     # The table rounds to 0.1 mm, which is 0.052 mm here.
@@ -214,7 +214,7 @@ def test_within_limits_that_bite_the_qp_does_best(tight: Scene, synergy: int) ->
     assert done["qp"].point_rms < done["clipped"].point_rms
 
 
-def test_the_experiment_does_what_the_mapper_does(scene: Scene) -> None:
+def test_the_experiment_equals_the_mapper(scene: Scene) -> None:
     own = run(scene, 1, fingers="qp", pivot="own", ridge=0.1, steps=20)
     mapper = HandMapper(
         scene.human_points,

@@ -63,7 +63,7 @@ def test_the_data_say_where_they_come_from(figures: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("variant", ["raw", "inc", "cinc"])
 @pytest.mark.parametrize("name", FULL_RANK)
-def test_estimate_gives_the_toolbox_motion_wherever_it_is_unique(
+def test_estimate_equals_the_toolbox_motion_where_it_is_unique(
     figures: dict[str, Any], name: str, variant: str
 ) -> None:
     case = figures["cases"][name]

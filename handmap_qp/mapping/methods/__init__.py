@@ -25,4 +25,4 @@ METHODS: MappingProxyType[str, Callable[[], Method]] = MappingProxyType(
         "virtual-ellipsoid": VirtualEllipsoid,
     }
 )
-"""What makes each method with its own choices, by the name that a user gives."""
+"""Constructor of each method, by the name that a user gives."""

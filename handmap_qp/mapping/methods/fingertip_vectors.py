@@ -70,7 +70,7 @@ class FingertipVectors:
 
 
 class FingertipVectorDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """What was measured of one sample.
+    """Measurements of one sample.
 
     Attributes:
         vectors: From the human's origins to its points with a partner, in palm axes [m], shape

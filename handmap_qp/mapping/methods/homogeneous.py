@@ -40,7 +40,7 @@ class Homogeneous:
 
 
 class HomogeneousDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """How the targets of one sample came about.
+    """Intermediate results for one sample.
 
     Attributes:
         estimate: T and how it fits (eqs. 5-6).

@@ -56,7 +56,7 @@ class JointToJoint:
 
 
 class JointDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """What was measured of one sample.
+    """Measurements of one sample.
 
     Attributes:
         fingers: Names of the common fingers, f of them.

@@ -82,7 +82,7 @@ class Teleoperation:
 
 
 class TeleoperationDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """How the targets of one sample came about.
+    """Intermediate results for one sample.
 
     Attributes:
         estimate: T from the human's rest posture to now, in palm axes, and how it fits.
