@@ -283,6 +283,15 @@ _WILD: dict[str, dict[str, tuple[Any, ...]]] = {
         "rigid_from": ("points", "wrist", "none"),
         "deformation_gain": (0.0, 0.5, 1.0, 10.0),
     },
+    "teleoperation": {
+        "residual_gain": (0.0, 1.0),
+        "extension_weight": (0.0, 1.0, 1e3),
+        "thumb_extension_weight": (0.0, 1e3),
+        "pinch_weight": (0.0, 5.0, 1e3),
+        "contact_gap": (0.0, 0.04),
+        "ridge": (1e-9, 0.1, 1e3),
+        "avoids_contact": (True, False),
+    },
     "ik": {
         "rest_weight": (0.0, 0.2, 1e3, 1e9),
         "wrist_position_weight": (0.0, 3.0, 1e9),
@@ -344,9 +353,11 @@ def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
 
 
 def _wild_changes(generator: np.random.Generator) -> dict[str, Any]:
-    """Draw about a third of the options, each with any of its values."""
-    changes: dict[str, Any] = {"has_detail": bool(generator.integers(2))}
-    for field, options in _WILD.items():
+    """Draw a preset and about a third of its options, each with any of its values."""
+    preset = str(generator.choice(["teleoperation", "object", "paper"]))
+    changes: dict[str, Any] = {"has_detail": bool(generator.integers(2)), "preset": preset}
+    own = "teleoperation" if preset == "teleoperation" else "mapping"
+    for field, options in ((field, _WILD[field]) for field in (own, "ik")):
         drawn = [name for name in options if generator.random() < 1.0 / 3.0]
         changes[field] = {
             name: options[name][int(generator.integers(len(options[name])))] for name in drawn

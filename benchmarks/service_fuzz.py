@@ -22,6 +22,7 @@ from handmap_qp.client import Command
 _SESSIONS: tuple[dict[str, Any], ...] = (
     {"robot": "three_finger"},
     {"robot": "three_finger", "input": "landmarks", "hand_length": 0.19, "has_detail": True},
+    {"robot": "three_finger", "preset": "paper", "input": "landmarks", "hand_length": 0.19},
     {
         "robot": "three_finger",
         "input": "points",

@@ -128,6 +128,7 @@ def _templates(secret: str, name: str) -> list[dict[str, Any]]:
         sample | {"type": "step"},
         sample | {"type": "sample"},
         head | {"type": "step", "time": 2.0, "landmarks": points},
+        head | {"type": "step", "time": 2.0, "landmarks": points, "wrist": wrist},
         head | {"type": "step", "time": 2.0, "points": points[:5], "wrist": wrist},
         head | {"type": "clutch"},
         head | {"type": "release"},
@@ -143,10 +144,17 @@ def _templates(secret: str, name: str) -> list[dict[str, Any]]:
             "type": "configure",
             "ik": {"rest_weight": 0.3, "max_iterations": 2, "max_acceleration": 50.0},
         },
+        head
+        | {
+            "type": "configure",
+            "preset": "teleoperation",
+            "teleoperation": {"pinch_weight": 2.0, "contact_gap": 0.01},
+        },
         head | {"type": "status"},
         by_name
         | {
             "type": "configure",
+            "preset": "object",
             "mapping": {"reference": "previous", "stretch_max": 2.0},
             "ik": {"damping": 0.2},
         },

@@ -126,7 +126,7 @@ class PointIk:
         options: Weights and settings.
         state: Where the hand is; in its neutral configuration if omitted.
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
-            within 12 mm of each other get a row.
+            within 12 mm of each other get a row. Or the rows of another `PointIk` of this hand.
 
     Attributes:
         hand: The hand.
@@ -141,7 +141,7 @@ class PointIk:
         options: IkOptions,
         state: IkState | None = None,
         *,
-        contacts: ShapePairs | None = None,
+        contacts: ShapePairs | CollisionLimit | None = None,
     ) -> None:
         self.hand = hand
         self.options = options
@@ -149,10 +149,12 @@ class PointIk:
         self.configuration = self.state.configuration
         nv = self.configuration.nv
         count = len(hand.reference_points)
-        self._contacts = contacts
         self._collisions = None
+        if isinstance(contacts, ShapePairs):
+            contacts = CollisionLimit(hand, pairs=contacts, horizon=_HORIZON)
+        self._contacts = contacts
         if contacts is not None:
-            self._collisions = CollisionLimit(hand, pairs=contacts, horizon=_HORIZON)
+            self._collisions = contacts
         elif options.avoids_self_collision:
             self._collisions = CollisionLimit(hand)
         self._solver = make_solver(options.solver, nv)

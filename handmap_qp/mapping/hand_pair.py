@@ -5,7 +5,10 @@ All of it is measured on the two models, once for each pair of hands.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections import deque
+from functools import cached_property, lru_cache
+from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -139,14 +142,15 @@ class HandPair:
         """All pairs of the robot's collision shapes that may collide."""
         return _contacts(self._given_robot)
 
-    def robot_distance(self, finger: str) -> float:
-        """Return the distance from knuckle to tip of a robot finger in the matched posture [m]."""
-        chain, robot = self.chains[finger], self.robot
-        points = AttachedPoints(robot, [chain.knuckle, chain.tip])
+    @cached_property
+    def robot_extension(self) -> np.ndarray:
+        """Knuckle-to-tip distance of each robot finger in the matched posture [reach], (f,)."""
+        chains, robot = [self.chains[finger] for finger in self.fingers], self.robot
         configuration = robot.configuration()
         configuration.place_frames(robot.configuration_vector(self.matched))
-        knuckle, tip = points.positions(configuration)
-        return float(np.linalg.norm(tip - knuckle))
+        ends = [place for chain in chains for place in (chain.knuckle, chain.tip)]
+        points = AttachedPoints(robot, ends).positions(configuration).reshape(-1, 2, 3)
+        return frozen(np.linalg.norm(points[:, 1] - points[:, 0], axis=1) / self.robot_reach)
 
     def _used_chains(self) -> dict[str, FingerChain]:
         return {finger: self.chains[finger] for finger in self.fingers}
@@ -217,10 +221,19 @@ def _contacts(robot: Hand) -> ShapePairs:
     return all_pairs(robot, _fingers_and_pads(robot)[0])
 
 
-@lru_cache(maxsize=128)
 def hand_pair(human: Hand, robot: Hand, matched: tuple[float, ...] | None = None) -> HandPair:
     """Return the pair of two hands, solved once; arguments as of `HandPair`."""
-    return HandPair(human, robot, None if matched is None else np.array(matched))
+    key = (human, robot, matched)
+    pair = _PAIRS.get(key)
+    if pair is None:
+        pair = _PAIRS[key] = HandPair(human, robot, None if matched is None else np.array(matched))
+        _RECENT.append(pair)
+    return pair
+
+
+# People come and go: their pairs live as long as something uses them, and a few longer.
+_PAIRS: WeakValueDictionary[tuple[Any, ...], HandPair] = WeakValueDictionary()
+_RECENT: deque[HandPair] = deque(maxlen=8)
 
 
 def _finger_points(robot: Hand, chains: dict[str, FingerChain]) -> list[PointSpec]:

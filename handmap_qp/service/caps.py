@@ -21,7 +21,8 @@ class Caps:
         sessions: Open sessions, 1 to 128.
         rate: Messages per second from one connection.
         opens: Sessions opened per second, after a burst of `sessions`.
-        configures: Changes of options per second, in all sessions together. Each takes about 1 ms.
+        configures: Changes of options per second, in all sessions together. Each takes about 1 ms;
+            a change to teleoperation takes up to 10 ms on hands with many links.
         message_size: Length of a message [bytes].
         idle: Time without a request after which a session is closed [s].
         allows_client_time: Whether sessions may use the client's time stamps for speed limits

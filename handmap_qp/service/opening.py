@@ -15,9 +15,10 @@ from handmap_qp.errors import HandmapError, InvalidInputError, RefusedError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
+from handmap_qp.mapping.presets import Choice, possible_presets
 from handmap_qp.service.choosing import read_choice
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
@@ -38,6 +39,8 @@ class Hands:
         contact_gap: The measured contact gap [m]; None if it was not measured.
         needs_measuring: Whether the first landmarks measure the human hand. Until then it is the
             model's own.
+        pair: Both hands, matched for teleoperation; kept so that `configure` finds it at once. None
+            if their fingers do not correspond.
     """
 
     mapper: HandMapper
@@ -47,6 +50,7 @@ class Hands:
     lengths: HumanLengths | None
     contact_gap: float | None
     needs_measuring: bool = False
+    pair: HandPair | None = None
 
 
 def prepare_hands(
@@ -84,19 +88,13 @@ def prepare_hands(
     mapper = with_option_errors(
         robot, choice, lambda: HandMapper(human, robot, choice.method, ik=choice.ik)
     )
+    pair = None
     if "teleoperation" in possible_presets(human, robot):
         # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
         with suppress(HandmapError):
-            preset_choice("teleoperation").method.bind(human, robot)
-    return Hands(
-        mapper,
-        robot,
-        choice,
-        palm,
-        lengths,
-        contact_gap,
-        needs_measuring=palm is not None and lengths is None,
-    )
+            pair = hand_pair(human, robot)
+    needs_measuring = palm is not None and lengths is None
+    return Hands(mapper, robot, choice, palm, lengths, contact_gap, needs_measuring, pair)
 
 
 def _human(request: Open, cache: HandCache, lengths: HumanLengths | None) -> Hand:

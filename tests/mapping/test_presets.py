@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,10 @@ import pytest
 
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_names
+from handmap_qp.ik.tasks import AttachedPoints
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS, possible_presets, preset_choice
 from handmap_qp.mapping.stages import motion_stages, residual_norms
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
@@ -105,3 +109,31 @@ def test_pairs_with_one_robot_share_its_contacts() -> None:
     pairs = [hand_pair(load_hand("human"), robot) for _ in range(2)]
     assert pairs[0] is not pairs[1]
     assert pairs[0].contacts is pairs[1].contacts
+
+
+def test_pairs_are_found_again_while_they_are_used_and_then_forgotten() -> None:
+    robot, person = load_hand("three_finger"), load_hand("human")
+    mapper = HandMapper(person, robot, "teleoperation")
+    others = []
+    pair = weakref.ref(hand_pair(person, robot))
+    for i in range(12):
+        other = load_hand("human", hand_length=0.17 + 0.002 * i)
+        others.append(weakref.ref(hand_pair(other, robot)))
+    del other
+    gc.collect()
+    assert others[0]() is None
+    assert hand_pair(person, robot) is pair()
+    assert isinstance(mapper.method, Teleoperation)
+
+
+def test_a_robot_far_from_its_matched_posture_has_the_extension_of_that_posture() -> None:
+    pair = hand_pair(load_hand("human"), load_hand("allegro_right"))
+    assert pair.robot_extension.shape == (len(pair.fingers),)
+    names = [point.name for point in pair.robot.reference_points]
+    tips = [names.index(f"{finger}_tip") for finger in pair.fingers]
+    points = pair.robot.points(pair.matched)[tips]
+    knuckles = AttachedPoints(pair.robot, [pair.chains[f].knuckle for f in pair.fingers])
+    placed = pair.robot.configuration()
+    placed.place_frames(pair.robot.configuration_vector(pair.matched))
+    distances = np.linalg.norm(points - knuckles.positions(placed), axis=1)
+    np.testing.assert_allclose(pair.robot_extension * pair.robot_reach, distances, atol=1e-12)

@@ -268,6 +268,39 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
 
 
 @pytest.mark.slow
+def test_another_preset_moves_the_robot_and_brings_its_sliders(
+    browser: Browser, viewer: ReplayViewer
+) -> None:
+    browser.resize(1100, 700)
+    browser.open(f"http://127.0.0.1:{viewer.server.get_port()}")
+    browser.wait_for("!!document.querySelector('canvas')")
+    before = settled_picture(browser)
+    half = before.shape[1] // 2
+    text = "document.body.innerText.includes('{}')"
+    browser.wait_for(text.format("deformation gain"))
+    assert not browser.evaluate(text.format("pinch weight"))
+    # Open the list and choose, as a user does.
+    field = "[...document.querySelectorAll('input')].find(e => e.value == 'paper')"
+    browser.evaluate(f"{field}.click()")
+    option = (
+        "[...document.querySelectorAll('[role=option]')]"
+        ".find(e => e.innerText.trim() == 'teleoperation')"
+    )
+    browser.wait_for(f"!!{option}")
+    browser.evaluate(f"{option}.click()")
+    wait_until(lambda: viewer.replay.choice.preset == "teleoperation", "the preset does not change")
+    browser.wait_for(text.format("pinch weight"))
+    browser.wait_for(f"!{text.format('deformation gain')}")
+
+    def robot_has_moved() -> bool:
+        changed = np.abs(picture_of(browser) - before).max(axis=2) > 30
+        return int(changed[:, half:].sum()) > 500
+
+    wait_until(robot_has_moved, "the robot does not move in the picture", DRAWING)
+    assert not browser.errors
+
+
+@pytest.mark.slow
 def test_the_page_of_a_service_draws_both_hands_and_releases(browser: Browser) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
     import service_tools

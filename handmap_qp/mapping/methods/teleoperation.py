@@ -155,9 +155,7 @@ class BoundTeleoperation:
             np.linalg.norm(pair.human_rest[pair.tips] - pair.human_rest[pair.knuckles], axis=1)
             / pair.human_reach
         )
-        self.robot_extension = (
-            np.array([pair.robot_distance(finger) for finger in pair.fingers]) / pair.robot_reach
-        )
+        self.robot_extension = pair.robot_extension
         self.pinch_ratio = float(pair.reach_ratios.mean())
 
     def _prepare_margins(self) -> None:
