@@ -113,6 +113,17 @@ def test_options_of_another_preset_are_refused_by_name(choices: dict[str, Any], 
     assert about(session) == before
 
 
+def test_options_alone_do_not_change_the_preset() -> None:
+    session = opened({})
+    with pytest.raises(RefusedError) as raised:
+        session.configure(change(mapping={"scale": 2.0}))
+    assert raised.value.field == "mapping.scale"
+    assert about(session).preset == "teleoperation"
+    session = opened({"human_points": "fingertips"})
+    session.configure(change(mapping={"scale": 2.0}))
+    assert (about(session).preset, about(session).mapping["scale"]) == ("object", 2.0)
+
+
 @pytest.mark.parametrize(
     ("choices", "field"),
     [
