@@ -26,7 +26,7 @@ import tyro
 from handmap_qp.arguments import HandName, MappingArguments
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.experiments.cli import Compare, Figures
-from handmap_qp.onboarding.cli import HandsCheck, HandsInit
+from handmap_qp.onboarding.cli import HandsCheck, HandsInit, HandsMatch
 from handmap_qp.service.cli import Keys, Serve
 from handmap_qp.tables import check_output, print_rows, print_table, progress
 from handmap_qp.viewer.cli import View
@@ -138,13 +138,15 @@ class Hands:
 
     A description shows joints with their limits [rad or m, and per second], reference points [m]
     and point sets. To use a hand of your own, write its description with `handmap hands init` and
-    check it with `handmap hands check`. Each of the two has its own --help.
+    check it with `handmap hands check`. `handmap hands match` shows the posture that corresponds to
+    the resting human hand. Each of the three has its own --help.
 
     Examples:
         handmap hands
         handmap hands allegro_right
         handmap hands init my_robot.urdf --out my_hand.yaml
         handmap hands check my_hand.yaml
+        handmap hands match my_hand.yaml
 
     Attributes:
         hand: Hand to describe, by name or by the path of its hand.yaml.
@@ -186,7 +188,11 @@ _COMMANDS: dict[str, Any] = {
     "serve": Serve,
     "keys": Keys,
 }
-_NESTED: dict[str, Any] = {"hands init": HandsInit, "hands check": HandsCheck}
+_NESTED: dict[str, Any] = {
+    "hands init": HandsInit,
+    "hands check": HandsCheck,
+    "hands match": HandsMatch,
+}
 """Subcommands of a command that also runs on its own."""
 _ABOUT = """Map the motion of a human hand onto a robotic hand.
 

@@ -335,10 +335,13 @@ def _faces(points: np.ndarray) -> Triangles:
 
 
 def _coloured(shape: HandShape) -> HandShape:
-    """The same shape, grey, with the links of every finger in the finger's colour."""
+    """The same shape without an arm, grey, with every finger's links in the finger's colour."""
     hand = shape.hand
+    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     links = []
     for link in shape.links:
+        if wrist and wrist not in hand.model.supports[_carrier(hand, link.link)]:
+            continue
         finger = _finger_of(hand, link.link)
         colour = _ROBOT_COLOUR if finger is None else FINGER_COLOURS[finger]
         vertices, colours, normals = link.triangles

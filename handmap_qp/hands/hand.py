@@ -68,6 +68,8 @@ class Hand:
         upper_limits: Upper position limits [rad or m], shape (n,).
         velocity_limits: Speed limits [rad/s or m/s], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
+        matched: The description's posture for the resting human hand [rad or m], shape (n,); None
+            if it gives none.
         expansion: From the active tangent coordinates (wrist and `joint_names`, in the model's
             order; k of them) to all of the model's: S, shape (nv, k), and the followers' offsets,
             shape (nv,). None without followers: all coordinates are active.
@@ -131,7 +133,11 @@ class Hand:
         self.upper_limits = _frozen(self.model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(self.model.velocityLimit[self.v_indices])
         self.rest = _frozen([spec.all_rest[name] for name in self.joint_names])
-        check_limits(spec, self.lower_limits, self.upper_limits, self.velocity_limits, self.rest)
+        matched = spec.all_matched
+        self.matched = None if matched is None else _frozen([matched[n] for n in self.joint_names])
+        postures = {"rest": self.rest} | ({} if self.matched is None else {"matched": self.matched})
+        limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
+        check_limits(spec, *limits, postures)
         self._add_frames()
         self._scratch = self.configuration()
 

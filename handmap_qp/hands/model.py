@@ -148,22 +148,22 @@ def check_limits(
     lower_limits: np.ndarray,
     upper_limits: np.ndarray,
     velocity_limits: np.ndarray,
-    rest: np.ndarray,
+    postures: dict[str, np.ndarray],
 ) -> None:
-    """Check that limits are finite and that the rest posture lies inside them.
+    """Check that limits are finite and that the description's postures lie inside them.
 
     Args:
         spec: The hand.
         lower_limits: In the order of `spec.all_joints` [rad or m], shape (n,), like the others.
         upper_limits: Upper position limits [rad or m].
         velocity_limits: Speed limits [rad/s or m/s].
-        rest: Rest posture [rad or m].
+        postures: Rest posture and others by key [rad or m].
 
     Raises:
         HandError: With the joint at fault.
     """
-    columns = zip(spec.all_joints, lower_limits, upper_limits, velocity_limits, rest, strict=True)
-    for name, lower, upper, speed, position in columns:
+    columns = zip(spec.all_joints, lower_limits, upper_limits, velocity_limits, strict=True)
+    for i, (name, lower, upper, speed) in enumerate(columns):
         interval = f"[{lower:.6g}, {upper:.6g}]"
         if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
             message = f"{name!r} needs limits with lower < upper, got {interval}"
@@ -171,9 +171,10 @@ def check_limits(
         if not (np.isfinite(speed) and speed > 0.0):
             message = f"{name!r} needs a velocity limit > 0, got {speed:.6g}"
             raise spec.error(f"{message}: give it in `limits`", key="urdf")
-        if not lower <= position <= upper:
-            message = f"{position:.6g} is outside the joint's limits {interval}"
-            raise spec.error(message, key=f"rest.{name}", value=float(position))
+        for key, posture in postures.items():
+            if not lower <= posture[i] <= upper:
+                message = f"{posture[i]:.6g} is outside the joint's limits {interval}"
+                raise spec.error(message, key=f"{key}.{name}", value=float(posture[i]))
 
 
 def check_wrist(model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm: int) -> None:

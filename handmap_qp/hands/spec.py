@@ -180,6 +180,9 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         mimic: Rules by follower, in place of the URDF's; None makes a joint independent that mimics
             another in the URDF.
         arm: The arm that the hand is mounted on; None without one.
+        matched: Position of every joint in the posture that corresponds to the resting human hand
+            [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved for
+            each pair of hands; `handmap hands match` prints it.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
     """
@@ -201,6 +204,7 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits: dict[str, LimitSpec] = {}
     mimic: dict[str, MimicSpec | None] = {}
     arm: ArmSpec | None = None
+    matched: dict[str, float] | None = None
     directory: Path | None = None
 
     @property
@@ -212,6 +216,13 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def all_rest(self) -> dict[str, float]:
         """Rest positions of arm and hand [rad or m]."""
         return self.rest if self.arm is None else {**self.arm.rest, **self.rest}
+
+    @property
+    def all_matched(self) -> dict[str, float] | None:
+        """Positions of arm and hand in the matched posture [rad or m]; an arm is at rest."""
+        if self.arm is None or self.matched is None:
+            return self.matched
+        return {**self.arm.rest, **self.matched}
 
     @property
     def file(self) -> Path | None:
@@ -473,6 +484,10 @@ def _check_joints(spec: HandSpec) -> None:
         for joint in sorted(set(part.joints) & set(part.locked)):
             message = f"{joint!r} is one of `joints`, and cannot be locked"
             raise spec.error(message, key=f"{prefix}locked", value=joint)
+    matched = spec.rest if spec.matched is None else spec.matched
+    for joint in sorted(set(spec.joints) ^ set(matched)):
+        what = "is not one of `joints`" if joint in matched else "has no matched position"
+        raise spec.error(f"{joint!r} {what}", key="matched", value=joint)
 
 
 def _check_sets(spec: HandSpec) -> None:
@@ -496,6 +511,7 @@ def _check_numbers(spec: HandSpec) -> None:
     finite: dict[str, tuple[float, ...]] = {
         "palm.xyz": spec.palm.xyz,
         "rest": tuple(spec.rest.values()),
+        "matched": tuple((spec.matched or {}).values()),
         "locked": tuple(spec.locked.values()),
         **_mimic_numbers(spec.mimic),
         **_limit_numbers(spec.limits, "limits"),

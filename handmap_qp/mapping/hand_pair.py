@@ -23,7 +23,7 @@ from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.transform import frozen, inverse_pose, transform_points
+from handmap_qp.transform import as_floats, frozen, inverse_pose, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
@@ -72,8 +72,8 @@ class HandPair:
     Args:
         human: The hand that leads; its reference points must hold the fingers' landmarks.
         robot: The hand that follows; its description must name fingers.
-        matched: The robot's joint positions that match the human's rest posture, shape (n,); solved
-            if omitted.
+        matched: The robot's joint positions that match the human's rest posture [rad or m], shape
+            (n,); those of the robot's description if omitted, else solved.
 
     Attributes:
         human: The hand that leads.
@@ -115,13 +115,13 @@ class HandPair:
         self.shape_points = np.array(
             [names[name] for f in FINGERS for name in (TIPS[f], MIDDLES[f]) if name in names]
         )
-        self.human_rest = frozen(_points_in_palm(human, _resting(human)))
+        self.human_rest = frozen(_points_in_palm(human, resting_posture(human)))
         self.human_reach = np.array([bone_length(human, finger) for finger in self.fingers])
         self.robot_reach = np.array([self.chains[finger].reach for finger in self.fingers])
         self.reach_ratios = self.robot_reach / self.human_reach
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
         self.finger_ratio = float(self.reach_ratios[others or [0]].mean())
-        self.matched = frozen(self._match() if matched is None else np.array(matched, dtype=float))
+        self.matched = frozen(self._given_or_solved(matched))
         self.robot_rest = frozen(_points_in_palm(self.robot, self.matched))
         self._measure_centres()
 
@@ -170,7 +170,14 @@ class HandPair:
                 advice="load the human with points='joints' or points='landmarks'",
             )
 
-    def _match(self) -> np.ndarray:
+    def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
+        given = self.robot.matched if matched is None else matched
+        if given is None:
+            return self.solve_matched()
+        shape = (len(self.robot.joint_names),)
+        return as_floats(given, "matched", shape=shape, is_finite=True)
+
+    def solve_matched(self) -> np.ndarray:
         """Solve the robot posture whose finger vectors are the resting human's, scaled."""
         robot, palm = self.robot, self.robot.wrist_to_palm
         targets = np.empty((len(robot.reference_points), 3))
@@ -281,7 +288,7 @@ def points_in_palm_at(
     return transform_points(inverse_pose(hand.frame_pose("palm", posture)), points)
 
 
-def _resting(human: Hand) -> np.ndarray:
+def resting_posture(human: Hand) -> np.ndarray:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
     q = human.rest.copy()
     for joint, angle in _RESTING_THUMB.items():

@@ -1,4 +1,4 @@
-"""The commands `handmap hands init` and `handmap hands check`."""
+"""The commands `handmap hands init`, `handmap hands check` and `handmap hands match`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Annotated, Any
 import tyro
 
 from handmap_qp.arguments import HandName
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
-from handmap_qp.tables import print_rows
+from handmap_qp.tables import check_output, print_rows
 
 
 def _optional(metavar: str, default: str) -> Any:
@@ -132,3 +133,72 @@ class HandsCheck:
             if picture is not None and report.hand is not None:
                 print(f"wrote {picture}")
         report.raise_if_unusable()
+
+
+@dataclass(frozen=True)
+class HandsMatch:
+    """Find the robot posture that corresponds to the resting human hand.
+
+    Teleoperation starts from this pair of postures. It is solved for each person and robot unless
+    the hand.yaml has a key `matched`. Look at the posture with --picture. Correct it in the
+    hand.yaml if the fingers of both hands do not show the same.
+
+    Examples:
+        handmap hands match allegro_right --picture matched.png
+        handmap hands match my_hand.yaml --recording recording.npz
+        handmap hands match my_hand.yaml --write
+
+    Attributes:
+        hand: Path of a hand.yaml, or name of a hand of the package.
+        human_length: Length of the person's hand from wrist crease to middle fingertip [m].
+        recording: Recording in which the person's hand is measured, as for `handmap map`.
+        picture: Picture to draw: the human at rest, the robot at rest, the robot matched. PNG.
+        write: Write the posture into your hand.yaml; the rest of the file stays as it is.
+        json: Print one JSON object instead of a table.
+    """
+
+    hand: tyro.conf.Positional[HandName]
+    human_length: Annotated[float | None, _optional("METRES", "the standard hand's")] = None
+    recording: Annotated[Path | None, _optional("RECORDING", "the standard hand")] = None
+    picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
+    write: bool = False
+    json: bool = False
+
+    def run(self) -> None:
+        """Solve the posture, print it, and draw or write it if requested."""
+        from handmap_qp.hands.library import load_hand
+        from handmap_qp.onboarding.match import (
+            check_robot,
+            draw_match,
+            match_hand,
+            own_file,
+            write_matched,
+        )
+        from handmap_qp.trackers.recording import read_recording
+
+        robot = check_robot(load_hand(self.hand))
+        file = own_file(self.hand) if self.write else None
+        if self.picture is not None:
+            check_output("--picture", self.picture, (".png",))
+        if self.recording is not None and self.human_length is not None:
+            raise InvalidInputError(
+                argument="--human-length", problem="cannot be combined with --recording"
+            )
+        match = match_hand(
+            robot,
+            recording=None if self.recording is None else read_recording(self.recording),
+            human_length=self.human_length,
+        )
+        if self.picture is not None:
+            draw_match(match, self.picture)
+        if file is not None:
+            write_matched(match, file)
+        written = [str(path) for path in (self.picture, file) if path is not None]
+        if self.json:
+            print(json.dumps({"name": robot.name, "joints": match.rows, "written": written}))
+            return
+        print_rows(f"{robot.name}: the posture that matches the resting human's", match.rows)
+        if file is None:
+            print(f"to use this posture for everyone, paste into hand.yaml:\n{match.text}", end="")
+        for path in written:
+            print(f"wrote {path}")

@@ -140,6 +140,14 @@ MISTAKES = {
     "not an npz": ["map", "{recording}", "--robot", "three_finger", "--out", "out.csv"],
     "no recording at all": ["map", "{folder}/hand.txt", "--robot", "three_finger"],
     "unknown hand": ["hands", "tentacle"],
+    "match of a hand of the package": ["hands", "match", "romeo_right", "--write"],
+    "match of the human": ["hands", "match", "human"],
+    "match for two people": [
+        *("hands", "match", "romeo_right"),
+        *("--recording", "{recording}", "--human-length", "0.19"),
+    ],
+    "match for a giant": ["hands", "match", "romeo_right", "--human-length", "-1"],
+    "match drawn as text": ["hands", "match", "romeo_right", "--picture", "match.txt"],
     "demo onto a file": ["demo", "--out", "{recording}"],
 }
 
@@ -164,7 +172,10 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     assert sorted(folder.rglob("*")) == before
 
 
-COMMANDS = ("", "demo", "map", "compare", "view", "hands", "hands init", "hands check")
+COMMANDS = (
+    *("", "demo", "map", "compare", "view"),
+    *("hands", "hands init", "hands check", "hands match"),
+)
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "figures", "serve", "keys"])

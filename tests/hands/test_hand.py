@@ -206,6 +206,11 @@ BROKEN = {
     "side": ({"side": "both"}, None, "side"),
     "rest outside limits": ({"rest": {**SPEC.rest, FIRST: 9.0}}, None, f"rest.{FIRST}"),
     "rest of no joint": ({"rest": {**SPEC.rest, "elbow": 0.0}}, None, "rest"),
+    "matched outside limits": ({"matched": {**SPEC.rest, FIRST: 9.0}}, None, f"matched.{FIRST}"),
+    "matched of no joint": ({"matched": {**SPEC.rest, "elbow": 0.0}}, None, "matched"),
+    "matched of some joints": ({"matched": {FIRST: 0.5}}, None, "matched"),
+    "matched of no joints": ({"matched": {}}, None, "matched"),
+    "matched of text": ({"matched": {**SPEC.rest, FIRST: "open"}}, None, "matched"),
     "unknown joint": (
         {"joints": [*SPEC.joints, "elbow"], "rest": {**SPEC.rest, "elbow": 0.0}},
         None,
