@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from handmap_qp.viewer.replay import Replay
 COUNT, GAP = 60, slice(20, 25)
 
 
+@cache
 def closing_motion(points: str | None = None) -> HumanMotion:
     """Return 2 s of a hand that closes, travels and rotates, and is not seen for five samples."""
     human = load_hand("human", points=points)
@@ -41,6 +43,7 @@ def closing_motion(points: str | None = None) -> HumanMotion:
     )
 
 
+@cache
 def closing_recording() -> Recording:
     """Return the landmarks of the motion."""
     motion = closing_motion("landmarks")

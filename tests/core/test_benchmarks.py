@@ -60,6 +60,7 @@ def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
     assert "Effect of the options" in done.stderr
 
 
+@pytest.mark.slow
 def test_without_recordings_a_benchmark_says_so_in_one_line(tmp_path: Path) -> None:
     done = run(FOLDER / "bench_accuracy.py", "--recordings", tmp_path)
     assert done.returncode == 2

@@ -130,6 +130,7 @@ def test_prints_json_and_writes_nothing(
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_peers_that_are_named_are_the_only_ones(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,6 +141,7 @@ def test_peers_that_are_named_are_the_only_ones(
     assert list(json.loads(capsys.readouterr().out)["overall"]) == ["theirs", "paper"]
 
 
+@pytest.mark.slow
 def test_recording_without_a_pose_has_no_contact_sheet(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -95,6 +95,7 @@ def test_every_view_has_a_hand_inside_its_edges(sheet: np.ndarray) -> None:
                 assert not border.any()
 
 
+@pytest.mark.slow
 def test_rows_show_their_own_posture(sheet: np.ndarray) -> None:
     for view in range(len(VIEWS)):
         opened, closed = (inked(cell(sheet, 1, row, view)) for row in range(2))

@@ -99,6 +99,7 @@ def closer_for(grasp: Grasp) -> HandCloser:
 # Closing
 
 
+@pytest.mark.slow
 def test_closing_never_reaches_into_the_object(plan: Sequence[PlannedGrasp]) -> None:
     for grasp in (one.grasp for one in plan):
         # A link that touches is one margin away, up to the last microradian.

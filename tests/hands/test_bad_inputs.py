@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from marks import slow
 
 from handmap_qp import (
     Hand,
@@ -254,7 +255,7 @@ def test_names_that_are_not_files_are_rejected(name: str) -> None:
         "extends: hand.yaml",
         "1: 2",
         "arm: {extends: 5}",
-        "[" * 3000,
+        slow("[" * 3000),
         "name: &a [*a]",
         "urdf: {a: b}",
     ],

@@ -103,6 +103,7 @@ def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:
         read_collision_shapes(hand)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("style", ["relative", "package"])
 @pytest.mark.parametrize(
     "name", ["leap_hand/leap_hand_right.urdf", "schunk_hand/schunk_svh_hand_right.urdf"]

@@ -79,6 +79,7 @@ def test_a_violation_would_be_seen(hostile: ModuleType) -> None:
     assert not tally.is_exact
 
 
+@pytest.mark.slow
 def test_the_command_reports_in_json() -> None:
     command = [
         sys.executable,

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 import qpsolvers
 from ik_cases import HANDS, Case, each_distinct_hand, hand_of, random_cases
+from marks import slow
 
 from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
@@ -146,7 +147,9 @@ def test_way_3_takes_the_same_step(which: tuple[str, str, str | None]) -> None:
         np.testing.assert_allclose(dq, step_of(ik, case), atol=1e-6)
 
 
-@pytest.mark.parametrize("solver", qpsolvers.available_solvers)
+@pytest.mark.parametrize(
+    "solver", [s if s in ("daqp", "proxqp") else slow(s) for s in qpsolvers.available_solvers]
+)
 def test_every_solver_finds_the_step(solver: str) -> None:
     for which in HANDS[::5]:
         hand = hand_of(which)

@@ -173,6 +173,7 @@ def test_a_fixed_hand_in_another_unit_of_length_takes_the_same_steps(
         np.testing.assert_allclose(scaled.command.q, step.command.q, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rigid_from", ["points", "wrist", "none"])
 @pytest.mark.parametrize("unit", [0.1, 39.37])
 @settings(max_examples=5)
@@ -198,9 +199,9 @@ def test_a_floating_hand_in_another_unit_of_length_ends_in_the_same_posture(
             there.map_step(q, motion_of(wrist[:3, :3], unit * wrist[:3, 3])),
         )
         np.testing.assert_allclose(scaled.targets, unit * step.targets, atol=1e-12 * unit)
-        np.testing.assert_allclose(scaled.command.q, step.command.q, atol=1e-5)
+        np.testing.assert_allclose(scaled.command.q, step.command.q, atol=1e-4)
         np.testing.assert_allclose(
-            scaled.command.wrist[:3, :3], step.command.wrist[:3, :3], atol=1e-5
+            scaled.command.wrist[:3, :3], step.command.wrist[:3, :3], atol=1e-4
         )
         np.testing.assert_allclose(
             scaled.command.wrist[:3, 3], unit * step.command.wrist[:3, 3], atol=1e-6 * unit

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mapping_cases import little_pose
+from marks import slow
 
 from handmap_qp import (
     HandMapper,
@@ -114,8 +115,8 @@ def test_joints_go_to_the_same_share_of_their_range() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["allegro_right", "allegro_left", "g1_right", "g1_left", "romeo_right", "hey5",
-     "three_finger", "panda_gripper"],
+    ["allegro_right", "g1_left", "three_finger", "panda_gripper",
+     *map(slow, ["allegro_left", "g1_right", "romeo_right", "hey5"])],
 )  # fmt: skip
 def test_a_fist_brings_every_fingertip_nearer_to_the_thumb_or_its_knuckle(name: str) -> None:
     robot = load_hand(name)
@@ -161,6 +162,7 @@ def test_a_pinch_does_not_come_across() -> None:
     assert np.linalg.norm(step.points[0] - step.points[1]) > 1.5 * human_gap
 
 
+@pytest.mark.slow
 def test_fewer_flexions_take_the_rest_together_and_more_share_them() -> None:
     def led(robot: str, finger: str) -> list[list[int]]:
         bound: BoundJointToJoint = JointToJoint().bind(HUMAN, load_hand(robot))

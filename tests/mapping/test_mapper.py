@@ -1,12 +1,20 @@
 """The mapper as a whole: exactness, invariance, limits, and what it refuses."""
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import poses, rotations
-
+from handmap_qp import (
+    HandMapper,
+    IkOptions,
+    InvalidInputError,
+    InvalidOptionsError,
+    MappingOptions,
+    load_hand,
+)
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.options import Pivot
@@ -237,6 +245,27 @@ def test_options_that_make_no_sense_are_refused(options: dict) -> None:
     human = load_hand("human", points=("thumb_tip", "ring_tip", "little_tip", "thumb_ip"))
     with pytest.raises(InvalidOptionsError):
         HandMapper(human, robot, **options)
+
+
+def test_the_centroids_of_both_hands_are_weighted() -> None:
+    # A human who turns about the weighted centroid turns the robot about its own.
+    def weighted(name: str) -> Hand:
+        hand = load_hand(name, points="fingertips")
+        points = hand.reference_points
+        return hand.with_points(
+            tuple(msgspec.structs.replace(p, weight=1.0 + 2.0 * k) for k, p in enumerate(points))
+        )
+
+    human, robot = weighted("human"), weighted("three_finger")
+    mapper = HandMapper(human, robot, MappingOptions())
+    points = human.points(human.rest)
+    first = mapper.map_points(points, np.eye(4))
+    centre = human.point_weights @ points / human.point_weights.sum()
+    turn = pin.exp3(np.array([0.2, -0.3, 0.5]))
+    step = mapper.map_points((points - centre) @ turn.T + centre, np.eye(4))
+    shift = step.targets - first.points
+    np.testing.assert_allclose(robot.point_weights @ shift, 0.0, atol=1e-9)
+    assert np.abs(shift).max() > 0.005
 
 
 def test_a_fixed_wrist_takes_no_rigid_part() -> None:

@@ -64,6 +64,21 @@ def test_a_quick_hand_lags_less_than_a_slow_one() -> None:
     assert lags[2] < 0.006
 
 
+def test_a_turning_wrist_lags_like_a_point_on_a_lever_of_10_cm() -> None:
+    times, speed = 0.01 * np.arange(400), 2.0
+    none = np.zeros((1, 3))
+    turning = [affine(pin.exp3(np.array([0.0, 0.0, speed * t])), np.zeros(3)) for t in times]
+    moving = [affine(np.eye(3), np.array([0.1 * speed * t, 0.0, 0.0])) for t in times]
+    turned, moved = (
+        wrist_of(run([HumanSample(none, pose) for pose in poses], times)[-1])
+        for poses in (turning, moving)
+    )
+    angle = pin.log3(turned[:3, :3].T @ turning[-1][:3, :3])[2]
+    distance = moving[-1][0, 3] - moved[0, 3]
+    assert angle / speed == pytest.approx(distance / (0.1 * speed), rel=1e-6)
+    assert distance > 1e-4
+
+
 def test_jitter_in_time_changes_little() -> None:
     rng = np.random.default_rng(2)
     even = 0.01 * np.arange(300)

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mapping_cases import little_pose, near_rest
+from marks import slow
 
 from handmap_qp import (
     HandMapper,
@@ -77,7 +78,7 @@ def test_it_is_the_default_where_fingers_correspond() -> None:
     assert default_preset(tips, load_hand("allegro_right", mount="fixed")) == "paper"
 
 
-@pytest.mark.parametrize("robot", ["allegro_right", "allegro_left", "hey5", "human"])
+@pytest.mark.parametrize("robot", ["allegro_right", *map(slow, ["allegro_left", "hey5", "human"])])
 def test_a_pointing_index_points_and_a_fist_is_a_fist(robot: str) -> None:
     human = load_hand("human_left") if robot == "allegro_left" else HUMAN
     hand = load_hand(robot)

@@ -158,6 +158,7 @@ def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
     assert result.notes() == ["failing: cannot map closing"]
 
 
+@pytest.mark.slow
 def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path: Path) -> None:
     other = take_of(tmp_path, "other")
     result = compare_methods([take, other], robot, [Failing()])
@@ -262,6 +263,7 @@ def test_outside_program_that_fails_is_one_line(tmp_path: Path) -> None:
 PEERS = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
 
 
+@pytest.mark.slow
 def test_peers_that_are_not_built_are_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,31 @@ def test_the_same_motion_is_perfectly_faithful() -> None:
     assert quality.share_at_limit == 0.0
 
 
+def test_only_seen_samples_count_for_the_share_at_a_limit() -> None:
+    motion = waving()
+    seen = np.ones(len(motion.time), dtype=bool)
+    seen[10:20] = False
+    at_limit = np.zeros((len(seen), len(HUMAN.joint_names)), dtype=bool)
+    at_limit[10:20] = True
+    at_limit[20:26, 3] = True
+    at_limit[23:26, 4] = True
+    motion, robot = replace(motion, valid=seen), same_motion(motion)
+    quality = assess_quality(motion, replace(robot, valid=seen, at_limit=at_limit))
+    assert quality.share_at_limit == pytest.approx(6 / 30)
+
+
+def test_the_motions_sample_times_bound_the_speed() -> None:
+    # Samples 1 to 20 ms apart, by a mapper whose own sample time would allow any displacement.
+    motion = waving()
+    dt = np.where(np.arange(len(motion.time)) % 2 == 0, 0.001, 0.02)
+    motion = replace(motion, time=np.cumsum(dt), dt=dt)
+    robot = load_hand("three_finger")
+    mapped = map_motion(HandMapper(HUMAN, robot, "paper", dt=1e3), motion)
+    displacement = np.abs(np.diff(mapped.q, axis=0))
+    assert (displacement <= dt[1:, None] * robot.velocity_limits + 1e-9).all()
+    assert displacement.max() > 0.5 * 0.001 * robot.velocity_limits.min()
+
+
 def test_a_robot_that_does_nothing_is_not_faithful() -> None:
     motion = waving()
     trajectory = same_motion(motion)

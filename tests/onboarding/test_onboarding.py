@@ -34,6 +34,7 @@ def tips(found: Detection) -> dict[str | None, str]:
     return {point.finger: point.link for point in found.spec.points if point.name.endswith("_tip")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_detection_agrees_with_hand_written_descriptions(name: str) -> None:
     hand = load_hand(name)
@@ -73,6 +74,7 @@ def test_a_hand_on_a_robot_is_found(
     assert (hand.side, len(tips(found)), len(hand.joint_names)) == (side, fingers, count)
 
 
+@pytest.mark.slow
 def test_which_finger_is_which_on_robots() -> None:
     """Compare with the link names, which are right on these robots."""
     for side in ("left", "right"):

@@ -71,6 +71,7 @@ def test_error_against_gamma(scene: Scene, table: dict[str, Any], model: str, sy
     assert all(map(agrees, found, expected)), (found, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("synergy", SYNERGIES)
 @pytest.mark.parametrize("model", MODELS)
 def test_error_against_the_number_of_steps(

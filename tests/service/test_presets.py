@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from marks import slow
 from service_tools import (
     CACHE,
     HERE,
@@ -235,8 +236,8 @@ def fist_of(recordings: Any) -> tuple[Recording, int]:
     return recording, index
 
 
-@pytest.mark.parametrize("robot", ["allegro_right", "three_finger"])
-@pytest.mark.parametrize("start", ["lower", "upper", "rest"])
+@pytest.mark.parametrize("robot", ["allegro_right", slow("three_finger")])
+@pytest.mark.parametrize("start", ["lower", slow("upper"), slow("rest")])
 def test_a_robot_anywhere_closes_to_the_fist_it_is_shown_first(
     recordings: Any, robot: str, start: str
 ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -43,6 +43,7 @@ def synthetic(
     return recording, q, np.array(poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["right", "left"])
 @settings(max_examples=10)
 @given(hand_length=st.floats(0.16, 0.21))
@@ -181,19 +182,32 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
-def test_bad_landmarks_are_rejected_and_change_nothing(bad: Any) -> None:
+class Fitters(NamedTuple):
+    """Fitters and two samples; both warm fitters have seen the first sample."""
+
+    samples: np.ndarray
+    disturbed: LandmarkFitter
+    calm: LandmarkFitter
+    cold: LandmarkFitter
+
+
+@pytest.fixture(scope="module")
+def fitters() -> Fitters:
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.18))
-    disturbed, calm = LandmarkFitter(), LandmarkFitter()
-    for fitter in (disturbed, calm):
-        fitter.fit(recording.landmarks[0])
-    for fitter in (disturbed, LandmarkFitter()):
+    made = Fitters(recording.landmarks[:2], *(LandmarkFitter() for _ in range(3)))
+    for fitter in (made.disturbed, made.calm):
+        fitter.fit(made.samples[0])
+    return made
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
+def test_bad_landmarks_are_rejected_and_change_nothing(fitters: Fitters, bad: Any) -> None:
+    for fitter in (fitters.disturbed, fitters.cold):
         with pytest.raises(InvalidInputError, match="landmarks: expected") as caught:
             fitter.fit(bad)
         assert caught.value.argument == "landmarks"
-    np.testing.assert_array_equal(
-        disturbed.fit(recording.landmarks[1])[0], calm.fit(recording.landmarks[1])[0]
-    )
+    for sample in fitters.samples:
+        np.testing.assert_array_equal(fitters.disturbed.fit(sample)[0], fitters.calm.fit(sample)[0])
 
 
 def test_other_arguments_are_named() -> None:

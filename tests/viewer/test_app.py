@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
+from marks import slow
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
@@ -123,8 +124,8 @@ def test_options_that_cannot_be_used_leave_the_replay_as_it_was() -> None:
 # -- drawing
 
 
-@pytest.mark.parametrize("robot", ["three_finger", "allegro_right"])
-@pytest.mark.parametrize("alignment", ["world", "palm"])
+@pytest.mark.parametrize("robot", ["three_finger", slow("allegro_right")])
+@pytest.mark.parametrize("alignment", ["world", slow("palm")])
 def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
     server: Any, robot: str, alignment: str
 ) -> None:
@@ -219,6 +220,7 @@ def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     assert len(np.unique(np.sign(corners), axis=0)) == 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("follow", ["hands", "world"])
 def test_hands_stay_in_place_or_travel_as_asked(
     server: Any, follow: Literal["hands", "world"]
@@ -236,6 +238,7 @@ def test_hands_stay_in_place_or_travel_as_asked(
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("follow", ["hands", "world"])
 def test_both_hands_are_in_view_on_a_portrait_screen(
     server: Any, follow: Literal["hands", "world"]
@@ -535,6 +538,7 @@ def test_long_names_of_joints_stay_different() -> None:
     assert short_names(["only_one_joint"]) == ["only_one_joint"]
 
 
+@pytest.mark.slow
 def test_a_message_is_shown_while_mapping_again(
     viewer: ReplayViewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

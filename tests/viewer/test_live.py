@@ -262,6 +262,7 @@ def test_controls_keep_requested_values_while_the_source_is_busy(
     viewer.close()
 
 
+@pytest.mark.slow
 def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: Source) -> None:
     for i in range(12000):
         source.given.put(
@@ -317,6 +318,7 @@ def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Source) -> 
     viewer.close()
 
 
+@pytest.mark.slow
 def test_the_view_restarts_when_the_hands_change(server: Any) -> None:
     made: list[Source] = []
 

@@ -143,6 +143,7 @@ def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> Non
         assert server.get_host() == "127.0.0.1"
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "taken.html"
     folder.mkdir()

@@ -93,6 +93,7 @@ def watching(
 
 
 # Hands with mimic joints, on an arm, and with a fixed wrist.
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["allegro_right", "panda_gripper", "ur5_allegro", "tiago_arm"])
 def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
     options = {"ridge": 0.3, "pivot": "palm"}
@@ -222,6 +223,7 @@ def test_the_human_hand_has_the_lengths_that_the_service_measured(service: Serve
     )
 
 
+@pytest.mark.slow
 def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
     with (
         connected(service, name="lab", is_shared=True) as client,
@@ -294,6 +296,7 @@ def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Serve
                 viewer.close()
 
 
+@pytest.mark.slow
 def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(service: Server) -> None:
     with (
         connected(service, name="lab", is_shared=True) as client,
@@ -325,6 +328,7 @@ OTHER_HANDS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", OTHER_HANDS.values(), ids=OTHER_HANDS.keys())
 def test_a_session_that_comes_back_with_other_hands_ends_the_view_of_the_old_ones(
     service: Server, changes: dict[str, Any]
