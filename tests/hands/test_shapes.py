@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial import ConvexHull
 
 from handmap_qp import hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
@@ -56,13 +59,36 @@ def test_a_round_fingertip_is_its_own_pad() -> None:
         assert pad.radius == pytest.approx(sphere.geometry.radius, abs=1e-9)
 
 
+def depth_in(shape: pin.GeometryObject, point: np.ndarray) -> float:
+    """Return how deep a point of the joint's frame lies in a shape [m]; negative outside."""
+    x, geometry = shape.placement.actInv(point), shape.geometry
+    if isinstance(geometry, coal.Sphere):
+        return geometry.radius - float(np.linalg.norm(x))
+    if isinstance(geometry, coal.Capsule):
+        on_axis = np.array([0.0, 0.0, np.clip(x[2], -geometry.halfLength, geometry.halfLength)])
+        return geometry.radius - float(np.linalg.norm(x - on_axis))
+    corners = (
+        geometry.halfSide * list(product((-1.0, 1.0), repeat=3))
+        if isinstance(geometry, coal.Box)
+        else np.array([geometry.point(i) for i in range(geometry.num_points)])
+    )
+    return -float((ConvexHull(corners).equations @ np.append(x, 1.0)).max())
+
+
 @pytest.mark.parametrize("name", HANDS)
 def test_a_pad_lies_inside_its_finger(name: str) -> None:
     robot = hand(name)
     chains = find_fingers(robot)
+    geometry = read_collision_shapes(robot)
     for finger, pad in find_pads(robot, chains).items():
+        joint, tip = chains[finger].tip
         assert 0.003 <= pad.radius <= 0.03
-        assert np.linalg.norm(pad.offset - chains[finger].tip[1]) <= 0.0161
+        assert np.linalg.norm(pad.offset - tip) <= 0.0161
+        shapes = [geometry.geometryObjects[i] for i in distal_shapes(chains[finger], geometry)]
+        depths = [depth_in(shape, pad.offset) for shape in shapes if shape.parentJoint == joint]
+        if depths:
+            # `find_pads` samples directions, so that it finds up to 0.8 mm more than there is.
+            assert max(depths) == pytest.approx(pad.radius, abs=8e-4)
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "hey5", "human", "three_finger"])

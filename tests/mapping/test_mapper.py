@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import poses, rotations
+
 from handmap_qp import (
     HandMapper,
     IkOptions,
@@ -15,7 +16,6 @@ from handmap_qp import (
     MappingOptions,
     load_hand,
 )
-from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.options import Pivot
 from handmap_qp.transform import affine, transform_points

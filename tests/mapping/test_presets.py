@@ -114,7 +114,7 @@ def test_pairs_with_one_robot_share_its_contacts() -> None:
 def test_pairs_are_found_again_while_they_are_used_and_then_forgotten() -> None:
     robot, person = load_hand("three_finger"), load_hand("human")
     mapper = HandMapper(person, robot, "teleoperation")
-    others = []
+    others, other = [], None
     pair = weakref.ref(hand_pair(person, robot))
     for i in range(12):
         other = load_hand("human", hand_length=0.17 + 0.002 * i)
