@@ -64,15 +64,13 @@ def notes_of(comparison: Comparison) -> list[str]:
     fitted = [take.name for take in comparison.takes if not take.has_wrist]
     if fitted:
         notes.append(f"palm fitted to its landmarks, without a tracker's wrist: {_list(fitted)}")
-    calm = [
-        take.name
-        for take in comparison.takes
-        if not any(
-            r.fidelity and r.fidelity.pinch_samples for r in comparison.runs if r.take is take
+    pinches = _pinch_samples(comparison)
+    if pinches:
+        shown = [f"{count} in {name}" for name, count in pinches.items() if count]
+        notes.append(
+            "samples of pinches (tips nearer than 15 mm) of fingers that "
+            f"{comparison.robot.name} has: {_list(shown) or 'none'}"
         )
-    ]
-    if calm and any(run.fidelity for run in comparison.runs):
-        notes.append(f"no pinch (tips nearer than 15 mm): {_list(calm)}")
     return notes
 
 
@@ -88,6 +86,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
     for method in comparison.methods:
         texts = [run.motion.about for run in comparison.of_method(method) if run.motion]
         methods[method] = {"about": next(iter(texts), "")}
+    pinches = _pinch_samples(comparison)
     packages = ("handmap-qp", "pin", "daqp", "numpy")
     return {
         "robot": comparison.robot.name,
@@ -104,6 +103,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "is_mirrored": take.is_mirrored,
                 "palm": _palm(take.has_wrist),
                 "contact_gap_mm": 1e3 * take.contact_gap,
+                "pinch_samples": pinches.get(take.name, 0),
             }
             for take in comparison.takes
         ],
@@ -122,6 +122,15 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             for take in comparison.takes
         },
         "notes": notes_of(comparison),
+    }
+
+
+def _pinch_samples(comparison: Comparison) -> dict[str, int]:
+    """Return how many samples the pinch metrics rest on, by recording; empty if nothing ran."""
+    return {
+        run.take.name: run.fidelity.pinch_samples
+        for run in comparison.runs
+        if run.fidelity is not None
     }
 
 

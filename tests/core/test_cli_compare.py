@@ -76,6 +76,12 @@ def test_writes_tables_json_and_pictures(
         ("one", False),
         ("two", True),
     ]
+    # The hand closes with its thumb aside: what the pinch columns rest on is said.
+    counts = {r["name"]: r["pinch_samples"] for r in results["recordings"]}
+    note = next(n for n in results["notes"] if n.startswith("samples of pinches"))
+    for name, count in counts.items():
+        assert (f"{count} in {name}" in note) == (count > 0)
+    assert note.endswith("none") == (not any(counts.values()))
     for name in ("one", "two"):
         runs = results["runs"][name]
         assert list(runs) == methods
