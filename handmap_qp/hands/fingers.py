@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ _PARALLEL = 0.7
 # A middle joint is at least this share of the reach away from the knuckle.
 _MIDDLE_SHARE = 0.2
 _REACH_SAMPLES = 200
+# Pinocchio's names of prismatic joints, along an axis of the frame or any other.
+_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +37,7 @@ class FingerChain:
         reach: Largest distance from knuckle to tip within the joint limits [m].
         stretched: Joint angles in the order of `Hand.joint_names` where it has that reach [rad],
             shape (n,).
+        is_jaw: True if all its joints are prismatic, so that it can neither bend nor stretch.
     """
 
     name: str
@@ -43,6 +47,7 @@ class FingerChain:
     tip: tuple[int, np.ndarray]
     reach: float
     stretched: np.ndarray
+    is_jaw: bool = False
 
 
 def find_fingers(hand: Hand) -> dict[str, FingerChain]:
@@ -62,10 +67,7 @@ def find_fingers(hand: Hand) -> dict[str, FingerChain]:
         Fingers by name, in the order of `FINGERS`; those that the description does not name are
         left out.
     """
-    named: dict[str, list[PointSpec]] = {}
-    for point in hand.spec.points:
-        if point.finger in FINGERS:
-            named.setdefault(point.finger, []).append(point)
+    named = _points_by_finger(hand)
     tips = {finger: _tip(hand, finger, points) for finger, points in named.items()}
     carriers = {finger: _place(hand, tip)[0] for finger, tip in tips.items()}
     return {
@@ -73,6 +75,39 @@ def find_fingers(hand: Hand) -> dict[str, FingerChain]:
         for finger in FINGERS
         if finger in named
     }
+
+
+def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
+    """Return the name of the human point that each reference point of a robot corresponds to.
+
+    It is the point's `partner`, else the landmark of its own name. A point with neither corresponds
+    to `<finger>_tip` if it is the last point of a named finger: the farthest from the palm with the
+    hand stretched.
+
+    Args:
+        robot: The robot hand.
+        landmarks: Names of the human's points.
+
+    Returns:
+        Names in the order of `robot.reference_points`; a point's own name where there is no such
+        landmark.
+    """
+    named = _points_by_finger(robot)
+    last = {_tip(robot, finger, points).name: f"{finger}_tip" for finger, points in named.items()}
+    return [
+        point.partner
+        or (point.name if point.name in landmarks else last.get(point.name, point.name))
+        for point in robot.reference_points
+    ]
+
+
+def _points_by_finger(hand: Hand) -> dict[str, list[PointSpec]]:
+    """Return the description's points of each finger with an anatomical name."""
+    named: dict[str, list[PointSpec]] = {}
+    for point in hand.spec.points:
+        if point.finger in FINGERS:
+            named.setdefault(point.finger, []).append(point)
+    return named
 
 
 def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
@@ -124,7 +159,8 @@ def _chain(
     elif middle is None:
         joint = _middle_joint(hand, own, bending, knuckle, reach, stretched)
         middle = _nearest_on_axis(hand, joint, tip_place)
-    return FingerChain(finger, tuple(joints), knuckle, middle, tip_place, reach, stretched)
+    is_jaw = all(hand.model.joints[j].shortname().startswith(_PRISMATIC) for j in joints)
+    return FingerChain(finger, tuple(joints), knuckle, middle, tip_place, reach, stretched, is_jaw)
 
 
 def _nearest_on_axis(hand: Hand, joint: int, tip: tuple[int, np.ndarray]) -> tuple[int, np.ndarray]:

@@ -37,7 +37,8 @@ class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         weight: Weight in the estimation of T (on the human) and in the point task (on the robot),
             greater than 0.
         partner: On a robot, the human point whose residual it follows in part (see
-            `residual_gain`); the point of the same name if omitted.
+            `residual_gain`). If omitted, the human point of the same name. If there is none, the
+            last point of a named finger has the partner `<finger>_tip`.
     """
 
     name: str

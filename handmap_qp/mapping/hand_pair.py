@@ -32,6 +32,8 @@ MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
 TIPS = {f: f"{f}_tip" for f in FINGERS}
 """Landmark of each fingertip."""
 
+# Weight of a jaw's position errors. The gap to the thumb is all that a jaw can show.
+_JAW_WEIGHT = 1e-4
 # Weight of the middle joints' position errors against the fingertips' one.
 _MIDDLE_WEIGHT = 0.5
 # The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
@@ -87,6 +89,7 @@ class HandPair:
         knuckles: The same at the base of each common finger.
         reach_ratios: Robot's reach over the human's, of each common finger, shape (f,).
         finger_ratio: Their mean without the thumb's.
+        has_jaws: True if the thumb and the other fingers are jaws: only their gap can follow.
         matched: The robot's joint positions that match the human's rest posture, shape (n,).
         human_rest: Human reference points at rest, in palm axes [m], shape (n_h, 3).
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
@@ -107,7 +110,10 @@ class HandPair:
             finger for finger in FINGERS if finger in self.chains and self.chains[finger].joints
         )
         self._check(names)
-        self.robot = robot.with_points(tuple(_finger_points(robot, self._used_chains())))
+        used = self._used_chains()
+        self.has_jaws = len(used) > 1 and THUMB in used and all(c.is_jaw for c in used.values())
+        weight = _JAW_WEIGHT if self.has_jaws else 1.0
+        self.robot = robot.with_points(tuple(_finger_points(robot, used, weight)))
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
         self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
@@ -178,7 +184,12 @@ class HandPair:
         return as_floats(given, "matched", shape=shape, is_finite=True)
 
     def solve_matched(self) -> np.ndarray:
-        """Solve the robot posture whose finger vectors are the resting human's, scaled."""
+        """Solve the robot posture whose finger vectors are the resting human's, scaled.
+
+        Jaws open as wide as the resting human's thumb and fingers.
+        """
+        if self.has_jaws:
+            return self._open_jaws()
         robot, palm = self.robot, self.robot.wrist_to_palm
         targets = np.empty((len(robot.reference_points), 3))
         knuckles = points_in_palm_at(robot, [self.chains[f].knuckle for f in self.fingers])
@@ -194,6 +205,24 @@ class HandPair:
         ik.place(robot.configuration_vector(robot.rest))
         wrist = ik.configuration.wrist.homogeneous
         ik.solve(transform_points(wrist @ palm, targets), wrist, 1e3)
+        return ik.configuration.q[robot.q_indices]
+
+    def _open_jaws(self) -> np.ndarray:
+        """Solve the posture in which each jaw's gap to the thumb is the resting human's."""
+        robot, pads = self.robot, [self.pads[finger] for finger in self.fingers]
+        at_rest = self.human_rest[self.tips]
+        gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
+        between = [(0, k) for k in range(1, len(pads))]
+        wanted = [
+            pads[0].radius + pads[k].radius + gap for (_, k), gap in zip(between, gaps, strict=True)
+        ]
+        places = AttachedPoints(robot, [(pad.joint, pad.offset) for pad in pads])
+        ik = PointIk(robot, _PINCHING)
+        ik.place(robot.configuration_vector(robot.rest))
+        task = PointDistances(places, between, wanted, [3.0] * len(between))
+        ik.solve(
+            ik.configuration.points.copy(), ik.configuration.wrist.homogeneous, 1e3, tasks=[task]
+        )
         return ik.configuration.q[robot.q_indices]
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
@@ -243,16 +272,19 @@ _PAIRS: WeakValueDictionary[tuple[Any, ...], HandPair] = WeakValueDictionary()
 _RECENT: deque[HandPair] = deque(maxlen=8)
 
 
-def _finger_points(robot: Hand, chains: dict[str, FingerChain]) -> list[PointSpec]:
+def _finger_points(
+    robot: Hand, chains: dict[str, FingerChain], tip_weight: float
+) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
     points = []
     for finger, chain in chains.items():
-        points.append(_point(robot, finger, TIPS[finger], chain.tip, 1.0))
+        points.append(_point(robot, finger, TIPS[finger], chain.tip, tip_weight))
     for finger, chain in chains.items():
         apart = np.linalg.norm(
             np.subtract(*points_in_palm_at(robot, [chain.middle, chain.knuckle]))
         )
-        if finger != THUMB and len(chain.joints) > 1 and apart > 0.1 * chain.reach:
+        is_bending = len(chain.joints) > 1 and not chain.is_jaw
+        if finger != THUMB and is_bending and apart > 0.1 * chain.reach:
             # Weights count squared in the cost.
             points.append(_point(robot, finger, MIDDLES[finger], chain.middle, _MIDDLE_WEIGHT**2))
     return points

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.fingers import partner_names
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.method import HumanSample, RobotPosture
@@ -89,15 +90,14 @@ def make_reference(
 def partner_pairs(human: Hand, robot: Hand) -> list[tuple[int, int]]:
     """Return the pairs of reference points that correspond on the two hands.
 
-    A robot point corresponds to the human point that it names as its `partner`, else to the one of
-    its own name.
+    `partner_names` has the rule.
 
     Returns:
         Pairs of indices (robot point, human point), in the order of the robot's points.
     """
     names = {point.name: k for k, point in enumerate(human.reference_points)}
-    wanted = [(j, point.partner or point.name) for j, point in enumerate(robot.reference_points)]
-    return [(j, names[partner]) for j, partner in wanted if partner in names]
+    wanted = partner_names(robot, {point.name for point in human.spec.points})
+    return [(j, names[partner]) for j, partner in enumerate(wanted) if partner in names]
 
 
 def require_partners(

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, HandmapError
+from handmap_qp.hands.fingers import partner_names
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.urdf.files import urdf_path
@@ -278,9 +279,9 @@ def _check_followers(report: Report, hand: Hand) -> None:
 
 def _check_points(report: Report, hand: Hand) -> None:
     points, names = hand.points(hand.rest), {point.name for point in load_hand("human").spec.points}
+    partners = partner_names(hand, names)
     for i, point in enumerate(hand.reference_points):
-        if (point.partner or point.name) not in names:
-            wanted = point.partner or point.name
+        if (wanted := partners[i]) not in names:
             report.add(
                 "advice",
                 f"points.{point.name}",

@@ -83,7 +83,7 @@ def match_hand(
             argument="human_length", problem="cannot be combined with a recording: give one of them"
         )
     if recording is None:
-        human = load_hand(human_name(robot.side), points="landmarks", hand_length=human_length)
+        human = load_hand(human_name(robot.spec.side), points="landmarks", hand_length=human_length)
     else:
         same = recording if recording.side == robot.side else mirrored(recording)
         human = scaled_human(same, points="landmarks")

@@ -9,9 +9,12 @@ import pytest
 from handmap_qp import HandMapper, InvalidInputError, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair, resting_posture
+from handmap_qp.mapping.presets import default_preset
+from handmap_qp.mapping.reference import partner_pairs
 from handmap_qp.transform import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
+HUMAN_TIPS = [point.name for point in HUMAN.reference_points]
 
 
 def with_matched(robot: Hand, q: np.ndarray) -> Hand:
@@ -49,3 +52,70 @@ def test_an_argument_wins_over_the_description() -> None:
         with pytest.raises(InvalidInputError) as caught:
             HandPair(HUMAN, own, bad)
         assert caught.value.argument == "matched"
+
+
+def test_jaws_open_and_close_with_thumb_and_index() -> None:
+    gripper = load_hand("panda_gripper")
+    pair = hand_pair(HUMAN, gripper)
+    assert pair.has_jaws
+    assert not hand_pair(HUMAN, load_hand("romeo_right")).has_jaws
+    mapper = HandMapper(HUMAN, gripper)
+    thumb, index = (HUMAN_TIPS.index(f"{finger}_tip") for finger in ("thumb", "index"))
+    rest = HUMAN.points(resting_posture(HUMAN))
+    openings = []
+    for wanted in (0.02, 0.05, 0.07):
+        # Move the thumb along the line to the index finger, so that the gap is as wanted.
+        points = rest.copy()
+        apart = points[thumb] - points[index]
+        points[thumb] = points[index] + wanted * apart / np.linalg.norm(apart)
+        step = [mapper.map_points(points, np.eye(4)) for _ in range(100)][-1]
+        openings.append(2.0 * step.command.q[0])
+        np.testing.assert_allclose(step.command.wrist, step.wrist_target, atol=1e-3)
+    # An object is as large for the gripper as for the fingers, but for where pads touch.
+    np.testing.assert_allclose(np.diff(openings), [0.03, 0.02], atol=0.003)
+    assert openings[0] < 0.02
+    # The resting human's jaws are neither shut nor wide open.
+    assert 0.005 < pair.matched[0] < 0.035
+
+
+def test_the_last_point_of_a_finger_has_the_tip_for_its_partner() -> None:
+    robot = load_hand("three_finger")
+    plain = tuple(
+        msgspec.structs.replace(point, partner=None)
+        for point in robot.spec.points
+        if not point.name.startswith("contact")
+    )
+    sets = {"all": tuple(point.name for point in plain)}
+    bare = load_hand(msgspec.structs.replace(robot.spec, points=plain, sets=sets, reference="all"))
+    pairs = partner_pairs(HUMAN, bare)
+    named = {bare.reference_points[j].name: HUMAN.reference_points[i].name for j, i in pairs}
+    assert named == {
+        "finger1_tip": "thumb_tip",
+        "finger2_tip": "middle_tip",
+        "finger3_tip": "index_tip",
+    }
+    # Given names win; a point with a landmark's name keeps it, whatever its finger.
+    given = msgspec.structs.replace(plain[0], partner="ring_tip")
+    index = msgspec.structs.replace(plain[2], name="index_pip")
+    own = load_hand(
+        msgspec.structs.replace(
+            robot.spec,
+            points=(given, index),
+            sets={"all": (given.name, index.name)},
+            reference="all",
+        )
+    )
+    assert [HUMAN.reference_points[i].name for _, i in partner_pairs(HUMAN, own)] == [
+        "ring_tip",
+        "index_pip",
+    ]
+
+
+def test_points_without_a_finger_have_no_partner_and_need_the_preset_object() -> None:
+    robot = load_hand("three_finger")
+    points = tuple(msgspec.structs.replace(p, partner=None, finger=None) for p in robot.spec.points)
+    nameless = load_hand(msgspec.structs.replace(robot.spec, points=points))
+    assert partner_pairs(HUMAN, nameless) == []
+    assert default_preset(HUMAN, nameless) == "object"
+    step = HandMapper(HUMAN, nameless).map_step(HUMAN.rest, np.eye(4))
+    assert np.isfinite(step.command.q).all()

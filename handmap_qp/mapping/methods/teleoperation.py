@@ -156,7 +156,10 @@ class BoundTeleoperation:
             / pair.human_reach
         )
         self.robot_extension = pair.robot_extension
-        self.pinch_ratio = float(pair.reach_ratios.mean())
+        # Between jaws, an object is as large as between the human's fingers.
+        self.pinch_ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
+        # Jaws follow a gap of any size.
+        self.pinch_from = np.inf if pair.has_jaws else _PINCH_FROM
 
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
@@ -201,7 +204,7 @@ class TeleoperationMap:
             if method.pinched
             else _NONE
         )
-        pinching = smoothstep((_PINCH_FROM - gaps) / _PINCH_OVER)
+        pinching = smoothstep((method.pinch_from - gaps) / _PINCH_OVER)
         return Targets(
             in_palm.dot(palm[:3, :3].T) + palm[:3, 3],
             self._follower.wrist(palm),
