@@ -75,9 +75,9 @@ class Demo:
 class Map:
     """Map a recording of a human hand to a robot hand.
 
-    Measures the human hand, maps the landmarks of every sample, and prints a summary of errors [mm]
-    and times [us]. Writes an .npz file with time [s], joint_names, q [rad or
-    m], wrist (poses), targets and points [m], point_error [m], valid, versions and more.
+    Measures the human hand, maps the landmarks of every sample, and prints a summary of errors
+    [mm], times [us] and limits. Writes an .npz file with time [s], joint_names, q [rad or m], wrist
+    (poses), targets and points [m], point_error [m], valid, versions and more.
 
     Examples:
         handmap map recording.npz --robot three_finger
@@ -106,7 +106,7 @@ class Map:
     def run(self) -> None:
         """Read, fit and map the recording, write the trajectory, and print a summary."""
         from handmap_qp.mapping.mapper import HandMapper
-        from handmap_qp.offline.summary import summarise, table_rows
+        from handmap_qp.offline.summary import speed_note, summarise, table_rows
         from handmap_qp.offline.trajectory import map_recording, save_npz
         from handmap_qp.trackers.landmarks import measure_contact_gap, scaled_human
         from handmap_qp.trackers.recording import read_recording
@@ -129,6 +129,8 @@ class Map:
             print(json.dumps(summary, allow_nan=False))
             return
         print_table(f"{recording.name} to {robot.name}", table_rows(summary))
+        if note := speed_note(summary):
+            print(note)
         print(f"wrote {out}")
 
 

@@ -8,6 +8,10 @@ import numpy as np
 
 from handmap_qp.offline.trajectory import Trajectory
 
+SLOW_SHARE = 0.2
+"""Share of samples held by a speed limit from which `speed_note` says so."""
+_NAMED_JOINTS = 3
+
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
     """Summarise a mapped motion.
@@ -17,7 +21,9 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
 
     Returns:
         Numbers by name, with the unit in the name. Errors and times are taken over the valid
-        samples, `samples_at_limit` over all.
+        samples, `samples_at_limit` over all. `speed_limited_share` is the share of valid samples in
+        which a speed limit held a joint; `speed_limited_joints` has the joints held most often,
+        with share and limit [rad/s or m/s].
     """
     seen = trajectory.valid
     points = 1e3 * trajectory.point_error[seen]
@@ -34,7 +40,43 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error[seen].mean()),
         "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
         "limit_violation_max": trajectory.limit_violation,
+        "speed_limited_share": float(trajectory.at_speed_limit[seen].any(axis=1).mean()),
+        "speed_limited_joints": _slow_joints(trajectory),
     }
+
+
+def speed_note(summary: dict[str, Any]) -> str:
+    """Return a line about speed limits that kept the robot from following; empty if few did.
+
+    Args:
+        summary: Result of `summarise`.
+    """
+    share = summary["speed_limited_share"]
+    if not share > SLOW_SHARE:
+        return ""
+    joints = ", ".join(
+        f"{row['joint']} ({row['limit']:.3g} per s)" for row in summary["speed_limited_joints"]
+    )
+    return (
+        f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often {joints}: "
+        "move more slowly, or give the robot's true limits in `limits` of its hand.yaml"
+    )
+
+
+def _slow_joints(trajectory: Trajectory) -> list[dict[str, Any]]:
+    """Return the joints that speed limits held most often, with share and limit."""
+    robot = trajectory.robot
+    shares = trajectory.at_speed_limit[trajectory.valid].mean(axis=0)
+    order = np.argsort(-shares, kind="stable")[:_NAMED_JOINTS]
+    return [
+        {
+            "joint": robot.joint_names[i],
+            "share": float(shares[i]),
+            "limit": float(robot.velocity_limits[i]),
+        }
+        for i in order
+        if shares[i] > 0.0
+    ]
 
 
 def table_rows(summary: dict[str, Any]) -> dict[str, str]:
@@ -58,5 +100,6 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
         ),
         "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
         "samples at a limit": f"{number['samples_at_limit']}",
+        "samples held by a speed limit": f"{100.0 * number['speed_limited_share']:.1f} %",
         "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
     }

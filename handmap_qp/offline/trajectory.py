@@ -34,6 +34,8 @@ class Trajectory:
         wrist_error: Distance from the wrist to its target [m], shape (T,).
         valid: Whether the tracker saw the hand, shape (T,). The robot holds still where it did not.
         at_limit: Whether each joint is at one of its position limits, shape (T, n).
+        at_speed_limit: Whether a limit of speed (or of acceleration, where one is set) kept each
+            joint from moving farther, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
         step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
     """
@@ -48,6 +50,7 @@ class Trajectory:
     wrist_error: np.ndarray
     valid: np.ndarray
     at_limit: np.ndarray
+    at_speed_limit: np.ndarray
     status: np.ndarray
     step_cpu: np.ndarray
 
@@ -75,6 +78,7 @@ class Trajectory:
             "wrist_error": self.wrist_error,
             "valid": self.valid,
             "at_limit": self.at_limit,
+            "at_speed_limit": self.at_speed_limit,
             "status": self.status,
             "robot": np.array(self.robot.name),
             "versions": np.array(
@@ -179,6 +183,14 @@ def _map_samples(
     q = np.array([step.command.q for step in filled])
     wrist = np.array([step.command.wrist for step in filled])
     wrist_targets = np.array([step.wrist_target for step in filled])
+    at_limit = mapper.robot.at_position_limit(q)
+    still = np.zeros(q.shape[1], dtype=bool)
+    at_bound = np.array(
+        [
+            step.at_bound if step is not None and is_seen else still
+            for step, is_seen in zip(steps, valid, strict=True)
+        ]
+    )
     return Trajectory(
         robot=mapper.robot,
         time=time,
@@ -189,7 +201,8 @@ def _map_samples(
         point_error=np.array([step.point_error for step in filled]),
         wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
         valid=valid,
-        at_limit=mapper.robot.at_position_limit(q),
+        at_limit=at_limit,
+        at_speed_limit=at_bound & ~at_limit,
         status=np.array([step.status for step in filled]),
         step_cpu=step_cpu,
     )

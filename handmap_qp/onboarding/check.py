@@ -34,6 +34,8 @@ Level = Literal["error", "warning", "advice", "fine"]
 _SURE = 0.65
 # A point this far from its target is out of reach [m].
 _OUT_OF_REACH = 0.02
+# A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
+_FIST_TIME, _FIST_ANGLE = 0.5, 1.5
 # Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
 _OFF_THE_LINK = 0.02
 
@@ -251,7 +253,33 @@ def _check_joints(report: Report, hand: Hand) -> None:
                 f"a speed of {speed:.3g} per second is unusual",
                 "check its unit",
             )
+    _check_speeds(report, hand)
     _check_followers(report, hand)
+
+
+def _check_speeds(report: Report, hand: Hand) -> None:
+    """Find joints of the fingers that are too slow for a fist in half a second."""
+    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
+    stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
+    travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
+    needed = np.minimum(travel, _FIST_ANGLE) / _FIST_TIME
+    carriers = set(hand.model.supports[wrist])
+    slow = [
+        i
+        for i, joint in enumerate(hand.joint_names)
+        if hand.velocity_limits[i] < needed[i] and hand.model.getJointId(joint) not in carriers
+    ]
+    if slow:
+        worst = min(slow, key=lambda i: hand.velocity_limits[i] / needed[i])
+        speed, count = hand.velocity_limits[worst], len(slow)
+        time = _FIST_TIME * needed[worst] / speed
+        report.add(
+            "advice",
+            f"limits.{hand.joint_names[worst]}",
+            f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
+            f"second; at {speed:.3g} per second this one needs {time:.2g} s",
+            "give the true speeds in `limits`, or move more slowly than people do",
+        )
 
 
 def _check_followers(report: Report, hand: Hand) -> None:

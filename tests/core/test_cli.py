@@ -17,6 +17,8 @@ KEYS = {
     "point_error_mm_p95",
     "point_error_mm_max",
     "samples_at_limit",
+    "speed_limited_share",
+    "speed_limited_joints",
     "limit_violation_max",
 }
 COLUMNS = {

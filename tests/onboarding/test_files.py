@@ -6,15 +6,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import yaml
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
-from handmap_qp.hands.spec import read_hand_spec
+from handmap_qp.hands.spec import LimitSpec, read_hand_spec
 from handmap_qp.hands.urdf.files import urdf_path
 from handmap_qp.hands.urdf.package_data import urdf_directory
-from handmap_qp.onboarding.check import Report, check_hand
+from handmap_qp.onboarding.check import Report, _check_speeds, check_hand
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.measure import (
@@ -178,6 +179,25 @@ def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
     (found,) = (finding for finding in report.findings if finding.level == "warning")
     # The bone is 14 mm thick: 100 - 7 mm.
     assert (found.where, "93 mm outside" in found.what) == ("points.index_tip", True)
+
+
+@pytest.mark.parametrize(("speed", "count"), [(0.5, 8), (2.95, 3), (3.05, 0)])
+def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
+    """Proximal joints of the three-fingered hand flex by 2.44 rad, of which a fist takes 1.5."""
+    spec = load_hand("three_finger").spec
+    upper = {joint: 1.4 for joint in spec.joints if "distal" in joint}
+    limits = {j: LimitSpec(velocity=speed, upper=upper.get(j)) for j in spec.joints}
+    spread = {j: LimitSpec(velocity=speed, lower=-1.0, upper=1.0) for j in limits if "spread" in j}
+    report = Report("slow")
+    _check_speeds(report, load_hand(msgspec.structs.replace(spec, limits=limits | spread)))
+    if count == 0:
+        assert report.findings == []
+        return
+    (found,) = report.findings
+    assert found.level == "advice"
+    assert found.where.removeprefix("limits.") in spec.joints
+    assert f"at {speed:g} per second" in found.what
+    assert found.what.startswith(f"{count} joints are too slow")
 
 
 def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:

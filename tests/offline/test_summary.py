@@ -1,0 +1,66 @@
+"""Summary of a mapped motion: the share of samples that speed limits held."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from handmap_qp import HandMapper, IkOptions, load_hand
+from handmap_qp.hands.spec import LimitSpec
+from handmap_qp.offline.summary import speed_note, summarise, table_rows
+from handmap_qp.offline.trajectory import Trajectory, map_recording
+from handmap_qp.trackers.recording import Recording
+
+HUMAN = load_hand("human", points="landmarks")
+
+
+def closing(count: int = 40) -> Recording:
+    """A hand that closes within half the recording, then keeps still; one gap."""
+    closed = HUMAN.rest + 0.5 * (HUMAN.upper_limits - HUMAN.rest)
+    shares = np.minimum(np.arange(count) / (count / 2), 1.0)
+    landmarks = [HUMAN.points(HUMAN.rest + share * (closed - HUMAN.rest)) for share in shares]
+    valid = np.ones(count, dtype=bool)
+    valid[10:13] = False
+    return Recording("closing", np.arange(count) / 60.0, np.array(landmarks), valid, "right")
+
+
+def mapped(speed: float, ik: IkOptions | None = None, upper: float | None = None) -> Trajectory:
+    spec = load_hand("three_finger").spec
+    limits = {joint: LimitSpec(velocity=speed, upper=upper) for joint in spec.joints}
+    robot = load_hand(msgspec.structs.replace(spec, limits=limits))
+    return map_recording(HandMapper(HUMAN, robot, "teleoperation", ik=ik), closing())
+
+
+def test_a_slow_hand_is_held_and_a_quick_one_is_not() -> None:
+    slow, quick = mapped(0.3), mapped(1000.0)
+    moved = np.abs(np.diff(slow.q, axis=0)) * 60.0
+    held = slow.at_speed_limit[1:]
+    np.testing.assert_allclose(moved[held], 0.3, rtol=1e-6)
+    # A joint that moves at its limit may want no more than that; few do.
+    assert (held[moved > 0.3 - 1e-9]).mean() > 0.95
+    summary = summarise(slow)
+    assert summary["speed_limited_share"] > 0.5
+    assert summary["speed_limited_share"] == slow.at_speed_limit[slow.valid].any(axis=1).mean()
+    assert not slow.at_speed_limit[~slow.valid].any()
+    assert not quick.at_speed_limit.any()
+    assert summarise(quick)["speed_limited_joints"] == []
+
+
+def test_a_joint_at_a_position_limit_is_not_held_by_its_speed() -> None:
+    trajectory = mapped(0.3, IkOptions(has_velocity_limits=False), upper=0.75)
+    assert trajectory.at_limit.any()
+    assert not trajectory.at_speed_limit.any()
+
+
+@pytest.mark.parametrize(("speed", "is_noted"), [(0.3, True), (1000.0, False)])
+def test_a_large_share_is_one_line_with_joint_and_limit(speed: float, is_noted: bool) -> None:
+    summary = summarise(mapped(speed))
+    note = speed_note(summary)
+    assert bool(note) == is_noted
+    assert "\n" not in note
+    assert table_rows(summary)["samples held by a speed limit"].endswith(" %")
+    if is_noted:
+        worst = summary["speed_limited_joints"][0]
+        assert f"{worst['joint']} (0.3 per s)" in note
+        assert "hand.yaml" in note
