@@ -122,6 +122,7 @@ def check_pictures(out: Path) -> None:
         assert near.sum() > 200
 
 
+@pytest.mark.slow
 def test_prints_json_and_writes_nothing(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -161,6 +161,7 @@ def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(demo, name, lambda *_: Figure())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("light_figures")
 def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "demo"

@@ -108,6 +108,7 @@ def test_rows_show_their_own_posture(sheet: np.ndarray) -> None:
     assert heights[1] > heights[0] + 30
 
 
+@pytest.mark.slow
 def test_right_palm_has_its_thumb_on_the_right(sheet: np.ndarray) -> None:
     palm = cell(sheet, 0, 0, 0)
     places = {

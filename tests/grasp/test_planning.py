@@ -106,6 +106,7 @@ def test_closing_never_reaches_into_the_object(plan: Sequence[PlannedGrasp]) -> 
         assert closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 1e-6
 
 
+@pytest.mark.slow
 def test_closing_stays_inside_the_limits(plan: Sequence[PlannedGrasp]) -> None:
     for grasp in (one.grasp for one in plan):
         assert (grasp.hand.lower_limits <= grasp.q).all()

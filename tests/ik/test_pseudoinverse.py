@@ -119,6 +119,7 @@ def test_null_space_motion_does_not_move_the_points(which: tuple[str, str, str |
         )
 
 
+@pytest.mark.slow
 def test_the_qps_rest_term_moves_no_point_either() -> None:
     hand = hand_of(("human", "fixed", "fingertips"))
     moved = 0.0

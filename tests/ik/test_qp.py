@@ -283,6 +283,21 @@ def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
     np.testing.assert_allclose(costs[1] - costs[0], rows * (3.0**2 - 1.0**2), rtol=1e-9)
 
 
+def test_a_failed_step_brings_joints_back_into_their_limits_and_moves_no_other() -> None:
+    hand, dt = load_hand("three_finger"), 0.01
+    ik = PointIk(hand, IkOptions())
+    q = hand.rest.copy()
+    q[2] = hand.upper_limits[2] + 0.5
+    ik.place(hand.configuration_vector(q))
+    targets = ik.configuration.points + 1e300
+    with np.errstate(all="ignore"):
+        result = ik.solve(targets, ik.configuration.wrist.homogeneous, dt)
+    assert result.end == result.status == "failed"
+    expected = q.copy()
+    expected[2] -= hand.velocity_limits[2] * dt
+    np.testing.assert_allclose(ik.configuration.q[hand.q_indices], expected, atol=1e-12)
+
+
 # -- on an arm
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from marks import slow
 
 from handmap_qp import HandMapper, InvalidInputError, load_hand
 from handmap_qp.hands.hand import Hand
@@ -23,7 +24,9 @@ def with_matched(robot: Hand, q: np.ndarray) -> Hand:
     return load_hand(msgspec.structs.replace(robot.spec, matched=matched))
 
 
-@pytest.mark.parametrize("name", ["allegro_right", "g1_right", "ur5_allegro", "romeo_right"])
+@pytest.mark.parametrize(
+    "name", ["allegro_right", *map(slow, ["g1_right", "ur5_allegro", "romeo_right"])]
+)
 def test_the_matched_posture_of_the_description_is_used(name: str) -> None:
     robot = load_hand(name)
     solved = hand_pair(HUMAN, robot).matched

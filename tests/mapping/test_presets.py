@@ -111,6 +111,7 @@ def test_pairs_with_one_robot_share_its_contacts() -> None:
     assert pairs[0].contacts is pairs[1].contacts
 
 
+@pytest.mark.slow
 def test_pairs_are_found_again_while_they_are_used_and_then_forgotten() -> None:
     robot, person = load_hand("three_finger"), load_hand("human")
     mapper = HandMapper(person, robot, "teleoperation")

@@ -41,6 +41,7 @@ def samples(
         yield near_rest(generator), little_pose(generator)
 
 
+@pytest.mark.slow
 @rigid_froms
 @references
 @pytest.mark.parametrize(
@@ -149,6 +150,7 @@ def test_turning_the_robots_world_and_the_alignment_turns_the_robot(
         )
 
 
+@pytest.mark.slow
 @rigid_froms
 @references
 @pytest.mark.parametrize("pivot", ["centroid", "palm", "point", "world"])

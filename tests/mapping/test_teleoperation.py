@@ -189,6 +189,10 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str) -> None:
     opened = settled(mapper, OPEN)
     apart = measure_gaps(ALLEGRO, opened.command.q[None])
     assert min(gap[0] for gap in apart.pinches.values()) > 0.01
+    # An open hand keeps thumb and fingers farther apart than a pinch, and all other links alike.
+    of_thumb = np.array(hand_pair(HUMAN, ALLEGRO).contacts.fingers) == finger
+    assert opened.asked.margins[of_thumb].min() > closed.asked.margins[of_thumb].max() + 0.002
+    np.testing.assert_array_equal(opened.asked.margins == 0.001, closed.asked.margins == 0.001)
     assert apart.nearest[0] > 0.0
 
 

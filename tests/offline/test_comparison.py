@@ -168,6 +168,7 @@ def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path
     ]
 
 
+@pytest.mark.slow
 def test_overall_is_the_mean_over_recordings(take: Take, robot: Hand, tmp_path: Path) -> None:
     file = write_closing(tmp_path, "longer", seconds=1.8)
     result = compare_methods([take, prepare_take(read_recording(file))], robot, [Still()])

@@ -20,8 +20,8 @@ from handmap_qp.offline.quality import (
     rms_derivative,
     total_range_ratio,
 )
-from handmap_qp.offline.trajectory import Trajectory, map_motion
-from handmap_qp.trackers.recording import HumanMotion
+from handmap_qp.offline.trajectory import Trajectory, map_motion, map_recording
+from handmap_qp.trackers.recording import HumanMotion, Recording
 from handmap_qp.transform import affine
 
 HUMAN = load_hand("human", points="joints")
@@ -95,11 +95,16 @@ def test_the_motions_sample_times_bound_the_speed() -> None:
     motion = waving()
     dt = np.where(np.arange(len(motion.time)) % 2 == 0, 0.001, 0.02)
     motion = replace(motion, time=np.cumsum(dt), dt=dt)
-    robot = load_hand("three_finger")
-    mapped = map_motion(HandMapper(HUMAN, robot, "paper", dt=1e3), motion)
-    displacement = np.abs(np.diff(mapped.q, axis=0))
-    assert (displacement <= dt[1:, None] * robot.velocity_limits + 1e-9).all()
-    assert displacement.max() > 0.5 * 0.001 * robot.velocity_limits.min()
+    robot, tracked = load_hand("three_finger"), load_hand("human", points="landmarks")
+    landmarks = [tracked.points(q, at) for q, at in zip(motion.q, motion.wrist, strict=True)]
+    recording = Recording("waving", motion.time, np.array(landmarks), motion.valid, "right")
+    for mapped in (
+        map_motion(HandMapper(HUMAN, robot, "paper", dt=1e3), motion),
+        map_recording(HandMapper(tracked, robot, "paper", dt=1e3), recording),
+    ):
+        displacement = np.abs(np.diff(mapped.q, axis=0))
+        assert (displacement <= dt[1:, None] * robot.velocity_limits + 1e-9).all()
+        assert displacement.max() > 0.5 * 0.001 * robot.velocity_limits.min()
 
 
 def test_a_robot_that_does_nothing_is_not_faithful() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from marks import slow
 
 from handmap_qp import InvalidInputError, cli, load_hand
 from handmap_qp.hands.spec import read_hand_spec
@@ -61,7 +62,7 @@ def test_a_written_posture_is_read_again_and_comments_stay(own: Path) -> None:
         "matched:\n",
     ],
 )
-@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize("newline", ["\n", slow("\r\n")])
 def test_an_existing_posture_is_replaced_in_its_place(own: Path, old: str, newline: str) -> None:
     text = own.read_text()
     around = (text, "\n# About the side.\nside: left  # really\n")
@@ -88,6 +89,7 @@ def test_a_file_without_a_last_newline_or_of_flow_style_is_safe(own: Path) -> No
     assert sorted(own.parent.iterdir()) == [own]
 
 
+@pytest.mark.slow
 def test_a_posture_of_another_hand_is_not_written(own: Path) -> None:
     before = own.read_text()
     with pytest.raises(InvalidInputError, match="is not one of `joints`"):
@@ -129,6 +131,7 @@ def test_the_persons_hand_is_taken_into_account() -> None:
     assert np.abs(match_hand(robot, human_length=0.19).q - match_hand(robot).q).max() > 0.01
 
 
+@pytest.mark.slow
 def test_the_command_prints_draws_and_writes(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = own.with_name("match.png")
     command = ["hands", "match", str(own), "--json"]

@@ -129,6 +129,7 @@ def test_samples_without_a_hand_hold_the_posture_before() -> None:
     assert np.isfinite(motion.wrist).all()
     np.testing.assert_array_equal(motion.q[[0, 1]], motion.q[[2, 2]])
     np.testing.assert_array_equal(motion.q[[20, 21]], motion.q[[19, 19]])
+    np.testing.assert_array_equal(motion.wrist[[0, 1, 20, 21]], motion.wrist[[2, 2, 19, 19]])
     assert np.isnan(motion.fit_error[~valid]).all()
 
 

@@ -184,6 +184,7 @@ def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
         np.testing.assert_allclose(palm[:3, :3], np.eye(3), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any, preset: str) -> None:
     replay = make_replay(preset=preset)
@@ -341,6 +342,7 @@ def test_the_wrist_choices_offered_are_those_that_the_mapper_accepts(
         assert (choice in controls.handles["rigid_from"].options) == is_accepted, choice
 
 
+@pytest.mark.slow
 def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
     given = MappingOptions(
         ridge=7.0,
@@ -371,6 +373,7 @@ def shown(server: Any, path: str) -> list[bool]:
     return found
 
 
+@pytest.mark.slow
 def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayViewer) -> None:
     seek(viewer, COUNT - 1)
     replay, steering, options = viewer.replay, viewer.steering, viewer.steering.options
@@ -412,6 +415,7 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayVi
     np.testing.assert_allclose(viewer.sample.robot_q, before, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_measured_contact_gap_is_that_of_a_preset_chosen_later(server: Any) -> None:
     motion = closing_motion()
     replay = Replay(
@@ -446,6 +450,7 @@ def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> N
     assert not viewer.steering.message.visible
 
 
+@pytest.mark.slow
 def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayViewer) -> None:
     seek(viewer, 30)
     press(viewer.steering.release)
@@ -489,6 +494,7 @@ def test_a_frame_dropped_by_visers_race_loses_no_request(
         raise RuntimeError("another mistake")
 
 
+@pytest.mark.slow
 def test_time_runs_at_the_chosen_speed_and_starts_over(viewer: ReplayViewer) -> None:
     viewer.tick(0.5)
     assert viewer.index == 0, "paused"
@@ -502,6 +508,7 @@ def test_time_runs_at_the_chosen_speed_and_starts_over(viewer: ReplayViewer) -> 
     assert viewer.index == 0
 
 
+@pytest.mark.slow
 def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     seek(viewer, 40)
     samples = viewer.replay.samples

@@ -96,6 +96,7 @@ def test_the_newest_sample_is_drawn_and_all_are_plotted(
     viewer.close()
 
 
+@pytest.mark.slow
 def test_missing_samples_are_reported(
     server: Any, source: Source, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_source_without_samples_is_given_up(server: Any, source: Source) -> No
         LiveViewer(server, source, patience=0.1)
 
 
+@pytest.mark.slow
 def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source: Source) -> None:
     source.given.put(replace(source.samples[-1], targets=None, deformation=None, pivot=None))
     viewer = LiveViewer(server, source)
@@ -338,6 +340,7 @@ def test_the_view_restarts_when_the_hands_change(server: Any) -> None:
     assert server.scene.get_handle_by_name("/robot") is None
 
 
+@pytest.mark.slow
 def test_a_source_that_is_not_shared_has_no_controls(server: Any, source: Source) -> None:
     source.is_shared = False
     source.given.put(source.samples[0])

@@ -43,6 +43,7 @@ def recording(tmp_path: Path) -> Path:
     return write_recording(tmp_path / "closing.npz")
 
 
+@pytest.mark.slow
 def test_the_command_writes_one_page_that_needs_no_network(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

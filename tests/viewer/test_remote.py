@@ -127,6 +127,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         )
 
 
+@pytest.mark.slow
 def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -> None:
     with (
         connected(service, "allegro_right", None, name="lab", has_detail=True) as client,
@@ -149,6 +150,7 @@ def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -
         assert len(sample.robot_points) == len(session.robot.reference_points)
 
 
+@pytest.mark.slow
 def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -> None:
     with (
         connected(service, "allegro_right", None, name="lab", is_shared=True) as client,
@@ -205,6 +207,7 @@ def test_the_human_of_a_session_of_landmarks_is_drawn_as_its_landmarks(service: 
         assert np.linalg.norm(drawn - sample.human_points, axis=1).mean() < 5e-3
 
 
+@pytest.mark.slow
 def test_the_human_hand_has_the_lengths_that_the_service_measured(service: Server) -> None:
     person = load_hand("human", points="landmarks", hand_length=0.21)
 
