@@ -46,7 +46,7 @@ class Teleoperation:
             different sides.
         pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
         contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
-            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap calibrate` measures it.
+            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
         ridge: Pull of T towards a rotation.
         avoids_contact: Whether links of the robot are kept apart.
 
