@@ -6,6 +6,7 @@ A field added to `MappingArguments` becomes an option of every command that maps
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -21,6 +22,11 @@ from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
+PersonFile = Annotated[
+    Path | None,
+    tyro.conf.arg(metavar="PERSON.yaml", help_behavior_hint="(default: measured in the recording)"),
+]
+"""File of a person's hand, of `handmap calibrate`."""
 PointSet = Annotated[
     str | None, tyro.conf.arg(metavar="SET", help_behavior_hint="(default: the hand's own)")
 ]

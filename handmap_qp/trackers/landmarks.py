@@ -225,18 +225,22 @@ def measure_hand(recording: Recording) -> HumanLengths:
     return HumanLengths(bases=bases, segments=segments)
 
 
-def scaled_human(recording: Recording, *, points: str | None = None) -> Hand:
+def scaled_human(
+    recording: Recording, *, points: str | None = None, lengths: HumanLengths | None = None
+) -> Hand:
     """Load the human hand of a recording's side, scaled to the person.
 
     Args:
         recording: The recording.
         points: Name of a set of reference points; the hand's own if omitted.
+        lengths: The person's lengths; measured in the recording if omitted.
 
     Raises:
         InvalidInputError: If the landmarks are not those of a hand in metres.
         HandError: If there is no such set.
     """
-    return load_hand(human_name(recording.side), points=points, lengths=measure_hand(recording))
+    lengths = measure_hand(recording) if lengths is None else lengths
+    return load_hand(human_name(recording.side), points=points, lengths=lengths)
 
 
 def measure_contact_gap(recording: Recording) -> float:
@@ -266,13 +270,17 @@ def smallest_gap(recording: Recording) -> float:
 
 
 def fit_recording(
-    recording: Recording, progress: Callable[[int], None] | None = None
+    recording: Recording,
+    progress: Callable[[int], None] | None = None,
+    *,
+    lengths: HumanLengths | None = None,
 ) -> HumanMotion:
     """Fit joint angles and wrist poses of a hand scaled to the person to a recording.
 
     Args:
         recording: The recording.
         progress: Called with the number of samples done after each one.
+        lengths: The person's lengths; measured in the recording if omitted.
 
     Returns:
         The motion; samples that are not valid, or whose palm is not of the hand's size, hold the
@@ -282,7 +290,7 @@ def fit_recording(
         InvalidInputError: If the landmarks are not a plausible hand in metres, or no sample's palm
             is of the hand's size.
     """
-    lengths = measure_hand(recording)
+    lengths = measure_hand(recording) if lengths is None else lengths
     fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
     valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from handmap_qp.addresses import check_port
-from handmap_qp.arguments import MappingArguments
+from handmap_qp.arguments import MappingArguments, PersonFile
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ class View:
             have opened it with has_detail or is_shared. A shared session can also be steered.
         session: Name of the service's session.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
+        person: File of the person's hand, of `handmap calibrate`.
         html: Write the recording as a page that plays without a server, and end.
         host: Address to listen on. Everyone who can reach it can use the view, so keep it on
             loopback unless you trust the network.
@@ -69,6 +70,7 @@ class View:
         tuple[Path, Path] | None,
         tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
     ] = None
+    person: PersonFile = None
     html: Annotated[
         Path | None, tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)")
     ] = None
@@ -103,6 +105,7 @@ class View:
         """Refuse options that would have no effect."""
         if self.live is not None:
             self._refuse("html", problem="needs a recording: a running session has no end")
+            self._refuse("person", problem="needs a recording: the service's client chooses it")
             for option in self.arguments.changed():
                 raise InvalidInputError(
                     argument=option, problem="needs a recording: the service's client chooses it"
@@ -167,15 +170,17 @@ class View:
             webbrowser.open(address)
 
     def _replay(self, file: Path, name: str) -> Replay:
-        from handmap_qp.trackers.landmarks import fit_recording, measure_contact_gap
+        from handmap_qp.trackers.landmarks import fit_recording
+        from handmap_qp.trackers.person import measure_person, read_person
         from handmap_qp.trackers.recording import read_recording
         from handmap_qp.viewer.replay import Replay
 
         recording = read_recording(file)
         robot = self.arguments.load_robot(name)
-        motion = fit_recording(recording)
+        person = measure_person(recording) if self.person is None else read_person(self.person)
+        motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)
-        gap = measure_contact_gap(recording)
+        gap = person.contact_gap
         return Replay(
             recording,
             motion,

@@ -105,6 +105,31 @@ def test_map_prints_a_table_and_names_the_file(
     assert (tmp_path / "closing_three_finger.npz").is_file()
 
 
+def test_a_calibrated_person_takes_the_place_of_measuring(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    person = tmp_path / "bob.yaml"
+    assert cli.main(["calibrate", str(recording), "--out", str(person), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["samples"] == 27
+    command = ["map", str(recording), "--robot", "three_finger", "--out"]
+    large = tmp_path / "large.yaml"
+    text = person.read_text()
+    start = text.index("  middle: ")
+    line = text[start : text.index("\n", start)]
+    large.write_text(text.replace(line, line.replace("bones: [0.0", "bones: [0.1")))
+    paths = {"measured": None, "calibrated": person, "another": large}
+    q = {}
+    for name, file in paths.items():
+        out = tmp_path / f"{name}.npz"
+        words = [] if file is None else ["--person", str(file)]
+        assert cli.main([*command, str(out), *words]) == 0
+        with np.load(out) as columns:
+            q[name] = columns["q"]
+    # Lengths are rounded to 0.01 mm.
+    np.testing.assert_allclose(q["calibrated"], q["measured"], atol=5e-3)
+    assert np.abs(q["another"] - q["measured"]).max() > 0.05
+
+
 def test_hands_lists_and_describes(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["hands", "--json"]) == 0
     assert {row["name"] for row in json.loads(capsys.readouterr().out)} >= {
@@ -142,6 +167,10 @@ MISTAKES = {
     "not an npz": ["map", "{recording}", "--robot", "three_finger", "--out", "out.csv"],
     "no recording at all": ["map", "{folder}/hand.txt", "--robot", "three_finger"],
     "unknown hand": ["hands", "tentacle"],
+    "no such person": ["map", "{recording}", "--robot", "three_finger", "--person", "bob.yaml"],
+    "person of a service": ["view", "--live", "127.0.0.1", "--person", "bob.yaml"],
+    "person as a recording": ["calibrate", "{recording}", "--out", "bob.npz"],
+    "person over a file": ["calibrate", "{recording}", "--out", "{folder}/bob.yaml"],
     "match of a hand of the package": ["hands", "match", "romeo_right", "--write"],
     "match of the human": ["hands", "match", "human"],
     "match for two people": [
@@ -163,6 +192,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
 ) -> None:
     folder = recording.parent
     (folder / "hand.txt").write_text("thumb up")
+    (folder / "bob.yaml").write_text("thumb: up")
     before = sorted(folder.rglob("*"))
     monkeypatch.chdir(folder)
     assert cli.main([word.format(recording=recording, folder=folder) for word in words]) == 2
@@ -175,7 +205,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
 
 
 COMMANDS = (
-    *("", "demo", "map", "compare", "view"),
+    *("", "demo", "map", "calibrate", "compare", "view"),
     *("hands", "hands init", "hands check", "hands match"),
 )
 

@@ -1,0 +1,197 @@
+"""`Person`: lengths and contact gap of one person's hand, measured once and kept in a YAML file."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import yaml
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.trackers.landmarks import HAND_LENGTHS, measure_contact_gap, measure_hand
+from handmap_qp.trackers.recording import Recording
+
+LARGEST_GAP = 0.04
+"""Largest contact gap that a file may give [m]."""
+# Lengths are written with five decimals: 0.01 mm.
+_DECIMALS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Person:
+    """What is measured of one person.
+
+    Attributes:
+        name: Name of the person or of the recording.
+        lengths: Lengths of the hand, as a right hand.
+        contact_gap: Distance between thumb and finger landmarks where the skin touches [m], from 0
+            to 0.04. It depends on the tracker too.
+
+    Raises:
+        InvalidInputError: If the hand is shorter than 0.08 m or longer than 0.35 m, or the gap is
+            out of its range.
+    """
+
+    name: str
+    lengths: HumanLengths
+    contact_gap: float
+
+    def __post_init__(self) -> None:
+        low, high = HAND_LENGTHS
+        if not low <= self.hand_length <= high:
+            raise InvalidInputError(
+                argument="fingers",
+                expected=f"metres and a hand of {low} to {high} m from wrist to middle fingertip",
+                value=self.hand_length,
+                got=f"{self.hand_length:.3g}",
+            )
+        if not 0.0 <= self.contact_gap <= LARGEST_GAP:
+            raise InvalidInputError(
+                argument="contact_gap",
+                expected=f"a distance in [0, {LARGEST_GAP}] m",
+                value=self.contact_gap,
+            )
+
+    @property
+    def hand_length(self) -> float:
+        """Distance from wrist to middle fingertip along the bones [m]."""
+        middle = FINGERS.index("middle")
+        base, bones = self.lengths.bases[middle], self.lengths.segments[middle]
+        return math.sqrt(float(base @ base)) + float(bones.sum())
+
+
+def measure_person(recording: Recording) -> Person:
+    """Measure a person's hand and contact gap in a recording.
+
+    Args:
+        recording: The recording; thumb and fingers should touch in it now and then.
+
+    Raises:
+        InvalidInputError: If the landmarks are not a plausible hand in metres.
+    """
+    return Person(recording.name, measure_hand(recording), measure_contact_gap(recording))
+
+
+def write_person(person: Person, file: Path) -> None:
+    """Write a person's file, or replace it at once.
+
+    Args:
+        person: The person.
+        file: The file; its folder must exist.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
+    try:
+        handle, temporary = tempfile.mkstemp(suffix=".yaml", dir=file.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(person_text(person))
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(file)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InvalidInputError(
+            argument="file", problem=f"{file}: cannot be written: {error.strerror or error}"
+        ) from error
+
+
+def person_text(person: Person) -> str:
+    """Return the text of a person's file; lengths are rounded to 0.01 mm."""
+    lines = [
+        "# Measured by `handmap calibrate`. Lengths in metres, in the palm frame of a right hand:",
+        "# origin at the wrist, x away from the thumb, y distal, z dorsal.",
+        yaml.safe_dump({"name": person.name}, allow_unicode=True).rstrip("\n"),
+        "# Distance between thumb and finger landmarks where the skin touches.",
+        f"contact_gap: {person.contact_gap:.{_DECIMALS}f}",
+        "# First joint of each finger, and its bones from there to the tip.",
+        "fingers:",
+    ]
+    rows = zip(FINGERS, person.lengths.bases, person.lengths.segments, strict=True)
+    lines += [
+        f"  {name}: {{base: {_row(base)}, bones: {_row(bones)}}}" for name, base, bones in rows
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def read_person(path: Path | str) -> Person:
+    """Read a person's file.
+
+    Args:
+        path: The file, of `handmap calibrate`.
+
+    Raises:
+        InvalidInputError: If the file cannot be read, a key is unknown, missing or of another type,
+            or a number cannot be a hand's. `argument` is the key.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+    file = Path(path)
+    try:
+        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or an impossible date
+        raise _unreadable(file, "person", f"cannot be read: {error}") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise _unreadable(file, "person", f"is not valid YAML: {error}") from error
+    try:
+        found = msgspec.convert(document, _PersonFile)
+    except msgspec.ValidationError as error:
+        # msgspec names the place in its message only.
+        message, _, place = str(error).partition(" - at `$")
+        raise _unreadable(file, place.rstrip("`").lstrip(".") or "person", message) from error
+    fingers = [getattr(found.fingers, name) for name in FINGERS]
+    try:
+        lengths = HumanLengths(
+            bases=np.array([finger.base for finger in fingers]),
+            segments=np.array([finger.bones for finger in fingers]),
+        )
+        return Person(found.name, lengths, found.contact_gap)
+    except InvalidInputError as error:
+        key = {"bases": "fingers.*.base", "segments": "fingers.*.bones"}.get(error.argument)
+        raise _unreadable(file, key or error.argument, error.what) from error
+
+
+_Three = tuple[float, float, float]
+
+
+class _FingerFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One finger of a person's file: its first joint and its bones [m]."""
+
+    base: _Three
+    bones: _Three
+
+
+class _FingersFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The fingers of a person's file, as of `FINGERS`."""
+
+    thumb: _FingerFile
+    index: _FingerFile
+    middle: _FingerFile
+    ring: _FingerFile
+    little: _FingerFile
+
+
+class _PersonFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The keys of a person's file."""
+
+    name: str
+    contact_gap: float
+    fingers: _FingersFile
+
+
+def _row(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{value:.{_DECIMALS}f}" for value in values) + "]"
+
+
+def _unreadable(file: Path, key: str, problem: Any) -> InvalidInputError:
+    text = " ".join(str(problem).split())
+    return InvalidInputError(argument=key, problem=f"{file}: {text}", value=str(file))

@@ -1,0 +1,116 @@
+"""A person's file: what is measured comes back, and what cannot be used is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from handmap_qp import HumanLengths, InvalidInputError, load_hand
+from handmap_qp.trackers.landmarks import scaled_human
+from handmap_qp.trackers.person import Person, measure_person, read_person, write_person
+from handmap_qp.trackers.recording import Recording, mirrored
+
+LENGTHS = HumanLengths.from_hand_length(0.18)
+
+
+def recording(lengths: HumanLengths = LENGTHS) -> Recording:
+    hand = load_hand("human", points="landmarks", lengths=lengths)
+    rng = np.random.default_rng(0)
+    postures = hand.rest + 0.2 * rng.uniform(size=(20, 20)) * (hand.upper_limits - hand.rest)
+    landmarks = np.array([hand.points(q) for q in postures])
+    return Recording("anna", np.arange(20) / 60.0, landmarks, np.ones(20, dtype=bool), "right")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    write_person(measure_person(recording()), tmp_path / "anna.yaml")
+    return tmp_path / "anna.yaml"
+
+
+def test_what_is_measured_is_what_is_read(file: Path) -> None:
+    measured, read = measure_person(recording()), read_person(file)
+    assert read.name == "anna"
+    assert read.contact_gap == pytest.approx(measured.contact_gap, abs=5e-6)
+    np.testing.assert_allclose(read.lengths.bases, measured.lengths.bases, atol=6e-6)
+    np.testing.assert_allclose(read.lengths.segments, LENGTHS.segments, atol=6e-6)
+    assert list(file.parent.iterdir()) == [file]
+
+
+def test_a_person_fits_both_hands(file: Path) -> None:
+    person, right = read_person(file), recording()
+    one = scaled_human(right, points="landmarks", lengths=person.lengths)
+    other = scaled_human(mirrored(right), points="landmarks", lengths=person.lengths)
+    assert (one.side, other.side) == ("right", "left")
+    np.testing.assert_allclose(
+        one.points(one.rest), other.points(other.rest) * (-1.0, 1.0, 1.0), atol=1e-9
+    )
+
+
+def changed(document: Any, key: str, value: Any) -> Any:
+    *path, last = key.split(".")
+    place = document
+    for part in path:
+        place = place[part]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+    return document
+
+
+BAD = {
+    "no name": ("name", ..., "person"),
+    "no gap": ("contact_gap", ..., "person"),
+    "gap of text": ("contact_gap", "wide", "contact_gap"),
+    "gap in millimetres": ("contact_gap", 13.0, "contact_gap"),
+    "negative gap": ("contact_gap", -0.001, "contact_gap"),
+    "gap NaN": ("contact_gap", float("nan"), "contact_gap"),
+    "no thumb": ("fingers.thumb", ..., "fingers"),
+    "sixth finger": ("fingers.sixth", {}, "fingers"),
+    "two bones": ("fingers.index.bones", [0.04, 0.02], "fingers.index.bones"),
+    "bone of no length": ("fingers.index.bones", [0.04, 0.02, 0.0], "fingers.*.bones"),
+    "bone NaN": ("fingers.index.bones", [0.04, 0.02, float("nan")], "fingers.*.bones"),
+    "bone of text": ("fingers.index.bones", [0.04, 0.02, "short"], "fingers.index.bones[2]"),
+    "left hand": ("fingers.index.base", [0.09, 0.09, 0.0], "fingers.*.base"),
+    "hand in millimetres": ("fingers.middle.bones", [45.0, 28.0, 25.0], "fingers"),
+    "unknown key": ("age", 40, "person"),
+}
+
+
+@pytest.mark.parametrize(("key", "value", "argument"), BAD.values(), ids=BAD.keys())
+def test_what_cannot_be_used_is_named(file: Path, key: str, value: Any, argument: str) -> None:
+    file.write_text(yaml.safe_dump(changed(yaml.safe_load(file.read_text()), key, value)))
+    with pytest.raises(InvalidInputError) as caught:
+        read_person(file)
+    assert caught.value.argument == argument
+    assert str(file) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "- 1\n", "{", "\x00", "name: 2020-99-99\n", "&a [*a]"])
+def test_a_file_that_is_no_description_is_rejected(file: Path, text: str) -> None:
+    file.write_text(text)
+    with pytest.raises(InvalidInputError, match=r"anna\.yaml"):
+        read_person(file)
+
+
+@pytest.mark.parametrize("path", [3, None, Path("nowhere.yaml"), Path()])
+def test_a_path_that_leads_nowhere_is_rejected(path: Any) -> None:
+    with pytest.raises(InvalidInputError):
+        read_person(path)
+
+
+def test_a_folder_that_does_not_exist_is_an_error_and_a_failed_write_leaves_no_file(
+    tmp_path: Path,
+) -> None:
+    person = Person("anna", LENGTHS, 0.013)
+    with pytest.raises(InvalidInputError):
+        write_person(person, tmp_path / "nowhere" / "anna.yaml")
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(InvalidInputError):
+        write_person(person, tmp_path / "taken")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
