@@ -27,8 +27,9 @@ from handmap_qp.arguments import HandName, MappingArguments, PersonFile
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.experiments.cli import Compare, Figures
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit, HandsMatch
+from handmap_qp.output_files import check_output
 from handmap_qp.service.cli import Keys, Serve
-from handmap_qp.tables import check_output, print_rows, print_table, progress
+from handmap_qp.tables import print_rows, print_table, progress
 from handmap_qp.viewer.cli import View
 
 

@@ -1,13 +1,10 @@
-"""What commands share: tables, progress bars, and the check of an output file."""
+"""Tables and progress bars of the commands."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
-
-from handmap_qp.errors import InvalidInputError
 
 _PAIR = ("what", "value")
 """Columns of a table without a header."""
@@ -57,31 +54,3 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
     console = Console()
     console.print(title, style="bold")
     console.print(table)
-
-
-def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
-    """Check that a file can be written, before any work is done.
-
-    Args:
-        argument: The command-line option that names it, such as `--out`.
-        path: The file.
-        suffixes: Allowed suffixes, the usual one first.
-
-    Returns:
-        The same path.
-
-    Raises:
-        InvalidInputError: If the suffix is another, the folder does not exist, or the path is a
-            folder.
-    """
-    if path.suffix not in suffixes:
-        raise InvalidInputError(
-            argument=argument, expected=f"a file that ends in {suffixes[0]}", value=str(path)
-        )
-    if not path.parent.is_dir():
-        raise InvalidInputError(
-            argument=argument, problem=f"there is no folder {path.parent}", value=str(path)
-        )
-    if path.is_dir():
-        raise InvalidInputError(argument=argument, problem=f"{path} is a folder", value=str(path))
-    return path

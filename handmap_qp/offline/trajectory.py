@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -16,6 +14,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.recording import HumanMotion, Recording
 
 
@@ -218,17 +217,5 @@ def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    try:
-        handle, temporary = tempfile.mkstemp(suffix=".npz", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **columns)
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InvalidInputError(
-            argument="path", problem=f"{path}: cannot be written: {error.strerror or error}"
-        ) from error
+    with replaced_file(path, "path") as file:
+        np.savez_compressed(file, allow_pickle=False, **columns)

@@ -12,7 +12,8 @@ import tyro
 from handmap_qp.arguments import HandName
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
-from handmap_qp.tables import check_output, print_rows
+from handmap_qp.output_files import check_output
+from handmap_qp.tables import print_rows
 
 
 def _optional(metavar: str, default: str) -> Any:

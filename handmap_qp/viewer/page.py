@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.tables import check_output
+from handmap_qp.output_files import check_output, replaced_file
 from handmap_qp.viewer.replay import Replay
 from handmap_qp.viewer.scene import HandScene
 
@@ -51,22 +48,6 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
             serializer.insert_sleep(sample.time - shown)
             scene.draw(sample)
             shown = sample.time
-    # Write to a temporary file and rename it, so that a failure leaves no partial page.
-    try:
-        handle, temporary = tempfile.mkstemp(suffix=".html", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(
-                    serializer.as_html().replace(
-                        "<title>Viser</title>", "<title>handmap view</title>", 1
-                    )
-                )
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--html", problem=f"cannot write {path}: {error.strerror or error}", value=path
-        ) from error
+    page = serializer.as_html().replace("<title>Viser</title>", "<title>handmap view</title>", 1)
+    with replaced_file(path, "--html") as file:
+        file.write(page.encode())

@@ -1,0 +1,39 @@
+"""Output files are replaced only by complete ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from handmap_qp import InvalidInputError
+from handmap_qp.output_files import replaced_file
+
+
+def test_a_complete_file_takes_the_place_of_an_earlier_one(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+    path.write_text("old")
+    with replaced_file(path, "--out") as file:
+        file.write(b"new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_a_failure_keeps_the_earlier_file(tmp_path: Path, error: type[BaseException]) -> None:
+    path = tmp_path / "out.txt"
+    path.write_text("old")
+    with pytest.raises(error), replaced_file(path, "--out") as file:  # noqa: PT012
+        file.write(b"half")
+        raise error
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "absent" / "out.txt"
+    with pytest.raises(InvalidInputError) as caught, replaced_file(path, "--out"):
+        pass
+    assert caught.value.argument == "--out"
+    assert str(path) in str(caught.value)
