@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.method import HumanSample
+from handmap_qp.mapping.method import HumanPose
 from handmap_qp.transform import FARTHEST, affine, as_floats, nearest_rotation
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
@@ -41,7 +41,7 @@ class LandmarkReader:
         self._model_centre = model.mean(axis=0)
         self._model = model - self._model_centre
 
-    def read(self, landmarks: npt.ArrayLike, wrist: np.ndarray | None) -> HumanSample:
+    def read(self, landmarks: npt.ArrayLike, wrist: np.ndarray | None) -> HumanPose:
         """Return a sample.
 
         Args:
@@ -63,7 +63,7 @@ class LandmarkReader:
             )
         if wrist is None:
             wrist = self._fit(points[self._palm])
-        return HumanSample(points[self._used], wrist)
+        return HumanPose(points[self._used], wrist)
 
     def _fit(self, palm: np.ndarray) -> np.ndarray:
         """Lay the model's palm on measured points (5, 3) as `rigid_fit` does, centred once."""

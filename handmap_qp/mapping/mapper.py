@@ -23,7 +23,7 @@ from handmap_qp.ik.tasks import Task
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.method import (
     BoundMethod,
-    HumanSample,
+    HumanPose,
     Method,
     RobotPosture,
     TargetMap,
@@ -212,7 +212,7 @@ class HandMapper:
         )
         if wrist is None and (needs := self._needs_wrist()):
             raise InvalidInputError(argument="wrist_pose", problem=f"needed for {needs}")
-        return self._map(HumanSample(self._check_points(points), wrist), dt, (), started)
+        return self._map(HumanPose(self._check_points(points), wrist), dt, (), started)
 
     def map_landmarks(
         self,
@@ -253,7 +253,7 @@ class HandMapper:
 
     def _map(
         self,
-        sample: HumanSample,
+        sample: HumanPose,
         dt: float | None,
         out_of_range: tuple[str, ...],
         started: float,
@@ -391,7 +391,7 @@ class HandMapper:
 
     # -- the reference
 
-    def _course_from(self, sample: HumanSample, start: _Start | None = None) -> _Course:
+    def _course_from(self, sample: HumanPose, start: _Start | None = None) -> _Course:
         """Count from this sample, with the robot at its start, or where it is if it has started."""
         start, bound = start or self._start, self._plan.bound
         if start is None:
@@ -435,11 +435,11 @@ class HandMapper:
 
     # -- checks of what comes in
 
-    def _human_sample(self, angles: np.ndarray, wrist: np.ndarray) -> HumanSample:
+    def _human_sample(self, angles: np.ndarray, wrist: np.ndarray) -> HumanPose:
         """Compute the human's reference points in its world (eq. 4)."""
         self.human.write_configuration(self._human_vector, angles, wrist)
         self._human.place_frames(self._human_vector)
-        return HumanSample(self._human.points.copy(), wrist)
+        return HumanPose(self._human.points.copy(), wrist)
 
     def _check_joints(self, human_q: npt.ArrayLike) -> tuple[np.ndarray, tuple[str, ...]]:
         """Return joint angles as an array, and the names of those outside their limits."""
@@ -533,7 +533,7 @@ class _Start:
 class _Course:
     """Both hands at the reference, what the method made of them, and where the robot is put."""
 
-    sample: HumanSample
+    sample: HumanPose
     posture: RobotPosture
     map: TargetMap
     begins_at: np.ndarray | None = None
@@ -570,9 +570,9 @@ def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     return RobotPosture(vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous)
 
 
-def _copied(sample: HumanSample) -> HumanSample:
+def _copied(sample: HumanPose) -> HumanPose:
     """Copy a sample that is kept: the caller has its arrays too, and may write into them."""
-    return HumanSample(sample.points.copy(), None if sample.wrist is None else sample.wrist.copy())
+    return HumanPose(sample.points.copy(), None if sample.wrist is None else sample.wrist.copy())
 
 
 def _check_dt(dt: float) -> float:

@@ -22,7 +22,7 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.tasks import Task
 
 
-class HumanSample(NamedTuple):
+class HumanPose(NamedTuple):
     """A human hand at one instant, in the human's world W.
 
     Attributes:
@@ -75,7 +75,7 @@ class TargetMap(Protocol):
         """Joint positions that the QP's rest term pulls to [rad or m], shape (n,)."""
         ...
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
         ...
 
@@ -108,11 +108,11 @@ class BoundMethod(Protocol):
         """True if every sample becomes the reference of the next one (Fig. 3)."""
         ...
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""
         ...
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> TargetMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference.
 
         Raises:

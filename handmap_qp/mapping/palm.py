@@ -6,7 +6,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.method import HumanSample, RobotPosture
+from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.transform import affine, frozen, inverse_pose
 
 _ORIGIN = frozen(np.zeros(3))
@@ -32,7 +32,7 @@ class PalmFollower:
         self,
         human: Hand,
         robot: Hand,
-        sample: HumanSample,
+        sample: HumanPose,
         posture: RobotPosture,
         human_anchor: np.ndarray = _ORIGIN,
         robot_anchor: np.ndarray = _ORIGIN,
@@ -47,7 +47,7 @@ class PalmFollower:
             before, human_anchor
         )
 
-    def palms(self, sample: HumanSample) -> tuple[np.ndarray, np.ndarray]:
+    def palms(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray]:
         """Return the human's palm and the target of the robot's palm, shape (4, 4) each."""
         wrist = sample.wrist
         if wrist is None:
@@ -64,7 +64,7 @@ class PalmFollower:
         return palm.dot(self._robot_palm_to_wrist)
 
 
-def palm_of(sample: HumanSample, human: Hand) -> np.ndarray:
+def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
     """Return the palm pose of a sample, shape (4, 4).
 
     Raises:

@@ -10,7 +10,7 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import partner_names
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.mapping.method import HumanSample, RobotPosture
+from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.transform import frozen
 
@@ -47,7 +47,7 @@ def make_reference(
     robot: Hand,
     options: MappingOptions,
     estimator: MotionEstimator,
-    sample: HumanSample,
+    sample: HumanPose,
     posture: RobotPosture,
     partners: list[tuple[int, int]],
 ) -> Reference:

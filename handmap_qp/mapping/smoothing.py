@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.mapping.method import HumanSample
+from handmap_qp.mapping.method import HumanPose
 from handmap_qp.transform import affine
 
 # A gap in time longer than this starts the filter again [s].
@@ -75,8 +75,8 @@ class SmoothState(NamedTuple):
 
 
 def smooth_sample(
-    options: Smoothing, before: SmoothState | None, sample: HumanSample, dt: float
-) -> tuple[HumanSample, SmoothState]:
+    options: Smoothing, before: SmoothState | None, sample: HumanPose, dt: float
+) -> tuple[HumanPose, SmoothState]:
     """Smooth one sample: the points in wrist axes, and the wrist pose.
 
     Args:
@@ -101,10 +101,10 @@ def smooth_sample(
     smooth = _blend(before.points, points, cutoff, dt)
     if sample.wrist is None or before.wrist is None:
         state = SmoothState(smooth, speeds, None, before.twist)
-        return HumanSample(smooth, None), state
+        return HumanPose(smooth, None), state
     wrist, twist = _smooth_wrist(options, before.wrist, before.twist, sample.wrist, dt)
     placed = smooth.dot(wrist[:3, :3].T) + wrist[:3, 3]
-    return HumanSample(placed, wrist), SmoothState(smooth, speeds, wrist, twist)
+    return HumanPose(placed, wrist), SmoothState(smooth, speeds, wrist, twist)
 
 
 def _smooth_wrist(
@@ -120,7 +120,7 @@ def _smooth_wrist(
     return affine(rotation, before[:3, 3] + _share(linear, dt) * shift), twist
 
 
-def _in_wrist_axes(sample: HumanSample) -> np.ndarray:
+def _in_wrist_axes(sample: HumanPose) -> np.ndarray:
     if sample.wrist is None:
         return sample.points.copy()
     return (sample.points - sample.wrist[:3, 3]).dot(sample.wrist[:3, :3])

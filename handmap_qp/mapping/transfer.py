@@ -14,7 +14,7 @@ import numpy as np
 
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate
-from handmap_qp.mapping.method import HumanSample
+from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.reference import Reference
 from handmap_qp.mapping.rigid import RIGID_PARTS, Displacement
@@ -58,7 +58,7 @@ class Transfer(msgspec.Struct, frozen=True, eq=False):
 
 
 def transfer_motion(
-    estimate: MotionEstimate, reference: Reference, sample: HumanSample, options: MappingOptions
+    estimate: MotionEstimate, reference: Reference, sample: HumanPose, options: MappingOptions
 ) -> Transfer:
     """Split T about the pivot and impose both parts on the robot.
 

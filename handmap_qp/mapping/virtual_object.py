@@ -19,7 +19,7 @@ from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.transform import inverse_pose, transform_points
 
@@ -110,11 +110,11 @@ class BoundVirtualObject:
         self.human, self.robot = human, robot
         self.human_points, self.robot_points = _tips(human, _FEWEST), _tips(robot, 2)
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm."""
         return palm_of(sample, self.human)
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> VirtualObjectMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> VirtualObjectMap:
         """Enclose both hands' points as they are; see `BoundMethod.start`."""
         return VirtualObjectMap(self, sample, robot)
 
@@ -123,7 +123,7 @@ class VirtualObjectMap:
     """From samples to targets, counted from one reference; see `TargetMap`."""
 
     def __init__(
-        self, method: BoundVirtualObject, sample: HumanSample, robot: RobotPosture
+        self, method: BoundVirtualObject, sample: HumanPose, robot: RobotPosture
     ) -> None:
         self.rest = robot.q
         self._points = method.human_points
@@ -138,7 +138,7 @@ class VirtualObjectMap:
         self._centre, self._offsets = follower.centre, robot_points - follower.centre
         self._ratio = method.scale or follower.size / self._object.size
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         """Move the robot's points with its object."""
         human_palm, palm = self._follower.palms(sample)
         now = (sample.points[self._points] - human_palm[:3, 3]).dot(human_palm[:3, :3])

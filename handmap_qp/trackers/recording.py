@@ -19,9 +19,8 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.transform import as_floats, pose_from_xyz_quat
-
-LANDMARK_COUNT = 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)

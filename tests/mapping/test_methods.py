@@ -25,7 +25,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.method import BoundMethod, HumanSample, RobotPosture, TargetMap, Targets
+from handmap_qp.mapping.method import BoundMethod, HumanPose, RobotPosture, TargetMap, Targets
 from handmap_qp.mapping.methods import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
@@ -136,10 +136,10 @@ class StillMethod:
     def __init__(self, robot: Hand) -> None:
         self.robot = robot
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         return affine(np.eye(3), np.array([0.0, 0.0, 1.0]))
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> TargetMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         return StillMap(robot)
 
 
@@ -147,7 +147,7 @@ class StillMap:
     def __init__(self, robot: RobotPosture) -> None:
         self.rest, self._robot = robot.q, robot
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         return Targets(self._robot.points, self._robot.wrist, "still")
 
 

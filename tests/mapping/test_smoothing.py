@@ -10,7 +10,7 @@ import pytest
 from mapping_cases import little_pose, near_rest
 
 from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, Smoothing, load_hand
-from handmap_qp.mapping.method import HumanSample
+from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.smoothing import smooth_sample
 from handmap_qp.transform import affine, transform_points
 
@@ -20,8 +20,8 @@ OPTIONS = Smoothing()
 
 
 def run(
-    samples: list[HumanSample], times: np.ndarray, options: Smoothing = OPTIONS
-) -> list[HumanSample]:
+    samples: list[HumanPose], times: np.ndarray, options: Smoothing = OPTIONS
+) -> list[HumanPose]:
     state, smooth = None, []
     for sample, dt in zip(samples, np.diff(times, prepend=times[0] - 0.01), strict=True):
         result, state = smooth_sample(options, state, sample, float(dt))
@@ -29,19 +29,19 @@ def run(
     return smooth
 
 
-def wrist_of(sample: HumanSample) -> np.ndarray:
+def wrist_of(sample: HumanPose) -> np.ndarray:
     """Return the wrist pose of a sample that has one, shape (4, 4)."""
     assert sample.wrist is not None
     return sample.wrist
 
 
-def line(times: np.ndarray, speed: float) -> list[HumanSample]:
-    return [HumanSample(np.array([[speed * t, 0.0, 0.0]]), None) for t in times]
+def line(times: np.ndarray, speed: float) -> list[HumanPose]:
+    return [HumanPose(np.array([[speed * t, 0.0, 0.0]]), None) for t in times]
 
 
 def test_a_constant_sample_passes_unchanged() -> None:
     rng = np.random.default_rng(0)
-    sample = HumanSample(rng.normal(size=(5, 3)), little_pose(rng))
+    sample = HumanPose(rng.normal(size=(5, 3)), little_pose(rng))
     for result in run([sample] * 10, 0.01 * np.arange(10)):
         np.testing.assert_allclose(result.points, sample.points, atol=1e-12)
         np.testing.assert_allclose(wrist_of(result), wrist_of(sample), atol=1e-12)
@@ -50,7 +50,7 @@ def test_a_constant_sample_passes_unchanged() -> None:
 def test_noise_at_rest_is_taken_away() -> None:
     rng, times = np.random.default_rng(1), 0.011 * np.arange(600)
     noise = rng.normal(scale=1e-4, size=(600, 1, 3))
-    smooth = run([HumanSample(points, None) for points in noise], times)
+    smooth = run([HumanPose(points, None) for points in noise], times)
     assert np.std([s.points for s in smooth[100:]]) < 0.45 * np.std(noise)
 
 
@@ -70,7 +70,7 @@ def test_a_turning_wrist_lags_like_a_point_on_a_lever_of_10_cm() -> None:
     turning = [affine(pin.exp3(np.array([0.0, 0.0, speed * t])), np.zeros(3)) for t in times]
     moving = [affine(np.eye(3), np.array([0.1 * speed * t, 0.0, 0.0])) for t in times]
     turned, moved = (
-        wrist_of(run([HumanSample(none, pose) for pose in poses], times)[-1])
+        wrist_of(run([HumanPose(none, pose) for pose in poses], times)[-1])
         for poses in (turning, moving)
     )
     angle = pin.log3(turned[:3, :3].T @ turning[-1][:3, :3])[2]
@@ -86,7 +86,7 @@ def test_jitter_in_time_changes_little() -> None:
     motion = lambda t: 0.05 * np.sin(6.0 * t)  # noqa: E731
     error = []
     for times in (even, jittery):
-        samples = [HumanSample(np.array([[motion(t), 0.0, 0.0]]), None) for t in times]
+        samples = [HumanPose(np.array([[motion(t), 0.0, 0.0]]), None) for t in times]
         smooth = np.array([s.points[0, 0] for s in run(samples, times)])
         error.append(np.abs(smooth - motion(times))[50:].max())
     assert error[1] < 1.3 * error[0]
@@ -94,7 +94,7 @@ def test_jitter_in_time_changes_little() -> None:
 
 def test_two_half_steps_come_near_to_one() -> None:
     options = Smoothing(min_cutoff=2.0, speed_gain=0.0)
-    step = [HumanSample(np.zeros((1, 3)), None)] + [HumanSample(np.ones((1, 3)), None)] * 200
+    step = [HumanPose(np.zeros((1, 3)), None)] + [HumanPose(np.ones((1, 3)), None)] * 200
     coarse = run(step[:101], np.r_[0.0, 0.01 + 0.01 * np.arange(100)], options)[50]
     fine = run(step, np.r_[0.0, 0.005 + 0.005 * np.arange(200)], options)[100]
     np.testing.assert_allclose(coarse.points, fine.points, atol=0.01)
@@ -103,8 +103,8 @@ def test_two_half_steps_come_near_to_one() -> None:
 def test_moving_the_world_moves_the_smooth_hand_with_it() -> None:
     rng, times = np.random.default_rng(3), 0.01 * np.arange(20)
     moved = affine(pin.exp3(np.array([0.3, 1.0, -0.4])), np.array([0.5, 0.1, -2.0]))
-    here = [HumanSample(rng.normal(scale=0.05, size=(6, 3)), little_pose(rng)) for _ in times]
-    there = [HumanSample(transform_points(moved, s.points), moved @ wrist_of(s)) for s in here]
+    here = [HumanPose(rng.normal(scale=0.05, size=(6, 3)), little_pose(rng)) for _ in times]
+    there = [HumanPose(transform_points(moved, s.points), moved @ wrist_of(s)) for s in here]
     for one, other in zip(run(here, times), run(there, times), strict=True):
         np.testing.assert_allclose(other.points, transform_points(moved, one.points), atol=1e-9)
         np.testing.assert_allclose(wrist_of(other), moved @ wrist_of(one), atol=1e-9)
@@ -116,7 +116,7 @@ def test_a_rigid_motion_of_the_hand_leaves_its_shape() -> None:
     times = 0.01 * np.arange(50)
     shape = np.random.default_rng(4).normal(scale=0.05, size=(6, 3))
     poses = [affine(pin.exp3(np.array([0.0, 0.0, t])), np.array([t, 0.0, 0.0])) for t in times]
-    smooth = run([HumanSample(transform_points(p, shape), p) for p in poses], times)
+    smooth = run([HumanPose(transform_points(p, shape), p) for p in poses], times)
     for sample in smooth:
         wrist = wrist_of(sample)
         back = (sample.points - wrist[:3, 3]) @ wrist[:3, :3]
@@ -124,11 +124,11 @@ def test_a_rigid_motion_of_the_hand_leaves_its_shape() -> None:
 
 
 def test_a_gap_in_time_or_in_the_wrist_starts_again() -> None:
-    far = HumanSample(np.ones((1, 3)), None)
-    _, state = smooth_sample(OPTIONS, None, HumanSample(np.zeros((1, 3)), None), 0.01)
+    far = HumanPose(np.ones((1, 3)), None)
+    _, state = smooth_sample(OPTIONS, None, HumanPose(np.zeros((1, 3)), None), 0.01)
     result, _ = smooth_sample(OPTIONS, state, far, 1.0)
     np.testing.assert_array_equal(result.points, far.points)
-    result, _ = smooth_sample(OPTIONS, state, HumanSample(np.ones((1, 3)), np.eye(4)), 0.01)
+    result, _ = smooth_sample(OPTIONS, state, HumanPose(np.ones((1, 3)), np.eye(4)), 0.01)
     np.testing.assert_array_equal(result.points, far.points)
 
 

@@ -15,7 +15,7 @@ from strategies import affine_motions, generators, motion_of, poses
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.method import HumanSample, RobotPosture
+from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.reference import Reference, make_reference, partner_pairs
 from handmap_qp.mapping.transfer import Transfer, transfer_motion
 from handmap_qp.transform import transform_points
@@ -46,7 +46,7 @@ def reference_of(
     )
     posture = RobotPosture(ROBOT.rest, robot.points.copy(), robot_wrist)
     partners = partner_pairs(HUMAN, ROBOT) if options.residual_gain > 0.0 else []
-    sample = HumanSample(points, human_wrist)
+    sample = HumanPose(points, human_wrist)
     return make_reference(HUMAN, ROBOT, options, estimator, sample, posture, partners)
 
 
@@ -65,7 +65,7 @@ def transfer_of(
 ) -> Transfer:
     """Carry a motion over; the points now matter to the residual alone."""
     now = np.zeros((len(HUMAN.reference_points), 3)) if points is None else points
-    return transfer_motion(estimate, reference, HumanSample(now, wrist), options)
+    return transfer_motion(estimate, reference, HumanPose(now, wrist), options)
 
 
 def image(motion: np.ndarray, point: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.hand_pair import KNUCKLES, bone_length, points_in_palm_at
-from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.mapping.reference import require_partners
 from handmap_qp.transform import inverse_pose, transform_points
@@ -105,11 +105,11 @@ class BoundFingertipVectors:
         else:
             self._begin_at_knuckles(method.scale)
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm."""
         return palm_of(sample, self.human)
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> FingertipVectorMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> FingertipVectorMap:
         """Count the palm's displacement from here; the fingers need no reference."""
         return FingertipVectorMap(self, sample, robot)
 
@@ -143,7 +143,7 @@ class FingertipVectorMap:
     """From samples to targets; see `TargetMap`."""
 
     def __init__(
-        self, method: BoundFingertipVectors, sample: HumanSample, robot: RobotPosture
+        self, method: BoundFingertipVectors, sample: HumanPose, robot: RobotPosture
     ) -> None:
         self.rest = method.robot.rest
         self._method = method
@@ -151,7 +151,7 @@ class FingertipVectorMap:
         robot_palm = robot.wrist @ method.robot.wrist_to_palm
         self._in_palm = transform_points(inverse_pose(robot_palm), robot.points)
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         """Scale the vectors and lay them on the robot's origins."""
         method = self._method
         robot_points, human_points = method.pairs

@@ -14,7 +14,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.reference import Reference, make_reference, require_partners
 from handmap_qp.mapping.rigid import RIGID_PARTS
@@ -77,7 +77,7 @@ class BoundHomogeneous:
             else []
         )
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm in the robot's world; its origin with `alignment="palm"`."""
         palm = np.eye(4)
         if self.options.alignment != "palm" and sample.wrist is not None:
@@ -86,7 +86,7 @@ class BoundHomogeneous:
                 palm[:3] = np.array(self.options.alignment) @ palm[:3]
         return palm
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> HomogeneousMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
         """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
         if self.options.reference == "rest":
             sample, robot = self._at_rest(sample, robot)
@@ -105,8 +105,8 @@ class BoundHomogeneous:
         )
 
     def _at_rest(
-        self, sample: HumanSample, robot: RobotPosture
-    ) -> tuple[HumanSample, RobotPosture]:
+        self, sample: HumanPose, robot: RobotPosture
+    ) -> tuple[HumanPose, RobotPosture]:
         """Put both hands' rest postures where their wrists are."""
         if sample.wrist is None:
             raise InvalidInputError(argument="wrist_pose", problem="needed for reference='rest'")
@@ -114,7 +114,7 @@ class BoundHomogeneous:
         hand = self.robot
         to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
         placed = transform_points(to_here, hand.points(hand.rest))
-        return HumanSample(points, sample.wrist), RobotPosture(hand.rest, placed, robot.wrist)
+        return HumanPose(points, sample.wrist), RobotPosture(hand.rest, placed, robot.wrist)
 
     def _check_hands(self) -> None:
         """Reject choices that these two hands cannot carry out."""
@@ -144,7 +144,7 @@ class HomogeneousMap:
         self.rest = rest
         self._options, self._rigid = method.options, method.rigid
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         """Estimate T, split it, and carry it to the robot."""
         reference = self.reference
         prior = self._rigid.prior(reference.human_wrist, sample.wrist)

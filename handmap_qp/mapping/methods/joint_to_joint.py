@@ -31,7 +31,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.tasks import AttachedPoints, TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
-from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.transform import inverse_pose, transform_points
 
@@ -149,11 +149,11 @@ class BoundJointToJoint:
         ]
         self.columns = np.unique([link.column for link in self.links])
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm."""
         return palm_of(sample, self.human)
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> JointMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> JointMap:
         """Count the palm's displacement from here; the joints need no reference."""
         return JointMap(self, sample, robot)
 
@@ -171,14 +171,14 @@ class BoundJointToJoint:
 class JointMap:
     """From samples to targets; see `TargetMap`."""
 
-    def __init__(self, method: BoundJointToJoint, sample: HumanSample, robot: RobotPosture) -> None:
+    def __init__(self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture) -> None:
         self.rest = method.robot.rest
         self._method = method
         self._follower = PalmFollower(method.human, method.robot, sample, robot)
         self._configuration = method.robot.configuration()
         self._vector = np.zeros(method.robot.model.nq)
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         """Measure the human's angles, and place the robot's points where its joints would."""
         method, robot = self._method, self._method.robot
         human_palm, palm = self._follower.palms(sample)

@@ -20,7 +20,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.mapping.method import HumanSample, RobotPosture, Targets
+from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
@@ -119,13 +119,13 @@ class BoundTeleoperation:
         self._prepare_distances()
         self._prepare_margins()
 
-    def start_palm(self, sample: HumanSample) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
         palm = palm_of(sample, self.human)
         palm[:3, 3] += palm[:3, :3] @ (self.pair.human_knuckles - self.pair.robot_knuckles)
         return palm
 
-    def start(self, sample: HumanSample, robot: RobotPosture) -> TeleoperationMap:
+    def start(self, sample: HumanPose, robot: RobotPosture) -> TeleoperationMap:
         """Count the palm's displacement from here; the fingers start from the matched posture."""
         return TeleoperationMap(self, sample, robot)
 
@@ -175,7 +175,7 @@ class TeleoperationMap:
     """From samples to targets; see `TargetMap`."""
 
     def __init__(
-        self, method: BoundTeleoperation, sample: HumanSample, robot: RobotPosture
+        self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
     ) -> None:
         pair = method.pair
         self.rest = pair.matched
@@ -190,7 +190,7 @@ class TeleoperationMap:
         self._pivot = pair.robot_centre
         self._offsets = pair.robot_rest - self._pivot
 
-    def targets(self, sample: HumanSample) -> Targets:
+    def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
         method, pair = self._method, self._pair
         human_palm, palm = self._follower.palms(sample)

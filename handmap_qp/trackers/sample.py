@@ -1,0 +1,65 @@
+"""`HumanSample`: one human hand at one instant, as a tracker saw it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.transform import as_floats, check_pose
+
+LANDMARK_COUNT = 21
+"""Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HumanSample:
+    """A human hand at one instant; its arrays are read-only copies.
+
+    Every tracker, file and layout is turned into samples of this form, and nothing behind it needs
+    to know where they came from.
+
+    Attributes:
+        time: Instant [s]; only differences of it have a meaning.
+        side: `right` or `left`.
+        landmarks: Landmarks in the tracker's world [m], shape (21, 3), in the order of MediaPipe:
+            wrist; thumb CMC, MCP, IP, tip; index, middle, ring and little MCP, PIP, DIP, tip.
+            Arbitrary, also NaN, where the sample is not valid.
+        wrist: The tracker's own pose of the wrist in its world, shape (4, 4); None if it gives
+            none. Its axes are those of the human model's wrist frame.
+        valid: True where the tracker saw the hand.
+        confidence: The tracker's own confidence, from 0 to 1; 1 if it gives none.
+
+    Raises:
+        InvalidInputError: If a value has another shape or type than expected, the side is unknown,
+            or a valid sample is not finite.
+    """
+
+    time: float
+    side: Side
+    landmarks: np.ndarray
+    wrist: np.ndarray | None = None
+    valid: bool = True
+    confidence: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the values, and replace arrays by read-only copies."""
+        if not isinstance(self.time, int | float | np.number) or not math.isfinite(self.time):
+            raise InvalidInputError(argument="time", expected="a finite instant", value=self.time)
+        check_side(self.side)
+        shape = (LANDMARK_COUNT, 3)
+        landmarks = as_floats(
+            self.landmarks, "landmarks", shape=shape, is_finite=bool(self.valid)
+        ).copy()
+        landmarks.setflags(write=False)
+        object.__setattr__(self, "landmarks", landmarks)
+        if self.wrist is not None:
+            wrist = check_pose(self.wrist, "wrist").copy()
+            wrist.setflags(write=False)
+            object.__setattr__(self, "wrist", wrist)
+        if not 0.0 <= self.confidence <= 1.0:
+            expected = "a number from 0 to 1"
+            raise InvalidInputError(argument="confidence", expected=expected, value=self.confidence)
