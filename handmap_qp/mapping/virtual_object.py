@@ -122,9 +122,7 @@ class BoundVirtualObject:
 class VirtualObjectMap:
     """From samples to targets, counted from one reference; see `TargetMap`."""
 
-    def __init__(
-        self, method: BoundVirtualObject, sample: HumanPose, robot: RobotPosture
-    ) -> None:
+    def __init__(self, method: BoundVirtualObject, sample: HumanPose, robot: RobotPosture) -> None:
         self.rest = robot.q
         self._points = method.human_points
         self._follower = PalmFollower(method.human, method.robot, sample, robot)

@@ -104,9 +104,7 @@ class BoundHomogeneous:
             self, reference, self.robot.rest if self.renews_reference else robot.q
         )
 
-    def _at_rest(
-        self, sample: HumanPose, robot: RobotPosture
-    ) -> tuple[HumanPose, RobotPosture]:
+    def _at_rest(self, sample: HumanPose, robot: RobotPosture) -> tuple[HumanPose, RobotPosture]:
         """Put both hands' rest postures where their wrists are."""
         if sample.wrist is None:
             raise InvalidInputError(argument="wrist_pose", problem="needed for reference='rest'")

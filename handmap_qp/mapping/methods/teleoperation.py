@@ -174,9 +174,7 @@ class BoundTeleoperation:
 class TeleoperationMap:
     """From samples to targets; see `TargetMap`."""
 
-    def __init__(
-        self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
-    ) -> None:
+    def __init__(self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture) -> None:
         pair = method.pair
         self.rest = pair.matched
         self._method, self._pair = method, pair
