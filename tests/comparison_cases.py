@@ -14,7 +14,7 @@ RATE = 50.0
 
 
 def closing_arrays(side: str = "right", seconds: float = 1.2) -> dict[str, np.ndarray]:
-    """A hand that closes while its wrist turns; it is not seen for three samples."""
+    """Record a hand that closes while its wrist turns; three samples are not valid."""
     human = load_hand("human" if side == "right" else "human_left", points="landmarks")
     count = round(seconds * RATE)
     time = np.arange(count) / RATE
@@ -41,7 +41,7 @@ def closing_arrays(side: str = "right", seconds: float = 1.2) -> dict[str, np.nd
 def write_closing(
     folder: Path, name: str = "closing", side: str = "right", seconds: float = 1.2
 ) -> Path:
-    """The same as a file."""
+    """Write the recording to a file."""
     path = folder / f"{name}.npz"
     np.savez(path, allow_pickle=False, **closing_arrays(side, seconds))
     return path

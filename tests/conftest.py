@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-# The same examples on every run, so that a failure is a failure for everyone;
-# `--hypothesis-profile=explore` looks further.
+# Draw the same examples on every run, so that a failure is reproducible.
+# `--hypothesis-profile=explore` draws others.
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True, database=None)
 settings.register_profile(
     "explore",
@@ -22,7 +22,7 @@ settings.register_profile(
     database=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
-# `-m "not slow"` draws a few examples: the whole suite draws them all.
+# `-m "not slow"` draws few examples; the whole suite draws all of them.
 settings.register_profile("fast", settings.get_profile("ci"), max_examples=12)
 settings.load_profile("ci")
 

@@ -47,8 +47,8 @@ def _ways_to_hold(name: str) -> Iterator[tuple[str, str, str | None]]:
                 yield name, mount, points
 
 
-# Every hand of the repository with its wrist free and held, and a hand on an arm; each with one or
-# two sets of points.
+# Every hand of the repository with a floating and a fixed wrist, and a hand on an arm; each with
+# one or two sets of points.
 HANDS: tuple[tuple[str, str, str | None], ...] = (
     *(way for name in hand_names() for way in _ways_to_hold(name)),
     ("arm", "fixed", None),
@@ -56,8 +56,8 @@ HANDS: tuple[tuple[str, str, str | None], ...] = (
 )
 each_hand = pytest.mark.parametrize("which", HANDS, ids=lambda which: "-".join(filter(None, which)))
 _TWINS = ("allegro_left", "g1_right", "human_left", "romeo_right")
-# One hand of each mirrored pair. A hand whose wrist may float does so with its default points, and
-# is held with the other set; a hand that is always held takes both.
+# One hand of each mirrored pair. A hand that may float does so with its default points, and has a
+# fixed wrist with the other set. A hand with a fixed wrist takes both sets.
 DISTINCT_HANDS: tuple[tuple[str, str, str | None], ...] = tuple(
     (name, mount, points)
     for name, mount, points in HANDS
@@ -76,8 +76,8 @@ each_distinct_hand = pytest.mark.parametrize(
     ],
     ids=lambda which: "-".join(filter(None, which)),
 )
-# Without followers, and without a whole robot's arm, whose levers of half a metre make the weighted
-# task too badly conditioned for statements about vanishing weights.
+# Without mimic joints, and without an arm: its levers of half a metre make the weighted task too
+# badly conditioned for statements about vanishing weights.
 _PLAIN = ("human", "three_finger", "allegro_right", "g1_left", "arm")
 each_plain_hand = pytest.mark.parametrize(
     "which",
@@ -87,7 +87,7 @@ each_plain_hand = pytest.mark.parametrize(
 
 
 def arm_hand(points: str | None = None) -> Hand:
-    """The three-fingered hand at the end of an arm with three joints."""
+    """Return the three-fingered hand at the end of an arm with three joints."""
     spec = read_hand_spec(urdf_directory() / "three_finger" / "hand.yaml")
     robot = parse_urdf(read_urdf(spec))
     robot.extend(list(parse_urdf(_ARM)))
@@ -103,7 +103,7 @@ def arm_hand(points: str | None = None) -> Hand:
 
 @cache
 def hand_of(which: tuple[str, str, str | None]) -> Hand:
-    """One of `HANDS`; skips the test where its URDF is not installed."""
+    """Return one of `HANDS`; skip the test if its URDF is not installed."""
     name, mount, points = which
     if name == "arm":
         return arm_hand(points)
@@ -115,7 +115,7 @@ def hand_of(which: tuple[str, str, str | None]) -> Hand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A posture and what is asked of it."""
+    """A posture and its targets."""
 
     q: np.ndarray
     point_targets: np.ndarray
@@ -126,7 +126,7 @@ class Case:
 def random_cases(
     hand: Hand, count: int, *, seed: int = 0, is_inside: bool = False
 ) -> Iterator[Case]:
-    """Postures inside, at and outside limits and stretched out.
+    """Draw postures inside, at and outside limits and stretched out.
 
     Targets near and far, or none for the wrist; short and long times.
 
@@ -145,7 +145,7 @@ def random_cases(
         configuration.place_with_jacobians(vector)
         reach = 10.0 ** rng.uniform(-4, 0)
         targets = configuration.points + reach * rng.normal(size=(len(hand.reference_points), 3))
-        # At least 1e-3 rad: nearer ones are mink's on MuJoCo to round off (see
+        # At least 1e-3 rad: mink on MuJoCo rounds smaller ones off (see
         # handmap_qp.ik.mujoco_check).
         offset = pin.exp6(
             np.concatenate(

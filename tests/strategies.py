@@ -30,7 +30,7 @@ rotations = unit_quats.map(lambda quat: Rotation.from_quat(quat).as_matrix())
 def motion_of(linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """The 4x4 of `x -> linear @ x + translation`, written out.
 
-    The tests do not lean on what they test.
+    Tests do not depend on the tested code.
     """
     motion = np.eye(4)
     motion[:3, :3] = linear

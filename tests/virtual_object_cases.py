@@ -1,4 +1,4 @@
-"""What the tests of the virtual sphere and ellipsoid share."""
+"""Functions shared by the tests of the virtual sphere and ellipsoid."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ HUMAN = load_hand("human", points="fingertips")
 
 
 def rotation_of(*vector: float) -> np.ndarray:
-    """A rotation by a vector [rad]."""
+    """Return the rotation by a vector [rad]."""
     return pin.exp3(np.array(vector))
 
 
 def closing(share: float) -> np.ndarray:
-    """The human's rest posture with all fingers flexed further, by a share of the room."""
+    """Return the human's rest posture with all fingers flexed by a share of the remaining range."""
     flexes = np.array(["flexion" in name for name in HUMAN.joint_names])
     flexes[:4] = False
     return HUMAN.rest + share * np.where(flexes, HUMAN.upper_limits - HUMAN.rest, 0.0)

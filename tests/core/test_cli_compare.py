@@ -38,12 +38,12 @@ def files(tmp_path: Path) -> list[str]:
 
 
 def picture(file: Path) -> np.ndarray:
-    """Red, green and blue in 0..1, shape (height, width, 3)."""
+    """Return red, green and blue in 0..1, shape (height, width, 3)."""
     return np.asarray(Image.open(file).convert("RGB")) / 255.0
 
 
 def has_colour(cell: np.ndarray, colour: tuple[float, float, float]) -> bool:
-    """Whether shaded pixels of a hue are in a cell."""
+    """Return whether a cell has shaded pixels of a hue."""
     bright = cell.max(axis=2, keepdims=True)
     hue = cell / np.maximum(bright, 1e-6)
     wanted = np.array(colour) / max(colour)
@@ -76,7 +76,7 @@ def test_writes_tables_json_and_pictures(
         ("one", False),
         ("two", True),
     ]
-    # The hand closes with its thumb aside: what the pinch columns rest on is said.
+    # The hand closes with its thumb aside, so no pinch occurs, and a line says so.
     counts = {r["name"]: r["pinch_samples"] for r in results["recordings"]}
     note = next(n for n in results["notes"] if n.startswith("samples of pinches"))
     for name, count in counts.items():
@@ -98,16 +98,16 @@ def test_writes_tables_json_and_pictures(
         # Overall and two recordings in every group of metrics, and the short table.
         assert table.count(f"\n| {method} |") == 3 * 5 + 1
     assert "failing: the solver found nothing." in table
-    assert "| theirs | 0.00 |" in table  # it stands still
+    assert "| theirs | 0.00 |" in table  # It does not move.
     check_pictures(out)
 
 
 def check_pictures(out: Path) -> None:
-    """Look at the pixels: one column for the human and each method that did not fail."""
+    """Check the pixels: one column for the human and each method that did not fail."""
     sheet = picture(out / "poses.png")
     assert sheet.shape[1] == cell_of(4, 0, 0)[0]
     rows = (sheet.shape[0] - cell_of(0, 0, 0)[1]) // CELL[1]
-    assert rows >= 2  # open and fist
+    assert rows >= 2  # Rows: open hand and fist.
     for column in range(4):
         x, y = cell_of(column, 0, 0)
         cell = sheet[y + 2 : y + CELL[1] - 2, x + 2 : x + CELL[0] - 2]

@@ -1,4 +1,4 @@
-"""The order of the house: who imports whom, style, types, sizes, what lies where."""
+"""The structure of the project: imports, style, types, sizes and the place of files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TOP_LEVEL = {
     "Makefile",
     "uv.lock",
 }
-# What a plain import must not wait for.
+# Packages that a plain import must not load.
 SLOW_PACKAGES = ("mujoco", "mink", "qpsolvers", "matplotlib", "yourdfpy", "trimesh")
 
 
@@ -85,7 +85,7 @@ def test_types_are_clean() -> None:
 def test_top_level_holds_nothing_else() -> None:
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
-    # In a container the checkout may belong to another user, which git otherwise takes for an
+    # In a container the checkout may belong to another user, which git otherwise rejects as an
     # attack.
     done = run("git", "-c", "safe.directory=*", "ls-files", "-z")
     assert done.returncode == 0, done.stderr
@@ -130,7 +130,7 @@ def test_public_names_exist() -> None:
 
 
 def requirements(project: dict[str, Any]) -> list[Requirement]:
-    """Everything that .venv is asked to hold, but for the package itself."""
+    """Return the requirements of .venv, without the package itself."""
     lines = [
         *project["project"]["dependencies"],
         *(line for extra in project["project"]["optional-dependencies"].values() for line in extra),
@@ -148,7 +148,7 @@ def test_extra_all_is_all(project: dict[str, Any]) -> None:
 
 
 def test_constraints_fit_the_requirements(project: dict[str, Any]) -> None:
-    # Else `make lock` was forgotten, and a new machine gets other versions than those tested.
+    # Otherwise `make lock` was forgotten, and a new machine gets versions that were not tested.
     text = (ROOT / ".ci" / "constraints.txt").read_text(encoding="utf-8")
     pins = dict(re.findall(r"^([\w.-]+)==(\S+)$", text, flags=re.MULTILINE))
     pins = {canonicalize_name(name): version for name, version in pins.items()}

@@ -1,4 +1,4 @@
-"""What goes to the peers and what comes back: frames, joint order, holds, errors, and real runs."""
+"""Exchange with the peers: frames, joint order, holds, errors, and real runs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def peers() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def built(peers: Any) -> Any:
-    """The same, where the peers' environments are built."""
+    """Return these modules; skip where the environments of the peers are not built."""
     missing = peers.build.missing_peers()
     if missing:
         pytest.skip(f"{', '.join(missing)} not built in {peers.build.peers_folder()}: make peers")
@@ -80,7 +80,7 @@ def stretch(recording: Recording, first: int, count: int) -> Recording:
 
 def test_operator_frame_is_the_one_of_dex_retargetings_examples(peers: Any) -> None:
     landmarks = human_landmarks()
-    # As the examples compute it: a plane through three landmarks by SVD, then OPERATOR2MANO_RIGHT.
+    # As in the peer's examples: a plane through three landmarks by SVD, then OPERATOR2MANO_RIGHT.
     points = landmarks[[0, 5, 9]]
     normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
     x = points[0] - points[2]
@@ -99,7 +99,7 @@ def test_operator_frame_is_the_one_of_dex_retargetings_examples(peers: Any) -> N
 def test_operator_frame_has_the_axes_of_the_robots(peers: Any) -> None:
     frame = POSE[:3, :3].T @ peers.runner.operator_frame(human_landmarks())
     # Our palm: y distal, z dorsal, the thumb at -x. Theirs: z distal, x out of the palm, the thumb
-    # at +y. The middle finger's knuckle lies a little beside the palm's axis.
+    # at +y. The knuckle of the middle finger is a little off the axis of the palm.
     assert frame[:, 2] @ [0, 1, 0] > 0.95
     assert frame[:, 0] @ [0, 0, -1] > 0.9
     assert frame[:, 1] @ [-1, 0, 0] > 0.9
@@ -173,7 +173,7 @@ def write_result(file: Path, names: list[str], q: np.ndarray, **more: Any) -> No
 
 
 def test_joints_are_ordered_by_name(peers: Any, allegro: Hand, tmp_path: Path) -> None:
-    # Pinocchio's order differs from ours: the thumb comes second. Followers are left out.
+    # Pinocchio's order differs from ours: the thumb comes second. Mimic joints are left out.
     names = ["follower", *sorted(allegro.joint_names)]
     assert tuple(names[1:]) != allegro.joint_names
     q = np.array([[float(name.split("_")[-1]) if "_" in name else -1.0 for name in names]])
@@ -201,7 +201,7 @@ def test_left_hand_becomes_a_right_one(peers: Any) -> None:
     left = recording_of(human_landmarks("human_left", np.eye(4))[None], side="left")
     right = peers.results.mirrored(left)
     assert (right.side, left.side) == ("right", "left")
-    # In the mirror, x changes its sign and nothing else; our models of both hands mirror likewise.
+    # Mirroring changes the sign of x only; our models of both hands are mirrored likewise.
     np.testing.assert_allclose(right.landmarks[0], human_landmarks(pose=np.eye(4)), atol=1e-9)
     np.testing.assert_array_equal(peers.results.mirrored(right).landmarks, left.landmarks)
 
@@ -407,7 +407,7 @@ def test_position_method_moves_its_own_wrist(
     rows = range(50, 150, 10)
     reached = np.array([tips.points(motion.q[i], motion.own_wrist[i]) for i in rows])
     wanted = recording.landmarks[50:150:10, [4, 8, 12, 16]]
-    # Their tips lie 12 mm beyond ours; they follow the human's at the human's own size.
+    # The peer's tips lie 12 mm beyond ours, and it does not scale the human's vectors.
     errors = np.linalg.norm(reached - wanted, axis=2)
     assert np.median(errors) < 0.02
 
@@ -440,6 +440,6 @@ def test_other_hands_run_too(
     assert np.isfinite(q).all()
     assert np.ptp(q, axis=0).max() > 0.05
     if robot == "schunk_svh_hand_right":
-        # Followers keep their ratio (`<mimic multiplier="1.01511">` in the URDF).
+        # Mimic joints keep their ratio (`<mimic multiplier="1.01511">` in the URDF).
         follower, leader = q[:, names.index("right_hand_j3")], "right_hand_Thumb_Flexion"
         np.testing.assert_allclose(follower, 1.01511 * q[:, names.index(leader)], atol=1e-5)

@@ -1,4 +1,4 @@
-"""Poses, points and quaternions, and what `check_pose` lets in."""
+"""Poses, points and quaternions, and the inputs that `check_pose` accepts."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_moving_twice_is_moving_by_the_product(
     first: np.ndarray, second: np.ndarray, points: np.ndarray
 ) -> None:
     one_by_one = transform_points(second, transform_points(first, points))
-    # Coordinates reach 60 m here: two maps that stretch threefold, and their translations.
+    # Two maps that stretch threefold and translate give coordinates of up to 60 m.
     np.testing.assert_allclose(
         transform_points(second @ first, points), one_by_one, rtol=0.0, atol=1e-12
     )
@@ -494,7 +494,7 @@ def test_poses_beyond_the_farthest_coordinate_are_rejected(axis: int) -> None:
             check_pose(pose)
 
 
-# --- what every function rejects
+# --- invalid inputs of every function
 
 BAD: tuple[Any, ...] = (
     "x",

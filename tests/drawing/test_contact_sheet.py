@@ -1,4 +1,4 @@
-"""The contact sheet shows every pose where it belongs: rows, columns, views, colours, scale."""
+"""The contact sheet: rows, columns, views, colours and scale of every pose."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def postures(robot: Hand) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pixels(figure: Any) -> np.ndarray:
-    """The picture as red, green and blue in 0..1, shape (height, width, 3)."""
+    """Return the picture as red, green and blue in 0..1, shape (height, width, 3)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(figure)
@@ -53,18 +53,18 @@ def pixels(figure: Any) -> np.ndarray:
 
 
 def cell(picture: np.ndarray, column: int, row: int, view: int) -> np.ndarray:
-    """A view without the rules at its edges."""
+    """Return a view without the lines at its edges."""
     x, y = cell_of(column, row, view)
     return picture[y + 1 : y + CELL[1] - 2, x + 2 : x + CELL[0]]
 
 
 def inked(part: np.ndarray) -> np.ndarray:
-    """Pixels that differ from the view's corner, which is background."""
+    """Return the pixels that differ from the view's corner, which is background."""
     return np.abs(part - part[0, 0]).max(axis=2) > 0.03
 
 
 def of_colour(part: np.ndarray, finger: str) -> np.ndarray:
-    """Pixels of a finger's hue, however bright; their hues lie 0.08 and more apart."""
+    """Return the pixels of a finger's hue at any brightness; hues differ by at least 0.08."""
     from matplotlib.colors import rgb_to_hsv
 
     hue, saturation, _ = np.moveaxis(rgb_to_hsv(part), 2, 0)
@@ -74,7 +74,7 @@ def of_colour(part: np.ndarray, finger: str) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def sheet(robot: Hand) -> np.ndarray:
-    """Open and closed hand; of two columns, the second does not move."""
+    """Make a sheet of an open and a closed hand; the hand of the second column does not move."""
     straight, bent = postures(robot)
     rows = [
         SheetRow("open", "1 s", human_points(0.0), (straight, straight)),

@@ -212,7 +212,7 @@ def test_a_surface_has_no_holes_between_its_triangles() -> None:
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_what_is_in_front_hides_what_is_behind(order: int) -> None:
-    # Seen from -y: the red ball stands before the green one, whichever comes first in the list.
+    # Seen from -y, the red ball hides the green one in either order of the list.
     balls = [spheres([[0.0, -0.1, 0.0]], 0.02, RED), spheres([[0.0, 0.1, 0.0]], 0.02, GREEN)][
         ::order
     ]

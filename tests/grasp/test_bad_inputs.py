@@ -67,7 +67,7 @@ def preshaped(start: Any = START, direction: Any = DIRECTION) -> HandCloser:
     return closer(preshape=Preshape(start, direction, 0.02))
 
 
-# What is called, and the argument at fault.
+# A call, and the argument at fault.
 BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "box of words": (lambda: Box("big"), "size"),  # type: ignore[arg-type]
     "box of two sides": (lambda: Box((1.0, 2.0)), "size"),  # type: ignore[arg-type]

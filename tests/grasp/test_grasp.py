@@ -39,7 +39,7 @@ def figures(load_data: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
 
 @dataclasses.dataclass
 class Problem:
-    """A random grasp: J, G, S and the three stiffnesses as matrices."""
+    """Draw a grasp: J, G, S and the three stiffnesses as matrices."""
 
     J: np.ndarray
     G: np.ndarray
@@ -80,7 +80,7 @@ def problems(draw: st.DrawFn) -> Problem:
 
 
 def close_to(expected: Any, relative: float) -> Any:
-    """Approximate relative to the largest entry, as single entries may be rounding errors."""
+    """Approximate relative to the largest entry, because single entries may be rounding errors."""
     expected = np.asarray(expected)
     return pytest.approx(expected, rel=0.0, abs=relative * max(np.abs(expected).max(), 1e-300))
 
@@ -200,7 +200,7 @@ def test_grasp_stiffness_is_the_wrench_that_holds_a_displaced_object(
 ) -> None:
     k = problem
     du = generator.normal(size=6)
-    # The springs without any reference motion: dq and dz give way to the forces.
+    # Without reference motion, dq and dz are the deflections of the springs.
     series = (
         np.linalg.inv(k.K_c)
         + k.J @ (np.linalg.inv(k.K_q) + k.S @ np.linalg.inv(k.K_z) @ k.S.T) @ k.J.T
@@ -251,7 +251,7 @@ def test_stiff_contacts_stick_to_the_object() -> None:
         np.eye(8)[:, :3], contact_stiffness=1e12, joint_stiffness=1.0, synergy_stiffness=np.inf
     )
     hand, cube = grasp.jacobian @ answer.joint_motion, grasp.matrix.T @ answer.object_motion
-    # They part by force over stiffness: forces are below 1 N m over 50 mm here.
+    # The distance is force over stiffness: forces are below 1 N m over 50 mm here.
     np.testing.assert_allclose(hand, cube, atol=1e-10)
     assert np.abs(cube).max() > 1e-3
 
@@ -265,7 +265,7 @@ def test_a_synergy_that_carries_the_object_along_changes_no_force(
     twist = generator.normal(size=6)
     S = np.linalg.lstsq(J, G.T @ twist, rcond=None)[0][:, None]
     answer = quasistatic(J, G, S, **STIFFNESS)
-    # A drawn J or G may be nearly singular, which costs digits.
+    # A random J or G may be nearly singular, which loses digits.
     rounding = 1e-12 * np.linalg.cond(J) * np.linalg.cond(G) ** 2
     np.testing.assert_allclose(answer.object_motion[:, 0], twist, atol=rounding * np.abs(S).max())
     np.testing.assert_allclose(answer.contact_forces, 0.0, atol=800.0 * rounding * np.abs(S).max())
@@ -294,7 +294,7 @@ def test_a_number_is_that_number_times_the_identity(name: str) -> None:
     )
 
 
-# What statics refuse
+# Inputs that the statics reject
 
 
 @pytest.mark.parametrize(
@@ -313,7 +313,7 @@ def test_a_number_is_that_number_times_the_identity(name: str) -> None:
             {"contact_stiffness": np.inf, "joint_stiffness": np.inf, "synergy_stiffness": np.inf},
             "rigid",
         ),
-        # 21 contact forces on 20 joints: the one that works on no joint is undetermined.
+        # 21 contact forces on 20 joints: one combination loads no joint and is undetermined.
         ({"contact_stiffness": np.inf}, "rigid"),
     ],
 )

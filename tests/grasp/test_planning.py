@@ -57,7 +57,7 @@ def load(name: str) -> Hand:
     ],
 )
 def plan(request: pytest.FixtureRequest) -> list[PlannedGrasp]:
-    """Twelve grasps of each shape by one hand."""
+    """Plan twelve grasps of each shape by one hand."""
     hand = load(request.param)
     return [
         one
@@ -67,7 +67,7 @@ def plan(request: pytest.FixtureRequest) -> list[PlannedGrasp]:
 
 
 def distance_from(shape: Shape, point: np.ndarray) -> tuple[float, np.ndarray]:
-    """Distance of a point outside a shape, and the nearest point of the shape, in its frame."""
+    """Return a point's distance from a shape, and the nearest point of the shape, in its frame."""
     match shape:
         case Box(size):
             nearest = np.clip(point, -0.5 * np.array(size), 0.5 * np.array(size))
@@ -102,7 +102,7 @@ def closer_for(grasp: Grasp) -> HandCloser:
 @pytest.mark.slow
 def test_closing_never_reaches_into_the_object(plan: Sequence[PlannedGrasp]) -> None:
     for grasp in (one.grasp for one in plan):
-        # A link that touches is one margin away, up to the last microradian.
+        # A touching link is one margin away, as far as a microradian of the joint allows.
         assert closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 1e-6
 
 
@@ -119,7 +119,7 @@ def test_contacts_lie_one_margin_off_the_object_and_face_it(plan: Sequence[Plann
         for point, normal in zip(grasp.points, grasp.normals, strict=True):
             distance, nearest = distance_from(grasp.shape, point - grasp.centre)
             assert distance == pytest.approx(MARGIN, abs=1e-6)
-            # A direction over 0.1 mm, between points that are good to some nanometres.
+            # The direction is taken over 0.1 mm, between points that are exact to some nanometres.
             np.testing.assert_allclose(
                 normal, (nearest + grasp.centre - point) / distance, atol=5e-3
             )
@@ -173,7 +173,7 @@ def test_a_left_hand_closes_as_the_right_one_in_a_mirror() -> None:
     assert grasp.wrist_pose is not None
     R, t = grasp.wrist_pose[:3, :3], grasp.wrist_pose[:3, 3]
     mirrored = close_hand(left, CUBE, None, motion_of(MIRROR @ R @ MIRROR, MIRROR @ t))
-    # Two solutions by the same iterative distance algorithm, each good to a micrometre.
+    # Two solutions by the same iterative distance algorithm, each exact to a micrometre.
     np.testing.assert_allclose(mirrored.q, grasp.q, atol=1e-4)
     np.testing.assert_allclose(mirrored.points, grasp.points @ MIRROR, atol=1e-4)
 
@@ -344,8 +344,8 @@ def test_progress_is_told_and_arguments_are_checked() -> None:
 @settings(max_examples=8)
 def test_quality_does_not_depend_on_where_the_grasp_is(measure: str, pose: np.ndarray) -> None:
     grasp = reference_grasp("three_finger").grasp
-    # A cone's edges turn with the world, so a pyramid of the friction cone is not quite
-    # frame-independent.
+    # The edges of the friction pyramid turn with the world, so the measure depends slightly
+    # on the frame.
     tolerance = 0.12 if measure == "ferrari_canny" else 1e-7
     assert grasp_quality(grasp.moved(pose), measure) == pytest.approx(
         grasp_quality(grasp, measure), rel=tolerance
@@ -360,7 +360,7 @@ def test_force_closure_agrees_with_a_linear_program(
     directions = generator.normal(size=(count, 3)) @ rotation
     points = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     wrenches = cone_wrenches(points, -points, friction)
-    # Closure: all edges pushing at least a little, in balance.
+    # Force closure: positive forces on all edges are in balance.
     size = len(wrenches)
     balance = np.column_stack([np.vstack([wrenches.T, np.ones(size)]), np.zeros(7)])
     solved = scipy.optimize.linprog(
@@ -384,7 +384,7 @@ def test_every_direction_is_resisted_by_at_least_the_ball() -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     resisted = (directions @ cone_wrenches(offsets, reference.normals, 0.5).T).max(axis=1)
     assert 0.0 < radius <= resisted.min() + 1e-12
-    # So many directions come near the weakest one.
+    # This many directions come near the weakest one.
     assert resisted.min() < 1.5 * radius
 
 

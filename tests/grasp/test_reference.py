@@ -30,8 +30,8 @@ def test_reference_contacts_are_where_they_were_published(hand: str, count: int)
 def test_reference_contacts_lie_on_the_cube_grown_as_the_planner_grew_it(hand: str) -> None:
     grasp = reference_grasp(hand).grasp
     local = (grasp.points - grasp.centre) @ grasp.object_pose[:3, :3]
-    # Grown by 1.5 mm per side. The planner's points are midpoints of the bone's segment inside the
-    # cube, so they are up to 3 mm deeper.
+    # The cube is 1.5 mm larger per side. The planner's points are midpoints of the bone's segment
+    # inside the cube, so they are up to 3 mm deeper.
     assert (np.abs(local).max(axis=1) <= 0.0265 + 1e-9).all()
     assert (np.abs(local).max(axis=1) >= 0.0235).all()
 

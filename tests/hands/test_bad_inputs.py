@@ -1,4 +1,4 @@
-"""Inputs that cannot be used: every public call names the argument and changes nothing."""
+"""Invalid inputs: every public call names the argument and changes nothing."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def spoilt(value: float, count: int = COUNT) -> list[Any]:
 
 
 def not_numbers(count: int) -> dict[str, Any]:
-    """What is not `count` finite numbers."""
+    """Return values that are not `count` finite numbers."""
     return {
         "text": "x",
         "letters": ["a"] * count,
@@ -198,7 +198,7 @@ SYNERGY_CALLS: dict[str, tuple[Callable[[Any], Any], dict[str, Any], str]] = {
 @pytest.mark.parametrize("call", SYNERGY_CALLS)
 def test_an_invalid_human_measure_is_named(call: str) -> None:
     use, bad, argument = SYNERGY_CALLS[call]
-    # Fifteen numbers are fine for a posture.
+    # Fifteen numbers are a valid posture.
     for name in bad.keys() - ({"too few"} if call == "posture" else set()):
         with pytest.raises(InvalidInputError) as caught:
             use(bad[name])

@@ -1,4 +1,4 @@
-"""Faults of URDFs, each named in one line, and what cutting a part out of one leaves."""
+"""Faults of URDFs, each named in one line, and parts cut out of URDFs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: st
 
 
 def robot(links: str, *parts: str) -> ET.Element:
-    """A robot of links named by letters, and further elements."""
+    """Return the URDF of a robot with links named by letters, and further elements."""
     named = "".join(f'<link name="{name}"/>' for name in links)
     return ET.fromstring(f'<robot name="r">{named}{"".join(parts)}</robot>')
 
@@ -79,7 +79,7 @@ def test_a_joint_without_limits_is_named_by_its_key(kind: str, inside: str) -> N
 
 
 def tree() -> ET.Element:
-    """A chain a-b-c and a branch a-d, with a transmission and a material."""
+    """Return a chain a-b-c and a branch a-d, with a transmission and a material."""
     return robot(
         "abcd",
         joint("ab", "a", "b"),

@@ -41,7 +41,7 @@ every_arm = pytest.mark.parametrize("arm", ARMS)
 
 
 def pose_of(model: pin.Model, link: str, angles: dict[str, float]) -> np.ndarray:
-    """A link's pose in a plain model, joints that are not named at zero."""
+    """Return a link's pose in a plain model; joints that are not named are at zero."""
     q, data = pin.neutral(model), model.createData()
     for name, angle in angles.items():
         q[model.joints[model.getJointId(name)].idx_q] = angle
@@ -50,7 +50,7 @@ def pose_of(model: pin.Model, link: str, angles: dict[str, float]) -> np.ndarray
 
 
 def within(hand: Hand, generator: np.random.Generator) -> np.ndarray:
-    """Joint angles inside a hand's limits, and no turn of an arm's joint beyond half of one."""
+    """Draw joint angles inside the limits, those of an arm within half a turn."""
     return np.clip(
         generator.uniform(-np.pi, np.pi, len(hand.rest)), hand.lower_limits, hand.upper_limits
     )
@@ -91,7 +91,7 @@ def test_the_jacobian_holds_arm_and_fingers(arm: str, generator: np.random.Gener
         (hand.points(q + step * e) - hand.points(q - step * e)).ravel() / (2 * step)
         for e in np.eye(len(q))
     ]
-    # Central differences of points a metre away: rounding 2e-16 / 1e-6.
+    # Central differences of points a metre away: rounding error 2e-16 / 1e-6.
     np.testing.assert_allclose(hand.point_jacobian(q), np.column_stack(slopes), atol=2e-9)
 
 
@@ -116,9 +116,9 @@ def test_an_arm_keeps_its_own_limits(arm: str) -> None:
 
 @every_arm
 def test_a_stretched_arm_stays_bounded_and_still(arm: str) -> None:
-    """A target two metres beyond its reach leaves an arm stretched, singular and at rest."""
+    """An arm with a target two metres beyond its reach ends stretched, singular and at rest."""
     hand = ON_ARM[arm]
-    # Levers of a metre want more of this damping than those of fingers.
+    # An arm of a metre needs more of this damping than fingers.
     ik = PointIk(hand, IkOptions())
     ik.place(hand.configuration_vector(hand.rest))
     target = hand.frame_pose("wrist", hand.rest)
@@ -151,7 +151,7 @@ def test_hand_and_arm_are_one_description_in_a_file() -> None:
 
 
 def test_links_of_the_same_name_do_not_meet() -> None:
-    """Hand and arm both have a `world`, a `base_link` and materials; the hand keeps its names."""
+    """Hand and arm both have a `world`, a `base_link` and materials; the hand keeps its own."""
     text = '<robot name="g"><link name="base_link"/><link name="tool0"/>{}</robot>'.format(
         '<joint name="grip" type="revolute">'
         '<parent link="base_link"/><child link="tool0"/><axis xyz="0 0 1"/>'
@@ -232,7 +232,7 @@ def test_a_locked_joint_stands_where_it_was_put(
     robot = ET.fromstring(text)
     assert lock_joints(robot, {"j": angle}) == {"j": angle}
     locked = pose_of(pin.buildModelFromXML(ET.tostring(robot, encoding="unicode")), "b", {})
-    # Pinocchio normalises the axis in its own way, and the locked pose goes through roll, pitch and
+    # Pinocchio normalises the axis differently, and the locked pose is converted to roll, pitch and
     # yaw.
     np.testing.assert_allclose(
         locked, data.oMf[free.getFrameId("b", pin.FrameType.BODY)].homogeneous, atol=1e-9

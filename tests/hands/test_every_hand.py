@@ -31,7 +31,7 @@ OWN = (
 ROBOTS = [name for name in hand_names() if name not in ("human", "human_left")]
 every_hand = pytest.mark.parametrize("name", [*ROBOTS, *OWN])
 _DT = 1.0 / 60.0
-# What the QP's solver may leave of a limit; results are clipped into the box afterwards.
+# Tolerance of the QP's solver; results are clipped into the box afterwards.
 _TOLERANCE = 1e-9
 
 
@@ -67,7 +67,7 @@ def follow(
 
 
 def check_limits(robot: Hand, q: np.ndarray, dt: np.ndarray) -> None:
-    """Positions and speeds of all joints of the URDF, followers too."""
+    """Return positions and speeds of all joints of the URDF, mimic joints included."""
     assert (q >= robot.lower_limits - _TOLERANCE).all()
     assert (q <= robot.upper_limits + _TOLERANCE).all()
     speeds = np.abs(np.diff(q, axis=0)) / dt[1:, None]
@@ -85,7 +85,7 @@ def check_limits(robot: Hand, q: np.ndarray, dt: np.ndarray) -> None:
 
 @cache
 def lively_motion(side: str) -> tuple[Hand, np.ndarray, np.ndarray]:
-    """Two seconds of motion, every joint at its own pace, while the wrist circles and turns."""
+    """Return two seconds of motion: each joint at its own frequency, the wrist on a circle."""
     human = load_hand("human" if side == "right" else "human_left")
     time = _DT * np.arange(120)
     pace = np.random.default_rng(7).uniform(0.4, 1.6, len(human.rest))
@@ -108,7 +108,7 @@ def test_it_follows_a_lively_hand_within_all_limits(name: str) -> None:
     dt = np.full(len(q), _DT)
     angles = follow(human, robot, q, wrist, dt)
     check_limits(robot, angles, dt)
-    # A hand that nothing reaches would pass the rest of this test.
+    # A hand that does not move would pass the rest of this test.
     assert np.ptp(angles, axis=0).max() > 0.05 * (robot.upper_limits - robot.lower_limits).min()
 
 
@@ -127,7 +127,7 @@ def test_followers_follow_while_it_moves(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def recorded(recordings: Path) -> dict[str, HumanMotion]:
-    """A short piece of one recording of each hand, fitted once."""
+    """Fit a short part of one recording of each side, once."""
     motions = {}
     for side in ("right", "left"):
         recording = read_recording(recordings / f"quest3_webxr_{side}.npz")

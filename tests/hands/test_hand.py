@@ -26,7 +26,7 @@ every_hand = pytest.mark.parametrize("hand", HANDS.values(), ids=HANDS.keys())
 
 
 def postures(hand: Hand) -> st.SearchStrategy[np.ndarray]:
-    """Joint angles inside a hand's limits."""
+    """Draw joint angles inside a hand's limits."""
     shares = st.lists(st.floats(0.0, 1.0), min_size=len(hand.rest), max_size=len(hand.rest)).map(
         np.array
     )
@@ -36,7 +36,7 @@ def postures(hand: Hand) -> st.SearchStrategy[np.ndarray]:
 
 
 def in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
-    """Reference points in the palm frame, shape (m, 3)."""
+    """Return reference points in the palm frame, shape (m, 3)."""
     return transform_points(np.linalg.inv(hand.frame_pose("palm", q)), hand.points(q))
 
 
@@ -82,7 +82,7 @@ def test_a_point_lies_on_its_link_where_the_description_says(hand: Hand) -> None
 
 @every_hand
 def test_palm_axes_are_anatomical(hand: Hand) -> None:
-    """Stretched fingers point distally, and closing them moves their tips to the palm's side."""
+    """Stretched fingers point distally, and closing moves their tips to the palmar side."""
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
     tips = hand.with_points("fingertips")
     if "middle" not in {point.finger for point in tips.reference_points}:
@@ -114,7 +114,7 @@ def test_the_thumb_is_on_its_side(hand: Hand) -> None:
 def test_a_wrist_away_from_the_root_carries_the_hand(
     pose: np.ndarray, generator: np.random.Generator
 ) -> None:
-    """The wrist's frame goes to the pose given, and all links keep their places in it."""
+    """The wrist frame goes to the given pose, and all links keep their poses in it."""
     robot = ET.fromstring(HANDS["three_finger"].urdf_text)
     ET.SubElement(robot, "link", {"name": "flange"})
     joint = ET.SubElement(robot, "joint", {"name": "flange_joint", "type": "fixed"})
@@ -125,7 +125,7 @@ def test_a_wrist_away_from_the_root_carries_the_hand(
     wrist = msgspec.structs.replace(SPEC.wrist, link="flange")
     hand = Hand(msgspec.structs.replace(SPEC, wrist=wrist), urdf_text=text)
     q = generator.uniform(hand.lower_limits, hand.upper_limits)
-    # The plain model, whose root link stands at the world's origin.
+    # In the plain model the root link is at the origin of the world.
     model = pin.buildModelFromXML(text)
     data = model.createData()
     full = np.zeros(model.nq)
@@ -185,7 +185,7 @@ def test_a_posture_of_another_shape_is_rejected(q: np.ndarray) -> None:
 
 
 def broken(tmp_path: Path, change: dict, drop: str | None = None) -> Path:
-    """The three-fingered hand's description with some keys changed."""
+    """Write the description of the three-fingered hand with some keys changed."""
     source = urdf_directory() / "three_finger" / "hand.yaml"
     document = yaml.safe_load(source.read_text())
     document["urdf"] = str(source.parent / "hand.urdf")

@@ -31,7 +31,7 @@ DEFAULT = HumanLengths.from_urdf(HUMAN)
 
 
 def tip_and_joint_positions(text: str, angles: np.ndarray) -> np.ndarray:
-    """Joints 2, 3, 4 and tip of every finger (joint 1 is at joint 2), shape (5, 4, 3)."""
+    """Return joints 2, 3, 4 and tip of each finger (joint 1 is at joint 2), shape (5, 4, 3)."""
     model = pin.buildModelFromXML(text)
     data = model.createData()
     q = np.zeros(model.nq)
@@ -53,7 +53,7 @@ def limits(name: str) -> tuple[float, float]:
 
 @st.composite
 def persons(draw: st.DrawFn) -> HumanLengths:
-    """Hands of any build, from a small child's up, knuckles out of line and off the plane."""
+    """Draw hands of any size from a small child's, with knuckles out of line and plane."""
     bases = np.array(DEFAULT.bases) * draw(st.floats(0.5, 1.6))
     bases += draw(arrays(float, (5, 3), elements=st.floats(-0.008, 0.008)))
     segments = draw(arrays(float, (5, 3), elements=st.floats(0.006, 0.07)))
@@ -157,7 +157,7 @@ def test_thickness_follows_the_length_of_the_hand() -> None:
 
 
 def shape_poses(text: str) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and z axes of all shapes, in their joints' coordinates."""
+    """Return centres and z axes of all shapes, in the frames of their joints."""
     model = pin.buildModelFromXML(text)
     geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
     placements = [item.placement for item in geometry.geometryObjects]

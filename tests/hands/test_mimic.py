@@ -1,6 +1,6 @@
-"""Joints that follow others.
+"""Mimic joints.
 
-The map from the joints that are set to all of them, Jacobians, limits, and rules that cannot be.
+The map from actuated joints to all joints, Jacobians, limits, and invalid rules.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from handmap_qp.hands.spec import LimitSpec, MimicSpec, Mount, PalmSpec, WristSp
 
 URDF = Path(__file__).parents[1] / "data" / "urdf" / "chained_mimics.urdf"
 ACTIVE = ("a_j1", "c_j1", "c_j2", "z_j1")
-# Written out by hand from the file: b follows c, which comes later; a_j3 and b_j3 follow followers.
+# Derived by hand from the file: b follows c, which comes later; a_j3 and b_j3 follow mimics.
 FOLLOWERS = {
     "a_j2": lambda q: 0.9 * q["a_j1"] + 0.05,
     "a_j3": lambda q: 0.7 * (0.9 * q["a_j1"] + 0.05),
@@ -106,7 +106,7 @@ def test_the_jacobian_holds_the_followers_motion(hand: Hand, q: np.ndarray) -> N
         (hand.points(q + step * e) - hand.points(q - step * e)).ravel() / (2 * step)
         for e in np.eye(4)
     ]
-    # Central differences: rounding 1e-16 / 1e-6 of metres, truncation 1e-12.
+    # Central differences: rounding error 1e-16 / 1e-6 of metres, truncation 1e-12.
     np.testing.assert_allclose(hand.point_jacobian(q), np.column_stack(slopes), atol=3e-9)
 
 
@@ -180,8 +180,8 @@ def test_limits_are_the_tightest_of_leader_and_followers() -> None:
             strict=True,
         )
     )
-    # a_j2 = 0.9 q + 0.05 >= -0.2 and its follower a_j3 bind nothing below; above, 0.9 q + 0.05 <=
-    # 1.6 holds beyond 1.6 already.
+    # The lower limits of a_j2 = 0.9 q + 0.05 >= -0.2 and of a_j3 are not active. 0.9 q + 0.05 <=
+    # 1.6 allows more than q = 1.6.
     assert by_name["a_j1"] == pytest.approx((-0.2, 1.6, 5.0))
     assert by_name["c_j1"] == pytest.approx((-0.2, 1.5, 4.0))
     # c_j3 = 0.8 q <= 1.3 does not bind 1.4; b_j2 = 1.1 q may go at 5 rad/s.
@@ -217,7 +217,7 @@ def test_tightened_limits_map_into_the_followers(
 
 @given(generator=generators, count=st.integers(1, 12))
 def test_any_forest_of_rules_resolves(generator: np.random.Generator, count: int) -> None:
-    """Every joint follows one that comes before it in a hidden order, or nobody.
+    """Draw joints that follow an earlier joint of a random order, or none.
 
     The file lists them in another order.
     """

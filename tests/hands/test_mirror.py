@@ -55,14 +55,14 @@ MIXED = """
 
 
 def poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    """Every frame's rotation and position, side by side, shape (frames, 3, 4)."""
+    """Return every frame's rotation and position, side by side, shape (frames, 3, 4)."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     return np.array([placement.homogeneous[:3] for placement in data.oMf])
 
 
 def full_q(model: pin.Model, angles: np.ndarray) -> np.ndarray:
-    """Angles as a configuration; a continuous joint's is a cosine and a sine."""
+    """Return angles as a configuration; a continuous joint has a cosine and a sine."""
     q = []
     for joint, angle in zip(list(model.joints)[1:], angles, strict=True):
         q += [angle] if joint.nq == 1 else [np.cos(angle), np.sin(angle)]

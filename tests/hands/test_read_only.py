@@ -1,4 +1,4 @@
-"""A hand that sessions share: nobody can change it by writing into an array that it gave."""
+"""A hand that sessions share cannot be changed through the arrays that it returns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CHAINED = Path(__file__).parents[1] / "data" / "urdf" / "chained_mimics.urdf"
 
 
 def arrays_in(value: Any) -> Iterator[np.ndarray]:
-    """Every array in a value, also inside tuples, lists, dictionaries and dataclasses."""
+    """Return every array in a value, also inside tuples, lists, dictionaries and dataclasses."""
     if isinstance(value, np.ndarray):
         yield value
     elif isinstance(value, tuple | list):
@@ -31,14 +31,14 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
 
 
 def attributes_of(hand: Hand) -> dict[str, Any]:
-    """Public attributes and properties of a hand, without its methods."""
+    """Return public attributes and properties of a hand, without its methods."""
     names = [name for name in dir(hand) if not name.startswith("_")]
     values = {name: getattr(hand, name) for name in names}
     return {name: value for name, value in values.items() if not callable(value)}
 
 
 def results_of(hand: Hand) -> dict[str, Any]:
-    """What every method of a hand returns at its rest posture."""
+    """Return the results of all methods of a hand at its rest posture."""
     q = hand.rest
     return {
         "configuration_vector": hand.configuration_vector(q),
@@ -73,7 +73,7 @@ def test_writing_into_any_array_of_a_hand_changes_nothing(name: str) -> None:
         overwrite(array)
     for array, expected in zip(snapshot(hand), before, strict=True):
         np.testing.assert_array_equal(array, expected)
-    # Nor does a hand made from it afterwards see anything of it.
+    # A hand made from it afterwards is not affected either.
     for array, expected in zip(snapshot(hand.with_points(None)), before, strict=True):
         np.testing.assert_array_equal(array, expected)
 

@@ -87,7 +87,7 @@ def test_a_pad_lies_inside_its_finger(name: str) -> None:
         shapes = [geometry.geometryObjects[i] for i in distal_shapes(chains[finger], geometry)]
         depths = [depth_in(shape, pad.offset) for shape in shapes if shape.parentJoint == joint]
         if depths:
-            # `find_pads` samples directions, so that it finds up to 0.8 mm more than there is.
+            # `find_pads` samples directions, so it overestimates by up to 0.8 mm.
             assert max(depths) == pytest.approx(pad.radius, abs=8e-4)
 
 

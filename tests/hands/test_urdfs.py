@@ -23,7 +23,7 @@ from handmap_qp.hands.urdf.package_data import urdf_directory
 LoadData = Callable[[str], dict[str, Any]]
 OWN_HANDS = ("human", "human_left", "three_finger")
 ALL_HANDS = (*OWN_HANDS, "allegro_right", "allegro_left")
-# The toolbox's frames of these fingers are left-handed; ours have the z axis turned round.
+# The toolbox's frames of these fingers are left-handed; ours have the z axis reversed.
 LEFT_HANDED = ("finger2", "finger3")
 
 
@@ -70,7 +70,7 @@ def test_contacts_are_those_of_the_cube_grasp(name: str, grasp: str, load_data: 
     reference = load_data("fk_reference")["cube_grasp"][grasp]
     hand = load(name, points="contacts")
     palm = np.array(reference["palm"])
-    # The planner had the robot's fingers farther out than the hand has them.
+    # The planner places the robot's fingers farther out than the hand.
     local = hand.points(reference["q"]) + np.array(reference["base_shifts"])
     points = local @ palm[:, :3].T + palm[:, 3]
     np.testing.assert_allclose(points, reference["contacts"], atol=1e-9)
@@ -124,7 +124,7 @@ def test_palm_frame_is_anatomical(name: str) -> None:
     for finger in set(where) - {"thumb"}:
         assert where[finger][1] > 0.0, "fingers point distally"
         assert bent[finger][2] < where[finger][2] - 0.01, "fingers flex palmar"
-    # From the thumb's side across the palm.
+    # From the thumb's side towards the little finger.
     across = [radial * where[finger][0] for finger in FINGERS[1:] if finger in where]
     assert across == sorted(across, reverse=True)
     if name != "three_finger":
@@ -171,7 +171,7 @@ def test_bones_are_capsules(name: str) -> None:
 
 
 def neighbours(name: str) -> set[frozenset[str]]:
-    """Links that meet in a joint; the link between the axes of one joint has no shape."""
+    """Return links connected by a joint; the link between two axes of one joint has no shape."""
     if name == "three_finger":
         chains = [("palm", f"finger{i}_proximal", f"finger{i}_distal") for i in (1, 2, 3)]
     else:

@@ -93,15 +93,15 @@ def test_a_hand_at_rest_keeps_its_margin(name: str) -> None:
 
 @each_name
 def test_links_are_kept_apart(name: str) -> None:
-    # All fingertips are sent to one place, or to where some random posture has them.
+    # All fingertips have one common target, or the positions of a random posture.
     hand = load(name).with_points("fingertips")
     with_avoidance, without = (
         _nearest_on_the_way(hand, avoids=True),
         _nearest_on_the_way(hand, avoids=False),
     )
     assert without < -0.01
-    # What the linearisation leaves of a margin of 1 to 2 mm: at full speed a link turns by a third
-    # of a radian in a sample. The least seen is -0.1 mm, on an Allegro hand.
+    # Remaining margin of 1 to 2 mm after linearisation: at full speed a link turns by a third of a
+    # radian in a sample. The smallest measured is -0.1 mm, on an Allegro hand.
     assert with_avoidance > -5e-4
 
 
@@ -159,7 +159,7 @@ def test_overlapping_links_part() -> None:
             hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
         )
         distances = limit.distances(configuration)
-        # One pair at a time: of several, one may stand in another's way.
+        # One pair at a time, because the rows of several pairs may conflict.
         if not (distances.min() < -0.002 and np.sort(distances)[1] > 0.02):
             continue
         starts += 1

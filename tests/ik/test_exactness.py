@@ -57,7 +57,7 @@ def test_limits_hold_and_answers_are_numbers(hostile: ModuleType) -> None:
     assert not tally.undocumented
     assert tally.not_finite == 0
     assert max(tally.position, tally.speed, tally.wrist_speed) < hostile.TOLERANCE
-    # And the steps are such that this means something.
+    # The steps reach limits, so that the check is meaningful.
     assert tally.statuses["limited"] > 1000
     assert tally.refused["InvalidInputError"] > 10
     assert tally.refused["DegeneratePointsError"] > 10

@@ -1,4 +1,4 @@
-"""Eq. (8), and how it and the QP meet: the baseline that the QP replaces."""
+"""Eq. (8), the baseline that the QP replaces, and the conditions under which both agree."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WELL_CONDITIONED = 1.0
 
 
 def smallest_singular_value(hand: Hand, case: Case) -> float:
-    """Of the weighted task, without directions that do not exist at all."""
+    """Return the smallest non-zero singular value of the weighted task."""
     ik = PseudoinverseIk(hand, PLAIN)
     ik.place(case.q)
     s = np.linalg.svd(ik._weighted_task(case.point_targets, case.wrist_target)[0], compute_uv=False)
@@ -34,7 +34,7 @@ def smallest_singular_value(hand: Hand, case: Case) -> float:
 
 
 def well_conditioned_cases(hand: Hand, count: int, seed: int) -> list[Case]:
-    """Return up to `count` cases in which no direction is nearly lost; one that is lost is fine."""
+    """Return up to `count` cases without nearly singular directions; singular ones may occur."""
     cases = random_cases(hand, 60, seed=seed)
     good = (case for case in cases if smallest_singular_value(hand, case) > WELL_CONDITIONED)
     return list(islice(good, count))
@@ -47,7 +47,7 @@ def eq_8(hand: Hand, case: Case, options: IkOptions = PLAIN, damping: float = 0.
 
 
 def slack_qp(hand: Hand, case: Case, options: IkOptions) -> np.ndarray:
-    """The QP's step with limits too wide to matter."""
+    """Return the QP's step with limits too wide to be active."""
     ik = PointIk(hand, options)
     ik.place(case.q)
     H, c, lower, _ = ik.problem(case.point_targets, case.wrist_target, case.dt)
@@ -76,8 +76,8 @@ def test_eq_8_is_the_qp_without_limits_for_vanishing_damping(
         near, nearer = (slack_qp(hand, case, weakened(PLAIN, part * factor)) for part in (1.0, 0.5))
         size = max(1.0, np.abs(expected).max())
         assert np.abs(nearer - expected).max() < 0.3 * np.abs(near - expected).max() + 1e-9 * size
-        # The difference is a series in the squared weights. Its first term is taken off, rather
-        # than weights made so small that the Hessian's condition would eat the digits.
+        # The difference is a series in the squared weights. Subtract its first term, because
+        # smaller weights would make the Hessian ill-conditioned.
         np.testing.assert_allclose((4.0 * nearer - near) / 3.0, expected, atol=1e-6 * size)
 
 
@@ -131,7 +131,7 @@ def test_the_qps_rest_term_moves_no_point_either() -> None:
         configuration.place_with_jacobians(case.q)
         null = steps[1] - steps[0]
         moved = max(moved, np.abs(null).max())
-        # 1e-5 m a rad: what is left of the weights (0.01 squared), which only vanish in the limit.
+        # 1e-5 m per rad: the effect of the weights (0.01 squared), which vanishes in the limit.
         assert np.abs(configuration.point_jacobian() @ null).max() < 1e-5 * max(
             1.0, np.abs(null).max()
         )
@@ -139,7 +139,7 @@ def test_the_qps_rest_term_moves_no_point_either() -> None:
 
 
 def _with_rest(hand: Hand, rest: np.ndarray) -> Hand:
-    """The same hand with another rest posture."""
+    """Return the same hand with another rest posture."""
     names = dict(zip(hand.joint_names, map(float, rest), strict=True))
     spec = msgspec.structs.replace(hand.spec, rest=names, mirror=False)
     return Hand(spec, points=hand.reference_points, mount=hand.mount, urdf_text=hand.urdf_text)

@@ -79,8 +79,8 @@ def test_from_outside_a_joint_comes_back_as_fast_as_it_may(rng: np.random.Genera
 
 @given(rng=generators)
 def test_from_rest_acceleration_never_stands_against_position(rng: np.random.Generator) -> None:
-    # Whatever is commanded and however long the samples: both limits hold, since a joint never
-    # comes too fast to brake.
+    # Both limits hold for all commands and sample times, because a joint is never too fast to
+    # brake before its limit.
     hand = HAND
     acceleration = 10.0 ** rng.uniform(-1, 3, len(hand.active_columns))
     limits, q = BoxLimits(hand, max_acceleration=acceleration), any_posture(hand, rng, outside=0.0)
@@ -99,8 +99,8 @@ def test_from_rest_acceleration_never_stands_against_position(rng: np.random.Gen
 
 @given(rng=generators)
 def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> None:
-    # A joint that comes in far too fast: the box gives the bound nearest to what its acceleration
-    # allows.
+    # A joint approaches its limit far too fast: the box gives the bound nearest to the range that
+    # its acceleration allows.
     hand, dt = HAND, 0.01
     limits, plain = BoxLimits(hand, max_acceleration=1e-3), BoxLimits(hand)
     q = any_posture(hand, rng)
@@ -173,8 +173,8 @@ def test_limits_hold_from_anywhere_to_anywhere(which: tuple[str, str, str | None
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["daqp", "osqp", "quadprog", "clarabel", "piqp"])
 def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
-    # Where the iterations have come to an end the slopes know it too: none where a joint is free,
-    # outwards where it is held.
+    # At convergence the gradient is zero for free joints and points outwards for joints at a
+    # bound.
     hand, rng, held = load_hand("allegro_right"), np.random.default_rng(12), 0
     ik = PointIk(hand, IkOptions(solver=solver, max_iterations=100, step_tolerance=1e-8))
     for _ in range(30):
@@ -187,7 +187,7 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
         if result.last_step < 1e-8:
             H, c, *_ = ik.problem(targets, wrist, 1.0 / 60.0)
             slope = c / np.diag(H)
-            # Measured: 2e-8 where free, 1.7e-4 and more where held.
+            # Measured: 2e-8 for free joints, at least 1.7e-4 for joints at a bound.
             np.testing.assert_array_equal(result.active, -np.sign(slope) * (np.abs(slope) > 1e-6))
             held += np.count_nonzero(result.active)
     assert held > 100
@@ -223,7 +223,7 @@ def test_a_hand_comes_back_into_its_limits_and_stays() -> None:
 
 
 def test_a_step_does_not_depend_on_the_steps_before_it() -> None:
-    # The warm start saves time and nothing else.
+    # The warm start changes the time, not the result.
     hand = hand_of(HANDS[0])
     warm, cases = PointIk(hand, IkOptions()), list(random_cases(hand, 20, seed=11))
     for case in cases:
@@ -271,7 +271,7 @@ def test_a_point_of_weight_4_counts_as_four_equal_points(name: str) -> None:
 def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
     weight: str, unit: float, columns: list[int], rows: int
 ) -> None:
-    # On the targets there is no error, so the QP's cost is that of the displacement alone.
+    # At the targets the error is zero, so the QP's cost is that of the displacement alone.
     hand = load_hand("allegro_right", mount="floating")
     costs = []
     for value in (1.0, 3.0):
@@ -279,7 +279,7 @@ def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
         ik.place(hand.configuration_vector(hand.rest, np.eye(4)))
         H = ik.problem(ik.configuration.points, np.eye(4), 0.01)[0]
         costs.append(unit**2 * np.diag(H)[columns])
-    # The difference of two weights leaves out all other terms.
+    # The difference of two weights cancels all other terms.
     np.testing.assert_allclose(costs[1] - costs[0], rows * (3.0**2 - 1.0**2), rtol=1e-9)
 
 

@@ -24,7 +24,7 @@ each_hand = pytest.mark.parametrize("which", SOME, ids=lambda which: "-".join(fi
 
 
 class Height:
-    """A point at a height: a task as a user would write it."""
+    """Keep a point at a height: a task as a user would write it."""
 
     def __init__(self, point: int, height: float, weight: float) -> None:
         self.point, self.height, self.weight = point, height, weight
@@ -250,7 +250,7 @@ def test_costs_of_speed_and_acceleration_smooth_the_way_and_keep_its_end() -> No
     targets = hand.points(hand.rest + 0.2 * (hand.upper_limits - hand.rest))
     wrist = hand.frame_pose("wrist", hand.rest)
     ways = []
-    # A firm rest term, so that what the points do not see has settled too.
+    # A strong rest term, so that directions without effect on the points converge too.
     firm = IkOptions(rest_weight=2.0)
     for options in (firm, replace(firm, speed_weight=2.0, acceleration_weight=4.0)):
         ik = PointIk(hand, options)

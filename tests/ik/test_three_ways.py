@@ -1,4 +1,4 @@
-"""The QP posed three times over.
+"""The QP formulated in three ways.
 
 Mink's way on Pinocchio, preallocated arrays, and mink's own tasks on MuJoCo.
 """
@@ -24,7 +24,7 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver
 
 ONE_STEP = IkOptions(max_iterations=1)
-# Unequal weights everywhere, so that a mistaken one shows.
+# All weights differ, so that a wrong one is noticed.
 UNEQUAL = IkOptions(
     point_weight=0.7,
     wrist_position_weight=1.3,
@@ -57,13 +57,13 @@ def way_2(ik: PointIk, case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 
 
 def step_of(ik: PointIk, case: Case) -> np.ndarray:
-    """The step that the default way takes in one iteration."""
+    """Return the step of the default formulation in one iteration."""
     ik.solve(case.point_targets, case.wrist_target, case.dt)
     return pin.difference(ik.hand.model, case.q, ik.configuration.q)[ik.hand.active_columns]
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> float:
-    """Largest difference, as a part of the largest number where that is above one."""
+    """Return the largest difference, relative to the largest number if that is above one."""
     return float(np.abs(actual - expected).max() / max(1.0, np.abs(expected).max()))
 
 
@@ -98,7 +98,7 @@ def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> 
 def test_ways_1_and_2_agree_on_self_collision_and_acceleration(
     which: tuple[str, str, str | None],
 ) -> None:
-    # Every case comes from rest and is then met again at the speed that it left.
+    # Every case starts at rest and is repeated with the velocity of the first step.
     hand = hand_of(which)
     options = IkOptions(
         max_iterations=1,
@@ -123,8 +123,8 @@ def test_ways_1_and_2_agree_on_self_collision_and_acceleration(
             assert expected is not None
             ik.solve(case.point_targets, case.wrist_target, case.dt)
             step = pin.difference(hand.model, start, ik.configuration.q)[hand.active_columns]
-            # coal starts each search from the last one's end: nearest points, and so the rows'
-            # normals, repeat to 1e-6 or so.
+            # coal warm-starts each search, so nearest points and normals of the rows are
+            # reproducible to about 1e-6 only.
             np.testing.assert_allclose(step, expected, atol=2e-6)
             velocity = step / case.dt
 
@@ -248,7 +248,7 @@ def test_a_users_task_joins_the_mink_problem() -> None:
 
 def test_the_configuration_is_all_that_mink_asks_for() -> None:
     class ThumbStill(mink.Task):
-        """A user's task, written against mink alone."""
+        """A user's task, written for mink alone."""
 
         def __init__(self, nv: int) -> None:
             super().__init__(cost=np.ones(1))

@@ -1,4 +1,4 @@
-"""Options that change on the way: `HandMapper.configure`."""
+"""Options that change during a motion: `HandMapper.configure`."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ CHANGES = [
 
 
 def sample(phase: float) -> tuple[np.ndarray, np.ndarray]:
-    """A human posture and wrist pose of one motion."""
+    """Return a human posture and wrist pose of one motion."""
     q = HUMAN.rest + 0.3 * np.sin(phase + np.arange(20.0)) * np.minimum(
         HUMAN.upper_limits - HUMAN.rest, HUMAN.rest - HUMAN.lower_limits
     )
@@ -37,7 +37,7 @@ def sample(phase: float) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("change", CHANGES, ids=str)
 def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, Any]) -> None:
     changed, other = HandMapper(HUMAN, ALLEGRO, "paper"), HandMapper(HUMAN, ALLEGRO, **change)
-    # Both start with the robot away from rest, and its wrist somewhere of its own.
+    # Both start with the robot away from rest, and with different wrist poses.
     start = ALLEGRO.rest + 0.2 * (ALLEGRO.upper_limits - ALLEGRO.rest)
     for mapper in (changed, other):
         mapper.reset(*sample(0.0), robot_q=start, robot_wrist=sample(2.0)[1])

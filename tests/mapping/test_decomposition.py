@@ -294,7 +294,7 @@ def test_a_singular_motion_has_no_primitives(linear: np.ndarray) -> None:
         primitives(motion_of(linear, np.zeros(3)))
 
 
-# --- what is refused
+# --- invalid inputs
 
 
 @pytest.mark.parametrize("function", [decompose, primitives])

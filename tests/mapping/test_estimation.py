@@ -1,6 +1,6 @@
 """The motion from point pairs (eqs. 5-6).
 
-What it recovers, how it moves with the world, how well it fits.
+Exact recovery, change of world frame, and residuals.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def test_noisy_points_give_the_least_squares_solution_of_eq_6(
     points: np.ndarray, motion: np.ndarray, data: st.DataObject
 ) -> None:
     after = transform_points(motion, points) + data.draw(noise_like(points, 0.01))
-    # lstsq sees the points uncentred, at a condition of up to 1e4 more: it, not ours, sets the
+    # lstsq takes the points uncentred, with a condition number up to 1e4 larger, which sets the
     # tolerance.
     assert_same_motion(
         estimate_motion(points, after).motion, solve_eq_6(points, after), points, relative=1e-12
@@ -173,7 +173,7 @@ def test_only_the_ratios_of_weights_matter(
     )
 
 
-# --- how T moves with the world
+# --- T in another world frame
 
 
 def noisy_pair(data: st.DataObject) -> tuple[np.ndarray, np.ndarray]:
@@ -229,7 +229,7 @@ def test_the_order_of_the_points_does_not_matter(data: st.DataObject) -> None:
     assert_same_motion(shuffled.motion, estimate_motion(before, after, ridge=0.1).motion, before)
 
 
-# --- what is told with T
+# --- results beside T
 
 
 @given(st.data(), ridges)
@@ -317,7 +317,7 @@ def test_fewer_than_four_points_are_refused_without_a_ridge(count: int) -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 40])
 @pytest.mark.parametrize("place", [0.0, 0.1, 3.7])
 def test_points_that_coincide_leave_the_prior_as_it_is(count: int, place: float) -> None:
-    # Their centroid is off by a rounding, which must not pass for a spread.
+    # The rounding error of their centroid must not count as a spread.
     generator = np.random.default_rng(count)
     prior = nearest_rotation(generator.normal(size=(3, 3)))
     points = np.full((count, 3), place)

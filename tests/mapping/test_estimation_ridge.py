@@ -169,7 +169,7 @@ def test_three_points_off_a_line_are_enough_with_a_ridge() -> None:
     np.testing.assert_allclose(estimate.motion[:3, :3], turn, rtol=0.0, atol=1e-14)
 
 
-# --- why there is one: five fingertips are nearly a plane
+# --- the reason for the ridge: five fingertips are nearly coplanar
 
 
 def stretches(motion: np.ndarray) -> np.ndarray:
@@ -223,7 +223,7 @@ def test_with_a_ridge_the_same_noise_leaves_the_fingertips_as_they_are() -> None
     assert 0.9 < stretches(estimate.motion)[2] <= stretches(estimate.motion)[0] < 1.1
 
 
-# --- what is refused
+# --- invalid inputs
 
 NOT_POINTS: list[Any] = [
     np.zeros((5, 2)),

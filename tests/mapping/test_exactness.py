@@ -1,4 +1,4 @@
-"""Where the mapping's answer is known.
+"""Mappings with a known answer.
 
 A hand mapped to itself, hands in other units, hands that rest, real recordings.
 """
@@ -25,9 +25,9 @@ from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.trackers.landmarks import fit_recording
 from handmap_qp.trackers.recording import HumanMotion
 
-# Nothing that pulls away from the targets, no speed limit, and time to arrive. The damping by the
-# error, which is gone at the end, keeps a finger from overshooting into the posture that reaches
-# the same point with its joints bent the other way.
+# No term pulls away from the targets, there is no speed limit, and time suffices to arrive. The
+# damping by the error, zero at the end, keeps a finger from overshooting into the posture that
+# reaches the same point with its joints bent the other way.
 EXACT = IkOptions(
     rest_weight=0.0,
     damping=0.01,
@@ -49,7 +49,7 @@ TENTH_OF_A_MILLIMETRE = 1e-4
 
 
 def inside(hand: Hand, q: np.ndarray) -> np.ndarray:
-    """The nearest posture inside the limits."""
+    """Return the nearest posture inside the limits."""
     return np.clip(q, hand.lower_limits, hand.upper_limits)
 
 
@@ -71,8 +71,8 @@ def test_a_hand_mapped_to_itself_returns_its_own_points(
     for _ in range(3):
         step = mapper.map_step(near_rest(generator, 0.3), little_pose(generator))
         np.testing.assert_allclose(step.targets, step.human_points, atol=1e-12)
-        # Tip and middle joint leave two postures of a finger, and the limit of its last joint may
-        # stop it on the way from one to the other.
+        # Tip and middle joint allow two postures of a finger, and the limit of its last joint may
+        # separate them.
         bound = 1e-3 if step.at_bound.any() else TENTH_OF_A_MILLIMETRE
         np.testing.assert_allclose(step.points, step.human_points, atol=bound)
 
@@ -109,7 +109,7 @@ def load_once(name: str, points: str) -> Hand:
 
 
 def in_unit(hand: Hand, unit: float) -> Hand:
-    """The same hand with all lengths in another unit."""
+    """Return the same hand with all lengths in another unit."""
     robot = ET.fromstring(hand.urdf_text)
     for origin in robot.iter("origin"):
         xyz = [float(number) for number in origin.get("xyz", "0 0 0").split()]
@@ -139,7 +139,7 @@ def in_unit(hand: Hand, unit: float) -> Hand:
 
 
 def weights_in_unit(ik: IkOptions, unit: float) -> IkOptions:
-    """The same weights per length."""
+    """Return the same weights per length."""
     return replace(
         ik,
         point_weight=ik.point_weight / unit,
@@ -181,8 +181,8 @@ def test_a_fixed_hand_in_another_unit_of_length_takes_the_same_steps(
 def test_a_floating_hand_in_another_unit_of_length_ends_in_the_same_posture(
     rigid_from: Any, unit: float, generator: np.random.Generator
 ) -> None:
-    # Damping weighs a wrist's metres against its radians, so the steps on the way differ, but not
-    # where they end.
+    # Damping weighs a wrist's metres against its radians, so the steps differ, but not the
+    # end.
     human, robot = load_once("human", "joints"), load_once("three_finger", "fingertips")
     ik = IkOptions(
         max_iterations=200, step_tolerance=1e-12, error_damping=0.0, has_velocity_limits=False
@@ -231,7 +231,7 @@ def test_a_robot_comes_to_rest_when_the_human_does(
     limits = human.upper_limits if share > 0.0 else human.lower_limits
     held = human.rest + abs(share) * (limits - human.rest)
     *_, last, now = (mapper.map_step(held, np.eye(4)).command.q for _ in range(200))
-    # A milliradian a sample is slow enough not to be seen; shaking is a hundred times as much.
+    # A milliradian per sample is invisible; an oscillation is a hundred times larger.
     np.testing.assert_allclose(now, last, atol=1e-3)
 
 

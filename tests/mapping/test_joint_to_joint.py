@@ -1,4 +1,4 @@
-"""Joint to joint: angles from landmarks, which joints correspond, and where they go."""
+"""Joint to joint: angles from landmarks, corresponding joints, and their targets."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def in_palm(hand: Any, q: np.ndarray) -> np.ndarray:
 
 
 def closing(share: float) -> np.ndarray:
-    """The straight hand with all fingers but the thumb flexed by a share of their range."""
+    """Return the straight hand with four fingers flexed by a share of their range."""
     return np.where(FLEXES, share * HUMAN.upper_limits, HUMAN.rest)
 
 
@@ -58,7 +58,7 @@ def test_landmarks_give_the_joint_angles_back(hand: Any) -> None:
         q = low + rng.uniform(0.05, 0.95, len(low)) * (high - low)
         found = angles.measure(in_palm(hand, q)).ravel()
         flexions = np.arange(len(q)) % 4 > 0
-        # Bones that all point along the axis of abduction hardly show it.
+        # Bones parallel to the axis of abduction hardly move by it.
         np.testing.assert_allclose(found[flexions], q[flexions], atol=0.05)
         np.testing.assert_allclose(np.median(np.abs(found - q)), 0.0, atol=1e-3)
     found = angles.measure(in_palm(hand, hand.rest)).ravel()
@@ -147,7 +147,7 @@ def test_a_pointing_finger_stays_straight_while_the_others_close() -> None:
 
 
 def test_a_pinch_does_not_come_across() -> None:
-    # Where the method loses: the thumb and the index finger of the human touch, the robot's do not.
+    # A limit of the method: the human's thumb and index finger touch, the robot's do not.
     q = HUMAN.rest.copy()
     names = HUMAN.joint_names
     pinching = {"thumb_TM_abduction": 0.0, "thumb_TM_flexion": 0.9, "index_MCP_flexion": 0.9}

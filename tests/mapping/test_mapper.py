@@ -1,4 +1,4 @@
-"""The mapper as a whole: exactness, invariance, limits, and what it refuses."""
+"""The mapper as a whole: exactness, invariance, limits, and invalid inputs."""
 
 import msgspec
 import numpy as np
@@ -23,20 +23,19 @@ from handmap_qp.transform import affine, transform_points
 HUMAN = load_hand("human")
 THREE = load_hand("three_finger")
 ROBOTS = ("three_finger", "allegro_right", "allegro_left")
-# Long enough to settle, and no speed limit in the way: for statements about where a motion ends,
-# not how it gets there.
+# Enough iterations to converge and no speed limits, for statements about the end of a motion.
 SETTLE = IkOptions(
     max_iterations=200, step_tolerance=1e-10, error_damping=0.0, has_velocity_limits=False
 )
 
 
 def posture(share: np.ndarray | float, hand: Hand = HUMAN) -> np.ndarray:
-    """A posture part of the way from rest to the upper limits."""
+    """Return a posture part of the way from rest to the upper limits."""
     return hand.rest + np.asarray(share) * (hand.upper_limits - hand.rest)
 
 
 def small_postures(amount: float = 0.3) -> st.SearchStrategy[np.ndarray]:
-    """Human postures near rest."""
+    """Draw human postures near rest."""
     share = st.lists(st.floats(-amount, amount), min_size=20, max_size=20).map(np.array)
     return share.map(
         lambda x: (

@@ -1,4 +1,4 @@
-"""The seam of mapping methods: the protocol, the second method, and what results hand out."""
+"""The protocol of mapping methods, fingertip vectors, and the arrays of results."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ CHOICES = [
 
 
 def arrays_of(value: Any, seen: set[int] | None = None) -> Iterator[np.ndarray]:
-    """Every array that can be reached from a result, its properties included."""
+    """Return all arrays reachable from a result, also through properties."""
     seen = set() if seen is None else seen
     if isinstance(value, np.ndarray):
         yield value
@@ -81,7 +81,7 @@ def arrays_of(value: Any, seen: set[int] | None = None) -> Iterator[np.ndarray]:
 
 
 def spoil(value: Any) -> int:
-    """Write nonsense into every array that lets itself be written to."""
+    """Overwrite every writable array."""
     spoilt = 0
     for array in arrays_of(value):
         if array.flags.writeable and array.size:
@@ -107,7 +107,7 @@ def test_writing_into_results_and_arguments_changes_nothing(method: Any) -> None
         if i == 3:
             spoilt.configure(method)
             untouched.configure(method)
-    # Nor does it change other mappers, through constants that all of them share.
+    # Other mappers, which share constants, do not change either.
     fresh = HandMapper(HUMAN, ALLEGRO, method).map_step(*samples[0])
     again = HandMapper(HUMAN, ALLEGRO, method).map_step(*samples[0])
     np.testing.assert_array_equal(fresh.wrist_target, again.wrist_target)
@@ -123,7 +123,7 @@ def test_points_that_are_written_to_after_the_step_change_nothing() -> None:
 
 
 class Mirror:
-    """A method of a test's own: the robot stays where the reference found it."""
+    """A method that keeps the robot at the posture of the reference."""
 
     def bind(self, human: Hand, robot: Hand) -> BoundMethod:
         return StillMethod(robot)
@@ -259,8 +259,8 @@ def test_tip_vectors_name_their_missing_requirement() -> None:
     "method", [m for m in CHOICES if not isinstance(m, FingertipVectors | JointToJoint)], ids=str
 )
 def test_a_still_human_keeps_the_robot_still_from_any_start(method: Any) -> None:
-    # The rest term pulls to the posture of the reference: elsewhere it would move joints that the
-    # points hardly see.
+    # The rest term pulls to the posture of the reference. Another posture would move joints with
+    # little effect on the points.
     if isinstance(method, MappingOptions) and method.reference == "previous":
         pytest.skip("a chain of references has no posture to come back to")
     rng = np.random.default_rng(3)
@@ -306,8 +306,8 @@ def test_the_rest_reference_forgets_the_posture_of_the_first_sample() -> None:
 
 
 def test_the_previous_reference_takes_the_wrist_along() -> None:
-    # A wrist that goes on at a constant speed: with the first wrist as reference in every step the
-    # displacements would add up quadratically.
+    # The wrist moves at a constant speed. If every step referred to the first wrist, displacements
+    # would add up quadratically.
     mapper = HandMapper(
         HUMAN, THREE, MappingOptions(reference="previous", rigid_from="wrist"), ik=SETTLE, dt=1.0
     )

@@ -1,4 +1,4 @@
-"""Every option does what its definition says.
+"""Every option has the effect of its definition.
 
 T_rb, T_def and the targets, written out here as 4x4 matrices.
 """
@@ -39,7 +39,7 @@ alignments = pytest.mark.parametrize(
 
 
 class Situation:
-    """Both hands at a reference, and the human's hand at a later sample; all at random."""
+    """Draw both hands at a reference, and the human hand at a later sample."""
 
     def __init__(self, generator: np.random.Generator) -> None:
         self.human_q = [self._posture(HUMAN, generator) for _ in range(2)]
@@ -57,7 +57,7 @@ class Situation:
         )
 
     def step(self, options: MappingOptions) -> MapStep:
-        """The mapper's step at the later sample."""
+        """Return the mapper's step at the later sample."""
         mapper = HandMapper(HUMAN, ROBOT, options)
         mapper.reset(
             self.human_q[0], self.human_wrist[0], robot_q=self.robot_q, robot_wrist=self.robot_wrist
@@ -65,19 +65,19 @@ class Situation:
         return mapper.map_step(self.human_q[1], self.human_wrist[1])
 
     def palms(self) -> tuple[np.ndarray, np.ndarray]:
-        """Palm poses of human and robot at the reference."""
+        """Return palm poses of human and robot at the reference."""
         return self.human_wrist[0] @ HUMAN.wrist_to_palm, self.robot_wrist @ ROBOT.wrist_to_palm
 
 
 def about(linear: np.ndarray, centre: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The 4x4 of `s -> linear (s - centre) + image`."""
+    """Return the 4x4 matrix of `s -> linear (s - centre) + image`."""
     return (
         motion_of(np.eye(3), image) @ motion_of(linear, np.zeros(3)) @ motion_of(np.eye(3), -centre)
     )
 
 
 def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
-    """The mapping's definition: estimation, decomposition about the pivot, eq. (7)."""
+    """Compute the mapping by its definition: estimation, decomposition about the pivot, eq. (7)."""
     before, now = (
         HUMAN.points(q, wrist) for q, wrist in zip(at.human_q, at.human_wrist, strict=True)
     )
@@ -138,7 +138,7 @@ def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
 
 
 def options_of(**choices: Any) -> MappingOptions:
-    """Options with the pivot's point where one is needed."""
+    """Draw options, with the pivot's point where one is needed."""
     return MappingOptions(**choices, pivot_point=POINT if choices.get("pivot") == "point" else None)
 
 
@@ -261,7 +261,7 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
     )
     at = Situation(generator)
     step = at.step(paper)
-    if not step.is_clamped:  # a mirrored T is clamped all the same
+    if not step.is_clamped:  # A mirrored T is clamped as well.
         robot_points = ROBOT.points(at.robot_q, at.robot_wrist)
         np.testing.assert_allclose(
             step.targets, transform_points(step.motion, robot_points), atol=1e-9

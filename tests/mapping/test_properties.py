@@ -1,4 +1,4 @@
-"""What the mapper promises for every combination of its options.
+"""Properties of the mapper for every combination of its options.
 
 Invariance, rest, drift, exactness on itself, units.
 """
@@ -22,8 +22,7 @@ HUMAN = load_hand("human", points="fingertips_middle")
 THREE = load_hand("three_finger", points="fingertips")
 QUARTER = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 POINT = np.array([0.3, -0.2, 0.5])
-# Long enough to settle, and no speed limit in the way: for statements about where a motion ends,
-# not how it gets there.
+# Enough iterations to converge and no speed limits, for statements about the end of a motion.
 SETTLE = IkOptions(
     max_iterations=100, step_tolerance=1e-10, error_damping=0.0, has_velocity_limits=False
 )
@@ -36,7 +35,7 @@ references = pytest.mark.parametrize("reference", ["first", "previous"])
 def samples(
     generator: np.random.Generator, count: int = 4
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Postures and wrist poses of a hand that moves a little."""
+    """Draw postures and wrist poses of a hand that moves a little."""
     for _ in range(count):
         yield near_rest(generator), little_pose(generator)
 
@@ -46,7 +45,7 @@ def samples(
 @references
 @pytest.mark.parametrize(
     ("alignment", "pivot"),
-    # A point that is one in both worlds needs worlds that are one.
+    # A point common to both worlds requires that both worlds are the same.
     [
         ("world", "point"),
         *(
@@ -73,7 +72,7 @@ def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
         "pivot": pivot,
         "residual_gain": 0.5,
     }
-    if alignment == "palm":  # the robot's world does not know where the human's lies
+    if alignment == "palm":  # The robot's world does not depend on the human's.
         carried = np.eye(4)
     else:
         Q = np.eye(3) if alignment == "world" else np.array(alignment)
@@ -199,8 +198,7 @@ def test_with_the_initial_reference_the_robot_is_home_when_the_human_is(
         mapper.map_step(q, wrist)
     back = mapper.map_step(HUMAN.rest, np.eye(4))
     np.testing.assert_allclose(back.targets, home.targets, atol=1e-12)
-    # A hundredth of a millimetre: the iterations approach the end by steps that shrink in
-    # proportion.
+    # A hundredth of a millimetre, because the iterations converge linearly.
     np.testing.assert_allclose(back.points, home.points, atol=1e-5)
     np.testing.assert_allclose(back.command.wrist, home.command.wrist, atol=1e-5)
 

@@ -1,4 +1,4 @@
-"""The one-euro filter on samples: what it keeps, what it takes away, and time."""
+"""The one-euro filter on samples: signals that it keeps and removes, and time."""
 
 from __future__ import annotations
 

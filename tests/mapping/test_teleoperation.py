@@ -1,4 +1,4 @@
-"""Teleoperation: what the robot's fingers do when the human's do, on several hands."""
+"""Teleoperation: the robot's fingers follow those of the human, on several hands."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_whoever_begins_with_a_fist_gets_a_fist() -> None:
     settled(later, OPEN)
     from_fist, from_open = settled(first, FIST), settled(later, FIST)
     np.testing.assert_allclose(from_fist.targets, from_open.targets, atol=1e-12)
-    # The thumb may lie before or behind the fingers, as they came first or it did.
+    # The thumb may end in front of the fingers or behind them, depending on which closes first.
     one, other = (flexions(ALLEGRO, step.command.q) for step in (from_fist, from_open))
     for finger in FINGERS[:3]:
         assert one[finger] == pytest.approx(other[finger], abs=0.03)
@@ -163,7 +163,7 @@ def test_a_hand_onto_itself_is_itself() -> None:
     for _ in range(5):
         q, wrist = near_rest(rng, 0.6, HUMAN), little_pose(rng, 0.2)
         step = settled(mapper, q, wrist)
-        # The matched thumb is placed from where it pinches, so it is not quite its own.
+        # The matched thumb is placed relative to its pinch, so it differs slightly from its own.
         distance = np.linalg.norm(step.targets - step.human_points[used], axis=1)
         assert distance[1:].max() < 0.004
         assert distance[0] < 0.02

@@ -1,6 +1,6 @@
-"""Carrying a motion over.
+"""Transfer of a motion.
 
-What its parts do to pivots and points, clamping, gain, mirrored motions and units.
+Effect of its parts on pivots and points; clamping, gain, mirrored motions and units.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def options_of(**choices: Any) -> MappingOptions:
 def reference_of(
     options: MappingOptions, human_wrist: np.ndarray, robot_wrist: np.ndarray
 ) -> Reference:
-    """Both hands at rest, their wrists as given."""
+    """Return the reference of both hands at rest with given wrists."""
     points = HUMAN.points(HUMAN.rest, human_wrist)
     robot = ROBOT.configuration()
     robot.place_frames(ROBOT.configuration_vector(ROBOT.rest, robot_wrist))
@@ -51,7 +51,7 @@ def reference_of(
 
 
 def exact(motion: np.ndarray) -> MotionEstimate:
-    """The estimate of points that a motion moves exactly."""
+    """Return the estimate of points that a motion moves exactly."""
     none = np.zeros((len(HUMAN.reference_points), 3))
     return MotionEstimate(motion[:3, :3], np.zeros(3), motion[:3, 3], none, none, np.ones(3))
 
@@ -63,7 +63,7 @@ def transfer_of(
     options: MappingOptions,
     points: np.ndarray | None = None,
 ) -> Transfer:
-    """Carry a motion over; the points now matter to the residual alone."""
+    """Transfer a motion; the current points affect the residual alone."""
     now = np.zeros((len(HUMAN.reference_points), 3)) if points is None else points
     return transfer_motion(estimate, reference, HumanPose(now, wrist), options)
 
@@ -143,7 +143,7 @@ def test_a_mirrored_motion_never_yields_a_reflection(
     for proper in (transfer.motion_rigid, transfer.wrist_target):
         np.testing.assert_allclose(proper[:3, :3] @ proper[:3, :3].T, np.eye(3), atol=1e-12)
         assert np.linalg.det(proper[:3, :3]) > 0.0
-    # 0.2, the smallest stretch that is passed on, is all that is left of the mirrored direction.
+    # The mirrored direction is clamped to 0.2, the smallest stretch that is imposed.
     assert np.linalg.det(transfer.motion_deformation[:3, :3]) >= options.stretch_min**3 - 1e-12
 
 
@@ -194,8 +194,8 @@ def test_half_the_deformation_gain_is_the_root_of_the_stretch(motion: np.ndarray
 def test_the_robots_points_see_the_motion_in_their_own_axes(
     alignment: Any, motion: np.ndarray, start: np.ndarray, robot_wrist: np.ndarray
 ) -> None:
-    # Stretches are what they are from wherever one looks: the robot's arms are stretched by as much
-    # as the human's would be.
+    # Stretches do not depend on the frame: the robot's offsets are stretched by the same factors as
+    # the human's.
     options = options_of(alignment=alignment, **OPEN)
     reference = reference_of(options, start, robot_wrist)
     transfer = transfer_of(exact(motion), reference, None, options)
@@ -245,7 +245,7 @@ def _pose_in_unit(pose: np.ndarray, unit: float) -> np.ndarray:
 
 
 def _in_unit(reference: Reference, options: MappingOptions, unit: float) -> Reference:
-    """The same reference measured in another unit of length."""
+    """Return the same reference measured in another unit of length."""
     human_wrist = np.eye(4) if reference.human_wrist is None else reference.human_wrist
     points = unit * HUMAN.points(HUMAN.rest, human_wrist)
     return reference._replace(

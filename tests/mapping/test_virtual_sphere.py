@@ -1,4 +1,4 @@
-"""The virtual sphere: the published numbers, exact similarities, and what it cannot see."""
+"""The virtual sphere: the published numbers, exact similarities, and its limits."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def test_a_virtual_object_names_its_missing_requirement(method: Any) -> None:
     on_a_line = np.outer(np.linspace(0.0, 0.1, 5), [1.0, 2.0, 3.0])
     with pytest.raises(DegeneratePointsError, match="on a line"):
         mapper.map_points(on_a_line, np.eye(4))
-    # Neither failure has left a reference behind.
+    # Neither failure has set a reference.
     mapper.map_points(HUMAN.points(HUMAN.rest), np.eye(4))
     with pytest.raises(InvalidOptionsError, match="needs 3 points") as few:
         HandMapper(HUMAN.with_points(("thumb_tip", "index_tip")), THREE, method)

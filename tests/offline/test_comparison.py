@@ -1,4 +1,4 @@
-"""Comparisons: each method on the same samples, and a word for what a method cannot do."""
+"""Comparisons: each method on the same samples, and a message if a method fails."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from handmap_qp.transform import rotation_from_rpy
 
 @dataclass(frozen=True)
 class Still:
-    """A method that holds one posture, with or without a wrist."""
+    """Hold one posture, with or without a wrist."""
 
     name: str = "still"
     has_wrist: bool = False
@@ -85,7 +85,7 @@ def test_mirrored_take_is_that_of_the_other_hand(take: Take, tmp_path: Path) -> 
     tips = left.trace.in_palm(left.trace.fingers["index"].tip)
     expected = take.trace.in_palm(take.trace.fingers["index"].tip)
     np.testing.assert_allclose(tips, expected, atol=1e-6)
-    # The tracker's wrist is mirrored too: it stays with the landmarks.
+    # The wrist pose of the tracker is mirrored with the landmarks.
     fitted = prepare_take(left.recording)
     assert not fitted.has_wrist
     np.testing.assert_allclose(left.wrist, fitted.wrist, atol=1e-6)
@@ -137,12 +137,12 @@ def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> No
     still = result.run("still", "closing").values
     assert still["extension_correlation"] == 0.0
     assert still["step_time_ms"] == pytest.approx(2.0)
-    # A method that does not move the wrist is not asked for the palm, and that is said.
+    # A method that does not move the wrist has no palm error, and a note says so.
     assert np.isnan(still["palm_deg"])
     assert np.isnan(still["palm_mm"])
     (note,) = result.notes()
     assert note.startswith("still: the wrist is not moved")
-    # A wrist that is left in the world's origin misses all of the human's motion.
+    # A wrist fixed at the origin has the whole motion of the human as error.
     assert result.overall("moving")["palm_deg"] > 5.0
     assert result.overall("moving")["palm_mm"] > 50.0
     assert result.overall("paper")["speed_ratio"] <= 1.0 + 1e-6

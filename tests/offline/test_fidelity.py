@@ -51,7 +51,7 @@ def allegro() -> Hand:
 
 
 def wave(hand: Hand, count: int = 300, amount: float = 0.3, lag: float = 0.0) -> np.ndarray:
-    """Joint angles that swing about the middle of their ranges, each joint at its own pace."""
+    """Return joint angles that oscillate about mid-range, each at its own frequency."""
     middle = 0.5 * (hand.lower_limits + hand.upper_limits)
     half = 0.5 * (hand.upper_limits - hand.lower_limits)
     time = np.arange(count)[:, None] / RATE - lag
@@ -60,7 +60,7 @@ def wave(hand: Hand, count: int = 300, amount: float = 0.3, lag: float = 0.0) ->
 
 
 def poses(count: int, rate: float = 1.0) -> np.ndarray:
-    """Wrist poses that turn and travel."""
+    """Return wrist poses that rotate and translate."""
     time = np.arange(count) / RATE
     pose = np.tile(np.eye(4), (count, 1, 1))
     turns = rate * time[:, None] * np.array([0.3, 0.5, -0.4])
@@ -70,7 +70,7 @@ def poses(count: int, rate: float = 1.0) -> np.ndarray:
 
 
 def moved(trace: HandTrace, motion: np.ndarray, *, fingers: bool = True) -> HandTrace:
-    """A trace moved by one rigid motion, or its palm only."""
+    """Move a trace, or its palm only, by one rigid motion."""
 
     def act(points: np.ndarray) -> np.ndarray:
         return points @ motion[:3, :3].T + motion[:3, 3] if fingers else points
@@ -83,7 +83,7 @@ def moved(trace: HandTrace, motion: np.ndarray, *, fingers: bool = True) -> Hand
 
 
 def scaled(trace: HandTrace, factor: float) -> HandTrace:
-    """A trace of a hand that is larger, about the world's origin."""
+    """Scale a trace about the origin of the world."""
     palm = trace.palm.copy()
     palm[:, :3, 3] *= factor
     fingers = {
@@ -144,7 +144,7 @@ def test_tips_from_the_knuckles_do_not_depend_on_the_palms_origin(trace: HandTra
     result = assess(trace, other)
     assert result.tip_error_mm > 30.0
     assert result.tip_error_knuckles_mm == pytest.approx(0.0, abs=1e-9)
-    # One finger of five is moved aside by 5 mm: that finger alone is wrong, by that much.
+    # One finger of five is displaced by 5 mm, so only that finger has an error, of 5 mm.
     ring = trace.fingers["ring"]
     aside = dataclasses.replace(ring, tip=ring.tip + np.array([0.003, 0.0, -0.004]))
     result = assess(trace, HandTrace({**trace.fingers, "ring": aside}, trace.palm, trace.size))
@@ -224,7 +224,7 @@ def test_a_turned_finger_gives_its_angle() -> None:
 
 
 def test_a_turned_object_gives_its_angle_and_a_moved_one_its_distance(trace: HandTrace) -> None:
-    # The reference is the same; afterwards, all points are turned about a fixed point and moved.
+    # After the common reference, all points are rotated about a fixed point and translated.
     motion = np.eye(4)
     motion[:3, :3] = Rotation.from_rotvec([0.15, 0.0, 0.0]).as_matrix()
     first = trace.at(np.zeros(40, dtype=int))
@@ -278,7 +278,7 @@ def test_joints_outside_limits_and_too_fast_are_counted(trace: HandTrace, human:
 
 
 def pinching(trace: HandTrace, gap: float) -> HandTrace:
-    """A trace whose index fingertip is at a distance from the thumb's tip."""
+    """Return a trace with given distances between the tips of thumb and index finger."""
     thumb = trace.fingers["thumb"].tip
     index = dataclasses.replace(trace.fingers["index"], tip=thumb + np.array([gap, 0.0, 0.0]))
     return HandTrace({**trace.fingers, "index": index}, trace.palm, trace.size)
@@ -287,7 +287,7 @@ def pinching(trace: HandTrace, gap: float) -> HandTrace:
 def test_pinches_are_judged_by_the_surfaces(trace: HandTrace) -> None:
     count = len(trace.palm)
     closed, nearest = np.full(count, 0.0005), np.full(count, 0.01)
-    closed[150:200] = 0.004  # open in 50 of the 250 samples that count
+    closed[150:200] = 0.004  # Open in 50 of the 250 samples with a human pinch.
     closed[200:250] = -0.002
     nearest[100:150] = -0.0015
     gaps = SurfaceGaps({"index": closed}, nearest)
@@ -390,7 +390,7 @@ def test_knuckles_stay_in_the_palm_and_the_reach_is_the_largest_distance(name: s
     trace = trace_robot(hand, q, None, chains)
     for finger in trace.fingers.values():
         knuckle = trace.in_palm(finger.knuckle)
-        # Two fingers of `three_finger` spread about the middle of the palm, knuckles and all.
+        # Two fingers of `three_finger` spread about the middle of the palm, with their knuckles.
         assert np.ptp(knuckle, axis=0).max() < 1e-9 or name == "three_finger"
         assert finger.extension.max() <= 1.0 + 1e-3
     for finger, chain in chains.items():
@@ -455,7 +455,7 @@ def test_hands_of_the_shared_folder_are_described(name: str) -> None:
             assert direction[1] / np.linalg.norm(direction) > 0.99, finger
     thumb, index = (trace.in_palm(trace.fingers[f].knuckle)[0] for f in ("thumb", "index"))
     assert thumb[1] < index[1]
-    assert index[0] < 0.0  # the radial side of a right hand
+    assert index[0] < 0.0  # The radial side of a right hand.
 
 
 def test_traces_that_do_not_fit_are_rejected(trace: HandTrace) -> None:

@@ -1,4 +1,4 @@
-"""Metrics of a comparison: every one has a value, and the best is found."""
+"""Metrics of a comparison: values, missing values, and the best method of each."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_every_metric_is_one_of_fidelity() -> None:
     trace = trace_human(landmarks, HumanLengths.from_hand_length(0.19))
     values = metric_values(assess_fidelity(trace, trace, np.arange(100) / 100.0))
     assert list(values) == [m.key for m in METRICS]
-    # Without surfaces, joints, workspace and times, these have no answer; all others have.
+    # These metrics need surfaces, joints, workspace or times; all others have a value.
     unknown = {key for key, value in values.items() if np.isnan(value)}
     motion = {"jerk_ratio", "speed_ratio", "outside_limits", "self_penetration"}
     pinches = {m.key for m in GROUPS["Pinches"]}
@@ -52,7 +52,7 @@ def test_keys_and_labels_are_different() -> None:
         ("low", [-3.0, 2.0, 0.0, -0.5], {0, 2, 3}),
         ("zero", [-8.0, 3.0, 9.0], {1}),
         ("one", [0.8, 1.1, 2.0], {1}),
-        # Values that print alike are alike.
+        # Values that are printed alike count as equal.
         ("high", [0.994, 0.9901, 0.98], {0, 1}),
         ("high", [0.5, NAN], set()),
     ],

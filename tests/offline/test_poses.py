@@ -1,4 +1,4 @@
-"""Poses are found by raw landmarks: hands whose posture is known, in known stretches of time."""
+"""Poses are found in landmarks of hands with known postures at known times."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ BONES = (0.045, 0.028, 0.022)
 
 
 def hand(bend: tuple[float, ...], fan: float = 0.0, thumb: tuple[float, ...] = ()) -> np.ndarray:
-    """Landmarks of a right hand, shape (21, 3).
+    """Return landmarks of a right hand, shape (21, 3).
 
     `bend` is the angle at each joint of the four fingers [deg]; straight fingers continue the
-    metacarpals. `fan` turns index and little finger apart [deg each]. `thumb` is its tip's place.
+    metacarpals. `fan` turns index and little finger apart [deg each]. `thumb` is the thumb's tip.
     """
     landmarks = np.zeros((21, 3))
     tip = np.array(thumb or (-0.08, 0.06, -0.02))
@@ -66,7 +66,7 @@ def pinch(finger: int, gap: float = 0.01) -> np.ndarray:
 
 
 def recording_of(*parts: tuple[np.ndarray, float]) -> Recording:
-    """Postures, each held for a time [s], after 0.6 s of a claw."""
+    """Record postures, each held for a time [s], after 0.6 s of a claw."""
     samples = [np.tile(CLAW, (30, 1, 1))]
     samples += [np.tile(part, (round(RATE * time), 1, 1)) for part, time in parts]
     landmarks = np.concatenate(samples)
@@ -148,7 +148,7 @@ def test_pose_that_is_held_wins_over_one_in_passing() -> None:
     found = find_poses(recording)["index pinch"]
     assert found is not None
     np.testing.assert_array_equal(recording.landmarks[found], held)
-    # Where nothing is held, the one in passing is better than none.
+    # If no posture is held, a passing one is used.
     alone = find_poses(recording_of((passing, 0.04), (CLAW, 0.3)))["index pinch"]
     assert alone is not None
 
@@ -158,7 +158,7 @@ def test_start_and_lost_samples_are_not_used() -> None:
     valid, landmarks = recording.valid.copy(), recording.landmarks.copy()
     valid[:10] = False
     landmarks[:60] = POINTING
-    # Valid from 0.2 s on: used from 0.7 s, which is past the last sample that points but two.
+    # Valid from 0.2 s on, so used from 0.7 s on: only two samples of pointing remain.
     landmarks[33:] = OPEN
     late = replace(recording, valid=valid, landmarks=landmarks)
     assert find_poses(late)["pointing"] is None

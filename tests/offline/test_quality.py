@@ -28,7 +28,7 @@ HUMAN = load_hand("human", points="joints")
 
 
 def waving(count: int = 40) -> HumanMotion:
-    """A hand that opens and closes while its wrist turns and travels."""
+    """Record a hand that opens and closes while its wrist moves."""
     time = np.linspace(0.0, 1.0, count)
     way = 0.5 - 0.5 * np.cos(2.0 * np.pi * time)
     q = HUMAN.rest + 0.4 * way[:, None] * (HUMAN.upper_limits - HUMAN.rest)
@@ -46,7 +46,7 @@ def waving(count: int = 40) -> HumanMotion:
 
 
 def same_motion(motion: HumanMotion) -> Trajectory:
-    """The trajectory of a robot that is the human's hand and does the same."""
+    """Return the trajectory of a robot that equals the human hand and moves alike."""
     mapped = map_motion(HandMapper(HUMAN, HUMAN, "paper"), motion)
     still = np.zeros_like(mapped.point_error)
     return replace(
@@ -71,7 +71,7 @@ def test_the_same_motion_is_perfectly_faithful() -> None:
     assert quality.correlation == pytest.approx(1.0, abs=1e-12)
     assert quality.range_ratio == pytest.approx(1.0, abs=1e-12)
     assert quality.wrist_distance == pytest.approx(0.0, abs=1e-12)
-    # Near the identity, the angle is as inaccurate as the square root of the rounding error.
+    # Near the identity, the error of the angle is the square root of the rounding error.
     assert quality.wrist_angle == pytest.approx(0.0, abs=1e-7)
     assert (quality.speed, quality.jerk) == (quality.human_speed, quality.human_jerk)
     assert quality.share_at_limit == 0.0
@@ -91,7 +91,7 @@ def test_only_seen_samples_count_for_the_share_at_a_limit() -> None:
 
 
 def test_the_motions_sample_times_bound_the_speed() -> None:
-    # Samples 1 to 20 ms apart, by a mapper whose own sample time would allow any displacement.
+    # Samples are 1 to 20 ms apart; the mapper's own sample time would allow any displacement.
     motion = waving()
     dt = np.where(np.arange(len(motion.time)) % 2 == 0, 0.001, 0.02)
     motion = replace(motion, time=np.cumsum(dt), dt=dt)

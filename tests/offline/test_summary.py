@@ -16,7 +16,7 @@ HUMAN = load_hand("human", points="landmarks")
 
 
 def closing(count: int = 40) -> Recording:
-    """A hand that closes within half the recording, then keeps still; one gap."""
+    """Record a hand that closes within half the recording, then keeps still; one gap."""
     closed = HUMAN.rest + 0.5 * (HUMAN.upper_limits - HUMAN.rest)
     shares = np.minimum(np.arange(count) / (count / 2), 1.0)
     landmarks = [HUMAN.points(HUMAN.rest + share * (closed - HUMAN.rest)) for share in shares]
@@ -37,7 +37,7 @@ def test_a_slow_hand_is_held_and_a_quick_one_is_not() -> None:
     moved = np.abs(np.diff(slow.q, axis=0)) * 60.0
     held = slow.at_speed_limit[1:]
     np.testing.assert_allclose(moved[held], 0.3, rtol=1e-6)
-    # A joint that moves at its limit may want no more than that; few do.
+    # Few joints at their speed limit have a target at exactly that speed.
     assert (held[moved > 0.3 - 1e-9]).mean() > 0.95
     summary = summarise(slow)
     assert summary["speed_limited_share"] > 0.5

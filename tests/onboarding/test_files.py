@@ -183,7 +183,7 @@ def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("speed", "count"), [(0.5, 8), (2.95, 3), (3.05, 0)])
 def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
-    """Proximal joints of the three-fingered hand flex by 2.44 rad, of which a fist takes 1.5."""
+    """Proximal joints of the three-fingered hand flex by 2.44 rad; a fist needs 1.5."""
     spec = load_hand("three_finger").spec
     upper = {joint: 1.4 for joint in spec.joints if "distal" in joint}
     limits = {j: LimitSpec(velocity=speed, upper=upper.get(j)) for j in spec.joints}
@@ -220,13 +220,13 @@ def test_overlapping_links_are_found() -> None:
 
 
 def test_reach_is_that_of_a_planar_finger() -> None:
-    """Finger 1 of the three-fingered hand: two links of 50 mm in a plane."""
+    """Return finger 1 of the three-fingered hand: two links of 50 mm in a plane."""
     hand = load_hand("three_finger", points="fingertips")
     first, second, _ = measure_reach(hand)
     assert (first.directions, second.directions) == (2, 3)
     # Yoshikawa's measure of a planar arm of two links is l1 l2 |sin q2|.
     assert first.manipulability == pytest.approx(0.05 * 0.05 * np.sin(hand.rest[1]), rel=1e-6)
-    # No two places of its tip are farther apart than twice its length.
+    # Two positions of its tip are at most twice its length apart.
     assert 0.15 < first.span <= 0.2
 
 
@@ -275,7 +275,7 @@ def test_a_picture_is_drawn_whether_there_are_shapes_or_not(name: str, tmp_path:
     hand = load_hand(detect_text(text, path).spec)
     draw_hand(hand, tmp_path / "hand.png")
     picture = imread(tmp_path / "hand.png")[..., :3]
-    # White paper, and something on both halves of it.
+    # The background is white, and both halves show something.
     for half in np.array_split(picture, 2, axis=1):
         assert 0.02 < (half.min(axis=2) < 0.9).mean() < 0.6
 

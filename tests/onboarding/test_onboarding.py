@@ -1,4 +1,4 @@
-"""Hands found in URDFs: what is found, independence of names, and URDFs that cannot be used."""
+"""Hands found in URDFs: results, independence of names, and invalid URDFs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_hand_on_a_robot_is_found(
 
 @pytest.mark.slow
 def test_which_finger_is_which_on_robots() -> None:
-    """Compare with the link names, which are right on these robots."""
+    """Compare with the link names, which are correct for these robots."""
     for side in ("left", "right"):
         found = tips(detect(G1, root=f"{side}_hand_palm_link"))
         assert found == {
@@ -126,7 +126,7 @@ def test_jaws_close_towards_each_other() -> None:
         for q in (hand.lower_limits, hand.rest, hand.upper_limits)
     ]
     assert spreads == sorted(spreads, reverse=True)
-    # None of three equal fingers is a thumb: low confidence.
+    # Three equal fingers include no thumb, so confidence is low.
     assert max(sure(found, what) for what in ("thumb", "side", "fingers")) < 0.5
 
 

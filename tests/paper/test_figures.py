@@ -34,7 +34,7 @@ TABLES = ("claims.csv", "final_errors.csv", "report.md")
 
 @pytest.fixture(scope="module")
 def quick() -> Iterator[None]:
-    """Fewer runs and coarser pictures, by the same code."""
+    """Make fewer runs and coarser pictures by the same code."""
     draw = paper_drawings.draw_hands
 
     def draw_coarsely(*arguments: Any, **named: Any) -> None:
@@ -122,7 +122,7 @@ def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_claims_hold(result: FiguresResult) -> None:
-    # The planner's claim is about 240 grasps, and here are 12.
+    # The paper plans 240 grasps, this test 12.
     verdicts = [row["holds"] for row in result.claims]
     assert verdicts[1] == "assumed"
     assert verdicts[2:] == ["yes"] * 7
@@ -151,7 +151,7 @@ def test_progress_goes_to_the_end(result: FiguresResult, said: list[tuple[str, i
 
 @pytest.fixture
 def light(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No planning and empty pictures, where the test is about files."""
+    """Skip planning and make empty pictures, for tests of files."""
     from matplotlib.figure import Figure
 
     def make(name: str, *_: object) -> FigureRecord:

@@ -39,7 +39,7 @@ METRE = np.array([1.0, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """The scene of the reference numbers."""
+    """Return the scene of the reference numbers."""
     return paper_scene("toolbox")
 
 
@@ -49,7 +49,7 @@ def table(load_data: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
 
 
 def agrees(found: float, expected: float) -> bool:
-    """Within 2 % or 0.05 mm; `found` in metres."""
+    """Assert equality within 2 % or 0.05 mm; `found` is in metres."""
     return abs(1e3 * found - expected) <= max(0.02 * expected, 0.05)
 
 
@@ -179,7 +179,7 @@ def test_without_a_synergy_everything_goes_with_the_wrist(scene: Scene) -> None:
     assert still.point_rms < 1e-9
 
 
-# -- followers
+# -- methods that follow the object
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
@@ -194,7 +194,7 @@ def test_without_limits_in_reach_the_qp_is_the_pseudoinverse_of_its_cost(
 
 @pytest.fixture(scope="module")
 def tight() -> Scene:
-    """The scene with joint limits four degrees from the start posture."""
+    """Return the scene with joint limits four degrees from the initial posture."""
     base, room = paper_scene("ours"), np.radians(4.0)
     return replace(
         base,

@@ -62,7 +62,7 @@ def test_a_hand_is_measured_as_long_as_it_is(side: Side, hand_length: float) -> 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize("size", [0.8, 1.0, 1.25])
 def test_a_hand_of_the_standard_shape_is_measured_where_it_is(side: Side, size: float) -> None:
-    """Every joint of the palm at its place, which distances from the wrist alone do not tell."""
+    """Check the position of every palm joint; distances from the wrist do not determine it."""
     standard = HumanLengths.from_urdf(load_hand("human").urdf_text)
     lengths = HumanLengths(bases=size * standard.bases, segments=size * standard.segments)
     measured = measure_hand(synthetic(side, lengths)[0])
@@ -71,13 +71,13 @@ def test_a_hand_of_the_standard_shape_is_measured_where_it_is(side: Side, size: 
 
 
 def handedness(bases: np.ndarray) -> float:
-    """Signed volume that the thumb's base spans with three knuckles [m^3]; a mirror changes it."""
+    """Return the signed volume of thumb base and three knuckles [m^3]; mirroring flips the sign."""
     return float(np.linalg.det(bases[[0, 2, 4]] - bases[1]))
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_a_palm_that_is_not_flat_is_measured_the_right_way_round(side: Side) -> None:
-    """A flat palm turned over is its own mirror image, so the thumb lies 25 mm below this one."""
+    """Return a flat palm with the thumb 25 mm below it; otherwise it would be its mirror image."""
     standard = HumanLengths.from_urdf(load_hand("human").urdf_text)
     depth = np.array([-0.025, 0.0, 0.004, 0.002, -0.004])
     bases = standard.bases + depth[:, None] * (0.0, 0.0, 1.0)
@@ -85,7 +85,7 @@ def test_a_palm_that_is_not_flat_is_measured_the_right_way_round(side: Side) -> 
     recording = synthetic(side, lengths)[0]
     measured = measure_hand(recording)
     assert handedness(measured.bases) == pytest.approx(handedness(bases), rel=1e-6)
-    # The palm's axes are those of the standard one, up to the angle that its arch makes.
+    # The palm's axes are those of the standard hand, except for the angle of its arch.
     np.testing.assert_allclose(measured.bases, bases, atol=0.006)
     other: Side = "left" if side == "right" else "right"
     mirrored = recording.landmarks * (-1.0, 1.0, 1.0)
@@ -159,7 +159,7 @@ def test_samples_that_are_not_of_the_hands_size_hold_the_posture_before() -> Non
 
 def test_a_size_that_no_sample_bears_out_is_no_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.1))
-    # As medians of a tracker that has lost the hand may come out.
+    # Medians of a tracker that has lost the hand may be like this.
     monkeypatch.setattr(
         "handmap_qp.trackers.landmarks.measure_hand", lambda _: HumanLengths.from_hand_length(0.3)
     )
@@ -184,7 +184,7 @@ BAD = {
 
 
 class Fitters(NamedTuple):
-    """Fitters and two samples; both warm fitters have seen the first sample."""
+    """Return fitters and two samples; both warm fitters have fitted the first sample."""
 
     samples: np.ndarray
     disturbed: LandmarkFitter

@@ -1,4 +1,4 @@
-"""A person's file: what is measured comes back, and what cannot be used is named."""
+"""A person's file: round trip of measured values, and errors of invalid files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings: read as they are; unusable ones are rejected in one line."""
+"""Recordings: reading, and one line for invalid ones."""
 
 import pickle
 from dataclasses import fields, replace
@@ -13,7 +13,7 @@ from handmap_qp.trackers.recording import HumanMotion, mirrored, read_wrist_pose
 
 
 def arrays(count: int = 5) -> dict[str, np.ndarray]:
-    """A small recording that is in order."""
+    """Return the arrays of a small valid recording."""
     rng = np.random.default_rng(0)
     return {
         "time": np.arange(count) / 60.0,
@@ -24,7 +24,7 @@ def arrays(count: int = 5) -> dict[str, np.ndarray]:
 
 
 def write(folder: Path, **changes: np.ndarray | None) -> Path:
-    """The small recording with arrays changed, or dropped where None."""
+    """Write the small recording with arrays changed, or removed if None."""
     path = folder / "hand.npz"
     np.savez(
         path,
@@ -148,7 +148,7 @@ def test_what_is_not_a_path_is_named(path: Any) -> None:
 
 
 def recording(**changes: Any) -> Recording:
-    """The small recording, built in code."""
+    """Return the small recording, built in code."""
     values = {**arrays(), "name": "hand", "side": "right", **changes}
     values.pop("handedness")
     return Recording(**values)

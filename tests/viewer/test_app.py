@@ -1,4 +1,4 @@
-"""The view of a recording: what it maps and draws, and what its controls do."""
+"""The view of a recording: mapping, drawing and controls."""
 
 from __future__ import annotations
 

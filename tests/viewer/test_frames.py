@@ -9,7 +9,7 @@ from handmap_qp.viewer.frames import FRAME_PERIOD, Throttle, run_frames
 
 
 class Clock:
-    """Time that passes only in `sleep`, or by `now`."""
+    """A clock that advances only in `sleep`, or by `now`."""
 
     def __init__(self) -> None:
         self.now = 0.0

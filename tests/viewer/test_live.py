@@ -26,7 +26,7 @@ QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Source:
-    """A source that yields what is put into `given`: samples, an error to raise, None to end."""
+    """Yield the items of `given`: samples, an error to raise, or None to end."""
 
     def __init__(self, robot: str = "three_finger") -> None:
         replay = make_replay(robot)

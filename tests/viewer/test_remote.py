@@ -39,7 +39,7 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replies take long on a busy machine."""
+    """Set a long timeout, because replies take long on a busy machine."""
     monkeypatch.setattr("handmap_qp.viewer.remote._TIMEOUT", PATIENCE)
 
 
@@ -168,7 +168,7 @@ def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -
                 steering.preset.value = preset
                 tick_until(viewer, partial(is_shown, viewer, session, preset, count))
                 assert about_lab(service).preset == preset
-            # Of another client.
+            # Samples of another client.
             client.configure(preset="object", mapping={"ridge": 0.5})
             tick_until(viewer, lambda: steering.preset.value == "object")
             tick_until(viewer, lambda: steering.options.handles["ridge"].value == 0.5)

@@ -1,4 +1,4 @@
-"""The view's server accepts its own page, and clients that are no page at all."""
+"""The view's server accepts its own page, and clients that are not pages."""
 
 from __future__ import annotations
 
