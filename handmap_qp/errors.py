@@ -158,17 +158,24 @@ class RecordingError(HandmapError, ValueError):
         problem: What is wrong, without the place.
         file: The recording.
         array: The array inside it that is at fault; empty where there is none.
+        line: The line of a text file that is at fault, counted from 1; None where there is none.
     """
 
-    def __init__(self, problem: str, *, file: Path, array: str = "") -> None:
+    def __init__(
+        self, problem: str, *, file: Path, array: str = "", line: int | None = None
+    ) -> None:
         super().__init__(problem)
         self.problem = problem
         self.file = file
         self.array = array
+        self.line = line
 
     def __str__(self) -> str:
-        """Compose `file: array: problem` in one line."""
-        return ": ".join(part for part in (str(self.file), self.array, self.problem) if part)
+        """Compose `file: line: array: problem` in one line."""
+        line = "" if self.line is None else f"line {self.line}"
+        text = ": ".join(part for part in (str(self.file), line, self.array, self.problem) if part)
+        # Names inside a damaged file may have line breaks.
+        return " ".join(text.split())
 
 
 class DegeneratePointsError(HandmapError, ValueError):

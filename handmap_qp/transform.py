@@ -334,6 +334,38 @@ def pose_from_xyz_quat(values: npt.ArrayLike, order: QuatOrder) -> np.ndarray:
     return _pose_of_seven(as_floats(values, "values"), order, "values")
 
 
+def poses_from_quats(positions: np.ndarray, quats_wxyz: np.ndarray, name: str) -> np.ndarray:
+    """Compose poses over time from positions and quaternions.
+
+    Args:
+        positions: Positions [m], shape (T, 3).
+        quats_wxyz: Quaternions of any length but zero, in the order w, x, y, z, shape (T, 4).
+        name: What to call them in an error.
+
+    Returns:
+        Poses, shape (T, 4, 4).
+
+    Raises:
+        InvalidInputError: If a quaternion is zero or not finite, with its index.
+    """
+    norms = np.sqrt(np.square(quats_wxyz).sum(axis=1))
+    is_turn = np.isfinite(norms) & (norms > 1e-6)
+    if not is_turn.all():
+        got = f"{quats_wxyz[~is_turn][0].tolist()} in row {int(np.argmin(is_turn))}"
+        expected = "quaternions of 4 finite numbers, not all zero"
+        raise InvalidInputError(argument=name, expected=expected, value=quats_wxyz, got=got)
+    w, x, y, z = (quats_wxyz / norms[:, None]).T
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, 3] = positions
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    poses[:, :3, :3] = np.array(rows).transpose(2, 0, 1)
+    return poses
+
+
 def check_pose(
     value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None
 ) -> np.ndarray:
@@ -395,6 +427,35 @@ def check_pose(
     if defect > _ROTATION_EXACT:
         pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
     return pose
+
+
+def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
+    """Take poses over time as they are; those that are used must be poses.
+
+    Args:
+        values: Poses, shape (T, 4, 4).
+        name: What to call them in an error.
+        is_used: Which of them are looked at, shape (T,).
+
+    Returns:
+        The poses as floats, unchanged.
+
+    Raises:
+        InvalidInputError: If a pose that is used is not one, with its index.
+    """
+    poses = as_floats(values, name, shape=(len(is_used), 4, 4))
+    turns, shifts = poses[:, :3, :3], poses[:, :3, 3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        defect = np.abs(turns.transpose(0, 2, 1) @ turns - np.eye(3)).max(axis=(1, 2))
+        # `not ... <=` also rejects NaN.
+        is_pose = (defect <= _ROTATION_TOLERANCE) & (np.abs(shifts).max(axis=1) <= FARTHEST)
+        is_pose &= (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        is_pose &= np.linalg.det(np.where(is_pose[:, None, None], turns, 0.0)) > 0.0
+    if (is_used & ~is_pose).any():
+        sample = int(np.flatnonzero(is_used & ~is_pose)[0])
+        got = f"another matrix in sample {sample}"
+        raise InvalidInputError(argument=name, expected="poses", value=poses, got=got)
+    return poses
 
 
 def as_floats(

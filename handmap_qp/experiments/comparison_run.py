@@ -18,7 +18,7 @@ from handmap_qp.offline.compared_methods import SMOOTH, outside_methods, own_met
 from handmap_qp.offline.comparison import ComparedMethod, Comparison, compare_methods
 from handmap_qp.offline.metrics import GROUPS
 from handmap_qp.offline.takes import Take, prepare_take
-from handmap_qp.trackers.recording import read_recording, read_wrist_poses
+from handmap_qp.trackers.recording import read_recording
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
@@ -98,14 +98,14 @@ def _methods(request: ComparisonRequest) -> list[ComparedMethod]:
 
 def _takes(files: tuple[Path, ...], robot: Hand, advance: Progress) -> list[Take]:
     """Read all recordings before any is prepared."""
-    recordings = [(file, read_recording(file)) for file in files]
-    names = [recording.name for _, recording in recordings]
+    recordings = [read_recording(file, robot.spec.side) for file in files]
+    names = [recording.name for recording in recordings]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InvalidInputError(
             argument="RECORDING", expected="files of different names", got=f"{twice} twice"
         )
-    turned = [recording.name for _, recording in recordings if recording.side != robot.spec.side]
+    turned = [recording.name for recording in recordings if recording.side != robot.spec.side]
     if turned:
         print(
             f"handmap: mirrored, because {robot.name} is a {robot.spec.side} hand: "
@@ -113,10 +113,9 @@ def _takes(files: tuple[Path, ...], robot: Hand, advance: Progress) -> list[Take
             file=sys.stderr,
         )
     takes = []
-    for i, (file, recording) in enumerate(recordings):
+    for i, recording in enumerate(recordings):
         advance(f"measuring the hand of {recording.name}", i, len(recordings))
-        poses = read_wrist_poses(file, recording)
-        takes.append(prepare_take(recording, robot.spec.side, poses))
+        takes.append(prepare_take(recording, robot.spec.side))
     return takes
 
 

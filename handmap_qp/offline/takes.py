@@ -22,8 +22,6 @@ from handmap_qp.trackers.landmarks import (
 from handmap_qp.trackers.recording import Recording, mirrored
 from handmap_qp.transform import inverse_pose
 
-_MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
@@ -59,15 +57,13 @@ class Take:
 def prepare_take(
     recording: Recording,
     side: Side = "right",
-    wrist_poses: np.ndarray | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Take:
     """Describe what the human did in a recording.
 
     Args:
-        recording: Landmarks of a hand.
+        recording: Landmarks of a hand, and the tracker's wrist poses if it gave any.
         side: Side of the robot; a recording of the other hand is mirrored.
-        wrist_poses: Wrist poses of the tracker, shape (T, 4, 4) (`read_wrist_poses`).
         progress: Called after each sample with the number of samples done.
 
     Returns:
@@ -87,8 +83,7 @@ def prepare_take(
     is_mirrored = recording.side != side
     if is_mirrored:
         recording = mirrored(recording)
-        wrist_poses = None if wrist_poses is None else _MIRROR @ wrist_poses @ _MIRROR
-    held = held_samples(recording.valid)
+    held, wrist_poses = held_samples(recording.valid), recording.wrist
     lengths = measure_hand(recording)
     human = load_hand(human_name(side), lengths=lengths)
     trace = trace_human(

@@ -1,26 +1,24 @@
-"""`Recording`: the landmarks of a human hand over time, as a tracker or a video gave them.
+"""`Recording`: a human hand over time, as a tracker or a video gave it.
 
-A recording is an `.npz` file with at least `time (T,)` [s], `landmarks (T, 21, 3)` [m] and
-`handedness`; `valid (T,)` marks the samples in which the hand was seen. Landmarks come in the order
-of MediaPipe: wrist; thumb CMC, MCP, IP, tip; index, middle, ring and little MCP, PIP, DIP, tip.
-`wrist_pose (T, 7)` may hold the tracker's own wrist poses (`read_wrist_poses`).
+Landmarks come in the order of MediaPipe: wrist; thumb CMC, MCP, IP, tip; index, middle, ring and
+little MCP, PIP, DIP, tip. `handmap_qp.trackers.formats` has the files that recordings come from.
 """
 
 from __future__ import annotations
 
-import os
-import zipfile
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.trackers.sample import LANDMARK_COUNT
-from handmap_qp.transform import as_floats, pose_from_xyz_quat
+from handmap_qp.transform import as_floats, check_poses
+
+_MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +33,10 @@ class Recording:
         valid: Samples in which the hand was seen, shape (T,); at least one of them.
         side: `right` or `left`.
         source: Where it came from, in words.
+        wrist: The tracker's own poses of the wrist in its world, shape (T, 4, 4); None if it gave
+            none. Their axes are the tracker's own. Arbitrary where a sample is not valid.
+        confidence: The tracker's own confidence, from 0 to 1, shape (T,); None if it gave none.
+            Arbitrary where a sample is not valid.
 
     Raises:
         InvalidInputError: If an array has another shape or type than expected, time does not
@@ -47,13 +49,15 @@ class Recording:
     valid: np.ndarray
     side: Side
     source: str = ""
+    wrist: np.ndarray | None = None
+    confidence: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
         _check_times(time)
         landmarks = as_floats(self.landmarks, "landmarks", shape=(len(time), LANDMARK_COUNT, 3))
-        valid = _as_flags(self.valid, "valid", len(time))
+        valid = as_flags(self.valid, "valid", len(time))
         check_side(self.side)
         if not valid.any():
             expected, got = "at least one valid sample", "none"
@@ -64,6 +68,10 @@ class Recording:
             expected, got = "finite numbers in every valid sample", f"others in sample {sample}"
             raise InvalidInputError(argument="landmarks", expected=expected, got=got)
         _set_read_only(self, time=time, landmarks=landmarks, valid=valid)
+        if self.wrist is not None:
+            _set_read_only(self, wrist=check_poses(self.wrist, "wrist", valid))
+        if self.confidence is not None:
+            _set_read_only(self, confidence=_as_confidence(self.confidence, valid))
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -121,7 +129,7 @@ class HumanMotion:
             dt=as_floats(self.dt, "dt", shape=(count,), is_finite=True),
             q=as_floats(self.q, "q", shape=(count, joints), is_finite=True),
             wrist=as_floats(self.wrist, "wrist", shape=(count, 4, 4), is_finite=True),
-            valid=_as_flags(self.valid, "valid", count),
+            valid=as_flags(self.valid, "valid", count),
             fit_error=as_floats(self.fit_error, "fit_error", shape=(count, "m")),
         )
 
@@ -129,111 +137,61 @@ class HumanMotion:
         return _rebuilt(self)
 
 
-def read_recording(path: Path | str) -> Recording:
-    """Read a recording.
+def read_recording(path: Path | str, side: Side | None = None) -> Recording:
+    """Read one recording from a file of any format of `handmap_qp.trackers.formats`.
 
     Args:
-        path: An `.npz` file.
+        path: The file or folder; `PATH::NAME` for one of several recordings in it, and `demo` for
+            the recording that comes with the package.
+        side: Which hand to take of a file with both.
 
     Returns:
-        The recording; samples with numbers that are not finite are marked as not valid.
+        The recording; samples with numbers that are not finite are marked as not valid. Where the
+        file has one hand only, that one, whatever `side` says.
 
     Raises:
         InvalidInputError: If `path` is something else than a path.
-        RecordingError: If the file cannot be read, an array is missing or has another shape than
-            expected, time does not increase, the hand's side is unknown, or no sample is valid.
+        RecordingError: If the file cannot be read, something in it is missing or of another shape
+            than expected, or it holds several recordings and none was named.
+        MissingExtraError: If the format needs a package that is not installed.
     """
-    if not isinstance(path, str | os.PathLike):
-        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
-    file = Path(path)
-    arrays = _load(file)
-    for name in ("time", "landmarks", "handedness"):
-        if name not in arrays:
-            problem = f"has no array {name!r}; it has {', '.join(arrays) or 'none'}"
-            raise RecordingError(problem, file=file)
-    try:
-        landmarks = as_floats(arrays["landmarks"], "landmarks", shape=("T", LANDMARK_COUNT, 3))
-        is_finite = np.isfinite(landmarks).all(axis=(1, 2))
-        valid = _as_flags(arrays.get("valid", is_finite), "valid", len(landmarks))
-        return Recording(
-            name=file.stem,
-            time=arrays["time"],
-            landmarks=landmarks,
-            valid=valid & is_finite,
-            side=_side(arrays["handedness"]),
-            source=str(arrays.get("source", "")),
-        )
-    except InvalidInputError as error:
-        array = "handedness" if error.argument == "side" else error.argument
-        raise RecordingError(error.what, file=file, array=array) from error
+    # Imported when used: formats build recordings.
+    from handmap_qp.trackers.formats import read_one
 
-
-def read_wrist_poses(path: Path | str, recording: Recording) -> np.ndarray | None:
-    """Read the tracker's own wrist poses of a recording.
-
-    They are the optional array `wrist_pose (T, 7)` of the file: position [m], then a quaternion in
-    the order w, x, y, z. Their axes are the tracker's own.
-
-    Args:
-        path: The `.npz` file.
-        recording: What `read_recording` read from it.
-
-    Returns:
-        Poses in the tracker's world, shape (T, 4, 4). Samples that are not valid have the identity.
-        None if the file has no wrist poses, or a valid sample has none.
-
-    Raises:
-        RecordingError: If the file cannot be read, or the array is not one of poses.
-    """
-    file = Path(path)
-    values = _load(file).get("wrist_pose")
-    if values is None:
-        return None
-    try:
-        rows = as_floats(values, "wrist_pose", shape=(len(recording), 7))
-        if not np.isfinite(rows[recording.valid]).all():
-            return None
-        poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        for i in np.flatnonzero(recording.valid):
-            poses[i] = pose_from_xyz_quat(rows[i], "wxyz")
-    except InvalidInputError as error:
-        raise RecordingError(error.what, file=file, array="wrist_pose") from error
-    return poses
+    return read_one(path, side)
 
 
 def mirrored(recording: Recording) -> Recording:
     """Return the recording of the other hand: x becomes -x."""
+    wrist = recording.wrist
     return replace(
         recording,
         landmarks=recording.landmarks * (-1.0, 1.0, 1.0),
+        wrist=None if wrist is None else _MIRROR @ wrist @ _MIRROR,
         side="left" if recording.side == "right" else "right",
     )
 
 
-def _load(file: Path) -> dict[str, np.ndarray]:
-    try:
-        # Opened here, because numpy leaves a damaged file open.
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except OSError as error:
-        raise RecordingError(f"cannot be read: {error.strerror or error}", file=file) from error
-    except (ValueError, EOFError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        problem = f"is not an .npz file of plain arrays: {' '.join(str(error).split())}"
-        raise RecordingError(problem, file=file) from error
+def as_flags(values: Any, name: str, count: int) -> np.ndarray:
+    """Return truth values, shape (count,), of booleans or of zeros and ones.
 
-
-def _side(handedness: np.ndarray) -> Any:
-    """Return the text in an array without dimensions; `Recording` checks it."""
-    is_text = handedness.shape == () and handedness.dtype.kind == "U"
-    return str(handedness).lower() if is_text else handedness
-
-
-def _as_flags(values: Any, name: str, count: int) -> np.ndarray:
-    """Return truth values, shape (count,), of booleans or of zeros and ones."""
+    Raises:
+        InvalidInputError: If they are something else.
+    """
     flags = as_floats(values, name, shape=(count,))
     if not np.isin(flags, (0.0, 1.0)).all():
         raise InvalidInputError(argument=name, expected="truth values, or 0 and 1", value=values)
     return flags.astype(bool)
+
+
+def _as_confidence(values: Any, valid: np.ndarray) -> np.ndarray:
+    confidence = as_floats(values, "confidence", shape=(len(valid),))
+    is_share = (confidence >= 0.0) & (confidence <= 1.0)
+    if (valid & ~is_share).any():
+        sample = int(np.flatnonzero(valid & ~is_share)[0])
+        expected, got = "numbers from 0 to 1", f"{confidence[sample]} in sample {sample}"
+        raise InvalidInputError(argument="confidence", expected=expected, value=values, got=got)
+    return confidence
 
 
 def _check_times(time: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, read_recording
-from handmap_qp.trackers.recording import HumanMotion, mirrored, read_wrist_poses
+from handmap_qp.trackers.recording import HumanMotion, mirrored
 
 
 def arrays(count: int = 5) -> dict[str, np.ndarray]:
@@ -59,7 +59,7 @@ def test_wrist_poses_are_xyz_and_wxyz(tmp_path: Path) -> None:
     rows[1] = np.nan
     valid = np.array([True, False, True, True, True])
     path = write(tmp_path, wrist_pose=rows, valid=valid)
-    poses = read_wrist_poses(path, read_recording(path))
+    poses = read_recording(path).wrist
     assert poses is not None
     quarter = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]]
     np.testing.assert_allclose(poses[[0, 2, 3, 4]], [quarter] * 4, atol=1e-12)
@@ -68,15 +68,15 @@ def test_wrist_poses_are_xyz_and_wxyz(tmp_path: Path) -> None:
 
 def test_wrist_poses_may_be_missing_and_must_be_poses(tmp_path: Path) -> None:
     path = write(tmp_path)
-    assert read_wrist_poses(path, read_recording(path)) is None
+    assert read_recording(path).wrist is None
     rows = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (5, 1))
     rows[3] = np.nan
     path = write(tmp_path, wrist_pose=rows)
-    assert read_wrist_poses(path, read_recording(path)) is None
+    assert read_recording(path).wrist is None
     for bad in (rows[:, :6], rows[:4], np.zeros((5, 7))):
         path = write(tmp_path, wrist_pose=bad)
         with pytest.raises(RecordingError) as caught:
-            read_wrist_poses(path, read_recording(path))
+            read_recording(path)
         assert caught.value.array == "wrist_pose"
 
 

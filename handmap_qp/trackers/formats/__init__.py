@@ -1,0 +1,190 @@
+"""File formats of recordings: find the format of a file, read, write and convert.
+
+A format is an object with the protocol `RecordingFormat`; to add one, add it to `FORMATS`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
+from handmap_qp.trackers.formats.npz import NpzFormat
+from handmap_qp.trackers.recording import Recording
+
+FORMATS: tuple[RecordingFormat, ...] = (NpzFormat(),)
+"""All formats; where a suffix has several, the first one that recognises a file reads it."""
+SEPARATOR = "::"
+"""Between the path of a file and the name of one of its recordings."""
+DEMO = "demo"
+"""Name of the recording that comes with the package."""
+DEMO_FILE = Path(__file__).parents[1] / "demo.npz"
+
+
+class Source(NamedTuple):
+    """A recording in a file.
+
+    Attributes:
+        path: The file or folder.
+        format: Its format.
+        entry: The recording in it.
+    """
+
+    path: Path
+    format: RecordingFormat
+    entry: Entry
+
+    @property
+    def name(self) -> str:
+        """Name of the recording: that of its file, and of its entry if it has one."""
+        return entry_stem(self.path, self.entry)
+
+    def read(self) -> Recording:
+        """Read the recording.
+
+        Raises:
+            RecordingError: If it is damaged, with the row or array at fault.
+        """
+        return self.format.read(self.path, self.entry)
+
+
+def list_sources(path: Path | str) -> tuple[Source, ...]:
+    """List the recordings of a file or data set, without reading their samples.
+
+    Args:
+        path: The file or folder; `PATH::NAME` for one of its recordings, `demo` for the recording
+            that comes with the package.
+
+    Raises:
+        InvalidInputError: If `path` is something else than a path.
+        RecordingError: If it cannot be read, is of no known format, or has no such recording.
+        MissingExtraError: If the format needs a package that is not installed.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+    text = os.fspath(path)
+    if not isinstance(text, str):
+        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+    file, name = Path(text), ""
+    if SEPARATOR in text and not file.exists():
+        head, _, name = text.rpartition(SEPARATOR)
+        file = Path(head)
+    if str(file) == DEMO and not file.is_file():
+        file = DEMO_FILE
+    form = format_of(file)
+    entries = form.entries(file)
+    if name:
+        chosen = tuple(entry for entry in entries if entry.name == name)
+        if not chosen:
+            raise RecordingError(f"has no recording {name!r}; {_listing(entries)}", file=file)
+        entries = chosen
+    if not entries:
+        raise RecordingError("has no recordings", file=file)
+    return tuple(Source(file, form, entry) for entry in entries)
+
+
+def read_recordings(path: Path | str) -> tuple[Recording, ...]:
+    """Read all recordings of a file or data set.
+
+    Args:
+        path: As of `list_sources`.
+
+    Raises:
+        HandmapError: As of `list_sources`, and if a recording is damaged.
+    """
+    return tuple(source.read() for source in list_sources(path))
+
+
+def read_one(path: Path | str, side: Side | None = None) -> Recording:
+    """Read one recording of a file; see `read_recording`."""
+    sources = list(list_sources(path))
+    if len(sources) > 1 and side is not None:
+        sources = [source for source in sources if source.entry.side == side] or sources
+    if len(sources) > 1:
+        listing = _listing([source.entry for source in sources])
+        problem = f"{listing}: name one of them after {SEPARATOR}"
+        raise RecordingError(problem, file=sources[0].path)
+    return sources[0].read()
+
+
+def format_of(path: Path) -> RecordingFormat:
+    """Find the format of an existing file or folder.
+
+    Raises:
+        RecordingError: If there is no such file, or it is of no known format.
+    """
+    if not path.exists():
+        raise RecordingError("cannot be read: No such file or directory", file=path)
+    is_folder = path.is_dir()
+    candidates = [
+        form
+        for form in FORMATS
+        if (not form.suffixes if is_folder else path.suffix.lower() in form.suffixes)
+    ]
+    for form in candidates:
+        if form.recognises(path):
+            return form
+    if is_folder:
+        raise RecordingError("cannot be read: is a folder of no known form", file=path)
+    known = ", ".join(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
+    if candidates:
+        forms = " or ".join(form.name for form in candidates)
+        raise RecordingError(f"is not of the form {forms}", file=path)
+    raise RecordingError(f"has the unknown suffix {path.suffix!r}; known are {known}", file=path)
+
+
+def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
+    """Find the format of a file that is to be written.
+
+    Args:
+        path: The file; its suffix tells the format, and none means a LeRobot data set.
+        name: Name of a format, which overrides the suffix.
+
+    Raises:
+        InvalidInputError: If there is no such format.
+    """
+    if name is not None:
+        for form in FORMATS:
+            if form.name == name:
+                return form
+        names = ", ".join(form.name for form in FORMATS)
+        raise InvalidInputError(argument="--format", expected=f"one of {names}", value=name)
+    for form in FORMATS:
+        if path.suffix.lower() in form.suffixes or (not path.suffix and not form.suffixes):
+            return form
+    known = ", ".join(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
+    raise InvalidInputError(
+        argument="OUT", expected=f"a file that ends in one of {known}", value=str(path)
+    )
+
+
+def write_recordings(
+    recordings: Sequence[Recording], path: Path, form: RecordingFormat | None = None
+) -> tuple[str, ...]:
+    """Write recordings to one file or data set.
+
+    Args:
+        recordings: The recordings.
+        path: The file or folder to write.
+        form: Its format; by its suffix if omitted.
+
+    Returns:
+        What the format could not hold, in words.
+
+    Raises:
+        InvalidInputError: If the format cannot hold them together, or the file cannot be written.
+        MissingExtraError: If the format needs a package that is not installed.
+    """
+    chosen: Any = form or format_to_write(path)
+    chosen.write(recordings, path)
+    return chosen.losses(recordings)
+
+
+def _listing(entries: Sequence[Entry]) -> str:
+    names = [entry.name for entry in entries]
+    shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+    return f"it has {len(names)} recordings ({shown})"
