@@ -1,7 +1,7 @@
 """The QP as published: built by `mink.build_ik`, solved by `qpsolvers`.
 
-The slow way, which `handmap_qp.ik.qp` is tested against, and the one to extend: pass tasks and
-limits of your own.
+This formulation is slower. It is the reference in tests of `handmap_qp.ik.qp`, and accepts tasks
+and limits of mink.
 
     problem = build_problem(hand, options, configuration, point_targets, wrist_target, dt)
     dq = qpsolvers.solve_problem(problem, solver="daqp").x
@@ -45,11 +45,11 @@ class BoxLimit(mink.Limit):
         self._previous_velocity = previous_velocity
 
     def bounds(self, configuration: Configuration, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bound, shape (nv,) each."""
+        """Return lower and upper bound, shape (nv,) each."""
         return self._limits.bounds(configuration.q, dt, self._previous_velocity)
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
-        """Rows of the box at this configuration, the upper bounds first."""
+        """Return the rows of the box at this configuration, upper bounds first."""
         lower, upper = self.bounds(configuration, dt)
         eye = np.eye(len(upper))
         G, h = np.vstack([eye, -eye]), np.concatenate([upper, -lower])
@@ -62,7 +62,7 @@ class SelfCollisionLimit(mink.Limit):
 
     Args:
         collisions: The pairs to keep apart.
-        box: The limits of the same problem, which the rows must not contradict.
+        box: The limits of the same problem, with which the rows must be compatible.
     """
 
     def __init__(self, collisions: CollisionLimit, box: BoxLimit) -> None:
@@ -70,7 +70,7 @@ class SelfCollisionLimit(mink.Limit):
         self._box = box
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
-        """A row a pair."""
+        """Return one row per pair."""
         return mink.Constraint(
             *self._collisions.feasible_rows(configuration, *self._box.bounds(configuration, dt))
         )
@@ -79,7 +79,7 @@ class SelfCollisionLimit(mink.Limit):
 def make_limits(
     hand: Hand, options: IkOptions, previous_velocity: np.ndarray | None = None
 ) -> list[mink.Limit]:
-    """The limits of `handmap_qp.ik.qp.PointIk`.
+    """Return the limits of `handmap_qp.ik.qp.PointIk`.
 
     Args:
         hand: The hand.
@@ -88,7 +88,7 @@ def make_limits(
             omitted.
 
     Returns:
-        The box, and the rows of self-collision avoidance where it is asked for.
+        The box, and the rows of self-collision avoidance if the options include it.
     """
     limits = BoxLimits(
         hand,
@@ -127,7 +127,7 @@ def build_problem(
     extra_tasks: Sequence[mink.Task] = (),
     limits: Sequence[mink.Limit] | None = None,
 ) -> qpsolvers.Problem:
-    """The QP of one iteration at a configuration.
+    """Return the QP of one iteration at a configuration.
 
     Args:
         hand: The hand.
@@ -139,7 +139,7 @@ def build_problem(
         rest: Joint positions that the rest term pulls to, shape (n,); the hand's if omitted.
         tasks: Further terms of the cost, as of `PointIk.solve`.
         extra_tasks: Further terms of the cost as tasks of mink.
-        limits: In place of those of `make_limits`.
+        limits: Limits instead of those of `make_limits`.
 
     Returns:
         The problem in dq, shape (nv,).
@@ -147,8 +147,8 @@ def build_problem(
     own = make_tasks(hand, options, point_targets, wrist_target, rest=rest, tasks=tasks)
     if limits is None:
         limits = make_limits(hand, options)
-    # Our configuration offers what build_ik and our tasks read of mink's own, which is one of
-    # MuJoCo.
+    # Our configuration has the attributes that build_ik and our tasks read of mink's, which is
+    # one of MuJoCo.
     return mink.build_ik(
         _ActiveConfiguration(configuration),  # type: ignore[arg-type]
         [*own, *extra_tasks],
@@ -159,14 +159,14 @@ def build_problem(
 
 
 def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:
-    """The minimiser, as exactly as the solver can.
+    """Return the minimiser, at the highest accuracy of the solver.
 
     Args:
         problem: The QP.
-        solver: Any that `qpsolvers` finds.
+        solver: Name of a solver that `qpsolvers` finds.
 
     Returns:
-        Displacement, shape (nv,); None where the solver found none.
+        Displacement, shape (nv,); None if the solver fails.
 
     Raises:
         InvalidOptionsError: If no such solver is installed.

@@ -35,11 +35,11 @@ class PointTask(mink.Task):
         self.targets = targets
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Point minus target [m], shape (3 m,)."""
+        """Return point minus target [m], shape (3 m,)."""
         return (configuration.points - self.targets).ravel()
 
     def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Derivative of the points, world axes, shape (3 m, nv)."""
+        """Return the derivative of the points, world axes, shape (3 m, nv)."""
         return configuration.point_jacobian()
 
 
@@ -57,11 +57,11 @@ class WristTask(mink.Task):
         self.target = pin.SE3(target)
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Minus the twist from the wrist to its target, shape (6,)."""
+        """Return minus the twist from the wrist to its target, shape (6,)."""
         return -pin.log6(configuration.wrist.actInv(self.target)).vector
 
     def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Derivative of the error, shape (6, nv)."""
+        """Return the derivative of the error, shape (6, nv)."""
         return configuration.wrist_jacobian(pin.Jlog6(self.target.actInv(configuration.wrist)))
 
 
@@ -82,26 +82,26 @@ class RestTask(mink.Task):
         self._jacobian[np.arange(len(hand.joint_names)), hand.joint_columns] = 1.0
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Joint angle minus rest angle [rad], shape (n,)."""
+        """Return joint angle minus rest angle [rad], shape (n,)."""
         return configuration.q[self._hand.q_indices] - self._rest
 
     def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Selection of the joints, shape (n, nv)."""
+        """Return the selection of the joints, shape (n, nv)."""
         return self._jacobian
 
 
 class DampingTask(mink.Task):
-    """No motion at all.
+    """Damping: zero displacement as a target.
 
-    Keeps the step short near singular postures, and the shorter the farther the targets are.
+    It keeps the step short near singular postures, and shorter with larger errors.
 
     Args:
         nv: Number of velocity coordinates.
         cost: Weight of every coordinate's displacement.
         error_damping: Further squared cost of every coordinate, per weighted error and per weighted
-            lever of the tasks in `of`.
-        of: Tasks whose errors and levers count.
-        free_translations: Number of leading coordinates that translate and so have no lever.
+            norm of its Jacobian column, of the tasks in `of`.
+        of: Tasks whose errors and Jacobians count.
+        free_translations: Number of leading coordinates that translate, without this damping.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class DampingTask(mink.Task):
     def compute_qp_residual(  # type: ignore[override]
         self, configuration: Configuration
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Diagonal weighted Jacobian, zero error, and no term besides."""
+        """Return the diagonal weighted Jacobian and a zero error."""
         errors = [task.cost * task.compute_error(configuration) for task in self._of]  # type: ignore[arg-type]
         levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]  # type: ignore[arg-type]
         error = math.sqrt(sum(e @ e for e in errors))
@@ -130,11 +130,11 @@ class DampingTask(mink.Task):
         return np.diag(np.sqrt(squared_cost)), np.zeros(len(self._jacobian)), 0.0
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Zero, shape (nv,)."""
+        """Return zero, shape (nv,)."""
         return np.zeros(len(self._jacobian))
 
     def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """The identity, shape (nv, nv)."""
+        """Return the identity, shape (nv, nv)."""
         return self._jacobian
 
 
@@ -152,7 +152,7 @@ class ExtraTask(mink.Task):
     def compute_qp_residual(  # type: ignore[override]
         self, configuration: Configuration
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Weighted Jacobian and negative weighted error, rows of damping below."""
+        """Return weighted Jacobian and negative weighted error, with the rows of damping below."""
         residual, jacobian, damping = self._task.linearise(configuration)
         roots = np.sqrt(np.broadcast_to(damping, (configuration.nv,)))
         return (
@@ -162,11 +162,11 @@ class ExtraTask(mink.Task):
         )
 
     def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """The task's weighted error, shape (k,)."""
+        """Return the task's weighted error, shape (k,)."""
         return self._task.linearise(configuration).residual
 
     def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
-        """Its weighted Jacobian, shape (k, nv)."""
+        """Return its weighted Jacobian, shape (k, nv)."""
         return self._task.linearise(configuration).jacobian
 
 

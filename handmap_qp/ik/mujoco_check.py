@@ -1,25 +1,24 @@
-"""The same QP from another library.
+"""The QP of `handmap_qp.ik.qp`, formulated independently with MuJoCo and mink.
 
-The hand's URDF compiled for MuJoCo, with mink's own `FrameTask`s and limits.
+The URDF of the hand is compiled for MuJoCo. Kinematics, Jacobians, logarithms, tasks and limits are
+those of MuJoCo and mink, so agreement with `handmap_qp.ik.qp` is evidence for both. Two differences
+between the libraries are handled here:
 
-Kinematics, Jacobians, logarithms, tasks and limits are all MuJoCo's and mink's, so that agreement
-with `handmap_qp.ik.qp` is evidence for both. Two things differ between the libraries and are mapped
-here:
+- The tangent space. Pinocchio's free-flyer moves by a body twist. MuJoCo's free joint moves by a
+  linear velocity in world axes and an angular velocity in body axes. The orders of the joints
+  differ too. `tangent_map` returns the matrix between both spaces; it also contains mimic joints.
+- The point task. mink has none. The error of a `FrameTask` without orientation cost is a
+  translation in the axes of the frame, which rotate. So the derivative of its SE(3) logarithm is
+  `J_point + 1/2 [e]x J_angular`, not `J_point`. The extra term is proportional to the error e. So
+  all right-hand sides are scaled by one small factor (`SHRINK`): the distances of the point
+  targets, mink's gains, the gain of the limits, and the time. The solution of a QP scales exactly
+  with its right-hand sides, so the step is the solution divided by the factor, and the extra term
+  is smaller by the factor.
 
-- The tangent space. Pinocchio's free-flyer moves by a body twist, MuJoCo's free joint by a linear
-  velocity in world axes and an angular one in body axes; and each orders the joints its own way.
-  `tangent_map` holds the matrix, which also ties followers of other joints to their leaders.
-- A point task. mink has none, and the error of a `FrameTask` without orientation cost is a
-  translation in the frame's own axes, which turn with the frame: the derivative of its SE(3)
-  logarithm is `J_point + 1/2 [e]x J_angular`, not `J_point`. The extra term is of the order of the
-  error e, so all right-hand sides are multiplied by the same small number (`SHRINK`): targets of
-  points are brought nearer, mink's gains, the limits' gain and the time do the rest. A QP's
-  solution shrinks exactly with its right-hand sides, so dividing by the same number gives the step,
-  with the extra term `SHRINK` times smaller. (mink 1.3 drops the term of its own accord where the
-  rotation left is below 1e-5 rad, which happens to suit point tasks of any length. With the exact
-  derivative, steps to targets up to a metre away would be off by up to 0.9 rad at full size, and by
-  9e-7 shrunk. For the same reason a wrist whose orientation has arrived before its position gets a
-  slightly different step from mink.)
+mink 1.3 drops the extra term if the remaining rotation is below 1e-5 rad, which is correct for
+point tasks of any length. With the exact derivative, steps to targets up to a metre away would be
+wrong by up to 0.9 rad at full size, and by 9e-7 rad when scaled. For the same reason mink's step
+differs slightly for a wrist whose orientation has arrived before its position.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.options import IkOptions
 
 SHRINK = 7e-7
-"""By how much all right-hand sides are scaled.
+"""Factor of all right-hand sides.
 
-Smaller ones drown in rounding, larger ones let a point task's rotation show.
+With smaller factors rounding errors dominate, with larger ones the rotation of a point task.
 """
 
 _MOUNT = "mujoco_mount"
-# Only kinematics are asked for; MuJoCo wants masses all the same. It would fuse links without
-# joints into their parents.
+# MuJoCo needs masses even for kinematics alone. By default it would fuse links without joints into
+# their parents.
 _COMPILER = {
     "fusestatic": "false",
     "boundmass": "1",
@@ -55,11 +54,11 @@ _COMPILER = {
 
 
 class MujocoIk:
-    """Poses the QP of `handmap_qp.ik.qp.PointIk` with mink on MuJoCo.
+    """Formulate the QP of `handmap_qp.ik.qp.PointIk` with mink on MuJoCo.
 
-    Position and speed limits are mink's stacked rows, which contradict each other where a joint is
-    outside its limits by more than its speed allows to make good; there is no answer then.
-    Acceleration limits and self-collision avoidance are left out.
+    Position and speed limits are mink's stacked rows. They contradict each other if a joint is
+    outside its limits by more than its speed limit allows within one sample; the QP then has no
+    solution. Acceleration limits and self-collision avoidance are not included.
 
     Args:
         hand: The hand.
@@ -76,8 +75,8 @@ class MujocoIk:
         self.shrink = shrink
         self.model = mujoco_model(hand)
         self._configuration = mink.Configuration(self.model)
-        # Followers of other joints are joints of their own here, as in Pinocchio's model; the
-        # tangent map ties them.
+        # Mimic joints are joints of their own here, as in Pinocchio's model; the tangent map
+        # couples them to their leaders.
         names = [name for name in hand.model.names if name in hand.all_joint_names]
         self._q_indices = np.array([self.model.joint(name).qposadr[0] for name in names])
         self._v_indices = np.array([self.model.joint(name).dofadr[0] for name in names])
@@ -110,7 +109,7 @@ class MujocoIk:
         self._configuration.update(self.qpos(q))
 
     def qpos(self, q: np.ndarray) -> np.ndarray:
-        """MuJoCo's configuration for Pinocchio's, shape (model.nq,)."""
+        """Return MuJoCo's configuration for one of Pinocchio, shape (model.nq,)."""
         qpos = self.model.qpos0.copy()
         if self.hand.is_floating:
             qpos[:3] = q[:3]
@@ -121,7 +120,7 @@ class MujocoIk:
     def tangent_map(self) -> np.ndarray:
         """Return the matrix from our displacement to MuJoCo's at this configuration, shape (nv, k).
 
-        Its columns are orthonormal where no joint follows another.
+        Its columns are orthonormal if the hand has no mimic joints.
         """
         T = np.zeros((self.model.nv, self.model.nv))
         if self.hand.is_floating:
@@ -137,9 +136,7 @@ class MujocoIk:
     def problem(
         self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
     ) -> qpsolvers.Problem:
-        """The QP of one iteration at the present configuration.
-
-        MuJoCo's, carried into our active coordinates.
+        """Return MuJoCo's QP of one iteration at the present configuration, in active coordinates.
 
         Args:
             point_targets: Targets of the reference points [m], shape (m, 3).
@@ -160,8 +157,8 @@ class MujocoIk:
             self._wrist.set_target(mink.SE3.from_matrix(wrist_target))
             tasks.append(self._wrist)
             errors.append(self._wrist.cost * self._wrist.compute_error(self._configuration))
-        # Not mink's DampingTask, which spares the floating base, nor its lm_damping, which takes
-        # the error squared.
+        # mink's DampingTask excludes the floating base, and its lm_damping grows with the squared
+        # error.
         problem, T = (
             mink.build_ik(
                 self._configuration, tasks, self.shrink * dt, damping=0.0, limits=self._limits
@@ -201,7 +198,7 @@ class MujocoIk:
 
 # mujoco's classes come from a binary module without type information.
 def mujoco_model(hand: Hand) -> mujoco.MjModel:  # type: ignore[name-defined]
-    """The hand's kinematics as a MuJoCo model.
+    """Return the kinematics of a hand as a MuJoCo model.
 
     Args:
         hand: The hand.

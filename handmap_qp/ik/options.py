@@ -15,9 +15,9 @@ ANGLE_UNIT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class IkOptions:
-    """Weights and settings of the QP. Weights are per unit of error.
+    """Weights and settings of the QP.
 
-    10 mm, 0.1 rad of the wrist, 1 rad of a joint.
+    Weights are per unit of error: 10 mm, 0.1 rad of the wrist, 1 rad of a joint.
 
     Attributes:
         point_weight: Of the reference points' positions; each is multiplied by the root of its
@@ -26,10 +26,10 @@ class IkOptions:
         wrist_orientation_weight: Of the wrist frame's orientation.
         rest_weight: Pull of every joint to its rest angle: the null-space term of eq. (8).
         damping: Cost of any motion; keeps the step short near singular postures.
-        error_damping: Further squared cost of every turning coordinate, per weighted error and per
-            weighted lever (a Levenberg-Marquardt term): calms a hand or an arm that stretches after
-            points out of its reach. There the linearisation leaves out a curvature of the error
-            times the lever; half of that is the least that keeps the iterations from shaking.
+        error_damping: Levenberg-Marquardt damping of every rotating coordinate, as squared cost per
+            weighted error and per weighted norm of its Jacobian column. It stabilises a stretched
+            hand or arm with unreachable targets: there the linearisation neglects a curvature of
+            error times column norm. Below 0.5 the iterations can oscillate.
         speed_weight: Cost of every joint's displacement within a sample; smooths at the price of
             lag.
         acceleration_weight: Cost of every joint's change of speed from sample to sample, times the
@@ -37,8 +37,8 @@ class IkOptions:
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: Linearisations per sample, at most.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm]. At
-            0.1 the linearisation is wrong by about a tenth of a millimetre, which the next sample
-            mends; only quick motions take a second iteration.
+            0.1 the linearisation is wrong by about 0.1 mm, and the next sample corrects it; only
+            fast motions take a second iteration.
         point_tolerance: Points nearer to their targets than this have arrived [m].
         has_velocity_limits: Whether speed limits hold; position limits always do.
         max_acceleration: Limit of every coordinate's acceleration [rad/s^2, m/s^2]; none if
@@ -64,7 +64,7 @@ class IkOptions:
     avoids_self_collision: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse values that leave the problem without a unique solution.
+        """Reject values for which the problem has no unique solution.
 
         Raises:
             InvalidOptionsError: With the name and the value at fault.

@@ -37,7 +37,7 @@ RANK_TOLERANCE = 1e-10
 
 
 class PseudoinverseIk:
-    """Moves a hand by eq. (8); used as `handmap_qp.ik.qp.PointIk` is.
+    """Move a hand by eq. (8), with the interface of `handmap_qp.ik.qp.PointIk`.
 
     Args:
         hand: The hand.
@@ -100,7 +100,7 @@ class PseudoinverseIk:
         self.configuration.place_with_jacobians(q)
 
     def step(self, point_targets: np.ndarray, wrist_target: np.ndarray | None) -> np.ndarray:
-        """Eq. (8) at the present configuration.
+        """Return the step of eq. (8) at the present configuration.
 
         Args:
             point_targets: Targets of the reference points in the world [m], shape (m, 3).
@@ -141,8 +141,8 @@ class PseudoinverseIk:
     ) -> IkResult:
         """Move the hand towards its targets for one sample.
 
-        Arguments and result as of `PointIk.solve`. Eq. (8) knows no further tasks and no distances
-        between links: `tasks` and `margins` must be left out.
+        Arguments and result as of `PointIk.solve`. Eq. (8) has neither further tasks nor distances
+        between links: omit `tasks` and `margins`.
         """
         if tasks or margins is not None:
             raise InvalidOptionsError(
@@ -218,7 +218,7 @@ class PseudoinverseIk:
     def _weighted_task(
         self, point_targets: np.ndarray, wrist_target: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`W J M^(-1/2)`, shape (k, nv), and `W e`, shape (k,)."""
+        """Return `W J M^(-1/2)`, shape (k, nv), and `W e`, shape (k,)."""
         configuration = self.configuration
         error, jacobian = (
             (point_targets - configuration.points).ravel(),

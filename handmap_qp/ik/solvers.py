@@ -1,7 +1,7 @@
 """QP solvers behind one call: `min 1/2 x' H x + c' x  s.t.  lower <= x <= upper,  G x <= h`.
 
-DAQP and ProxQP are spoken to natively and keep their workspace and active set from call to call.
-Any other solver goes through `qpsolvers`, which is convenient and slower.
+DAQP and ProxQP are called natively and keep their workspace and active set between calls. Any other
+solver is called through `qpsolvers`, which is slower.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Rows = tuple[np.ndarray, np.ndarray]
 
 # At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
 _PRIMAL_TOLERANCE = 1e-9
-# Where DAQP is not through by then it goes round in circles, which scaling ends: of 90,000 hostile
-# problems one took 450, and with targets at 1e18 m it used up its default of 10,000, for 12 ms.
+# Beyond this number of iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000
+# hostile problems one took 450; with targets at 1e18 m it took its default of 10,000, in 12 ms.
 _MOST_ITERATIONS = 1000
-# What it takes for an answer nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6, and
-# quadprog needs nothing. Interior-point methods (clarabel, piqp) report failure when asked for
-# more.
+# Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
+# needs no setting. Interior-point methods (clarabel, piqp) report failure with smaller
+# tolerances.
 EXACT: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
     "daqp": {"primal_tol": 1e-12},
@@ -39,14 +39,14 @@ EXACT: dict[str, dict[str, Any]] = {
 }
 
 
-# OSQP asked for more has often used up its iterations before.
+# With a smaller tolerance OSQP often reaches its maximum number of iterations.
 _EXACT_ENOUGH: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False}
 }
 
 
 class QpSolver(Protocol):
-    """A solver of one size of problem, which may start from its last solution."""
+    """A solver for problems of one size, which may warm-start from its last solution."""
 
     def solve(
         self,
@@ -56,7 +56,7 @@ class QpSolver(Protocol):
         upper: np.ndarray,
         rows: Rows | None = None,
     ) -> np.ndarray | None:
-        """The minimiser, shape (n,), or None where the solver found none."""
+        """Return the minimiser, shape (n,), or None if the solver fails."""
         ...
 
 
@@ -177,12 +177,11 @@ class ProxqpSolver:
 
 
 class QpsolversSolver:
-    """Any solver that `qpsolvers` finds, by its name there; always cold.
+    """Any solver that `qpsolvers` finds, by its name there; without warm start.
 
     Args:
         name: Such as `osqp`, `quadprog`, `piqp`, `clarabel`.
-        **settings: The solver's own; its defaults if omitted, at which OSQP was 0.04 rad from the
-            answer.
+        **settings: Settings of the solver. With its defaults OSQP is wrong by up to 0.04 rad.
     """
 
     def __init__(self, name: str, **settings: Any) -> None:
@@ -212,7 +211,7 @@ class QpsolversSolver:
 
 
 def make_solver(name: str, size: int) -> QpSolver:
-    """A solver by name.
+    """Return a solver by name.
 
     Args:
         name: `daqp` (default everywhere), `proxqp`, or any other that `qpsolvers` lists as
