@@ -15,13 +15,13 @@ angle x at a radius r may come r x^2 / 2 closer than the row says, which is what
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import moved_by, placement_views
+from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
+from handmap_qp.ik.distances import ShapeDistances
 
 
 class CollisionLimit:
@@ -67,25 +67,15 @@ class CollisionLimit:
             raise InvalidOptionsError(option="gain", expected="a number in (0, 1]", value=gain)
         found = named_pairs(hand) if pairs is None else pairs
         self.pairs = found.links
-        self._gain, self._horizon = gain, horizon
-        self._model, self._geometry = hand.model, found.geometry
-        self._data = self._geometry.createData()
-        for request in self._data.distanceRequests:
-            # GJK is warm-started: at 1e-6 the result depends on the last query by as much.
-            request.gjk_tolerance = request.epa_tolerance = 1e-9
-        shapes, shape_pairs = self._geometry.geometryObjects, self._geometry.collisionPairs
-        self._first = np.array([pair.first for pair in shape_pairs], dtype=int)
-        self._second = np.array([pair.second for pair in shape_pairs], dtype=int)
-        supports = np.array([moved_by(hand.model, shape.parentJoint) for shape in shapes])
+        self._gain = gain
+        geometry = found.geometry
+        self._distances = ShapeDistances(hand.model, geometry, horizon)
+        joints = [shape.parentJoint for shape in geometry.geometryObjects]
+        supports = np.array([moved_by(hand.model, joint) for joint in joints])
         supports = supports.reshape(-1, hand.model.nv)
-        self._relative_support = supports[self._second] - supports[self._first]
-        self._all = np.arange(len(shape_pairs))
-        self._placed = placement_views(self._data.oMg)
-        for shape in shapes:
-            shape.geometry.computeLocalAABB()
-        self._centres = np.array([shape.geometry.aabb_center for shape in shapes]).reshape(-1, 3)
-        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
-        self._reaches = radii[self._first] + radii[self._second] + horizon
+        first = [pair.first for pair in geometry.collisionPairs]
+        second = [pair.second for pair in geometry.collisionPairs]
+        self._relative_support = supports[second] - supports[first]
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -93,8 +83,7 @@ class CollisionLimit:
         Args:
             configuration: Of the hand, placed.
         """
-        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
-        return self._measure(self._all)[0]
+        return self._distances.measure_all(configuration)
 
     def rows(
         self, configuration: Configuration, margins: np.ndarray | None = None
@@ -109,14 +98,9 @@ class CollisionLimit:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
-        near = self._near()
-        distances, wrenches = self._measure(near)
-        if len(near) < len(self._all):
-            is_near = distances <= self._horizon
-            near, distances, wrenches = near[is_near], distances[is_near], wrenches[is_near]
+        near, distances, wrenches = self._distances.measure(configuration)
         kept = self.margin if margins is None else margins[near]
-        relative = self._relative_support[near]
+        relative = self._relative_support.take(near, 0)
         G = configuration.contracted(-wrenches.dot(configuration.joint_jacobian()) * relative)
         return G, self._gain * (distances - kept)
 
@@ -145,7 +129,7 @@ class CollisionLimit:
         """
         G, h = self.rows(configuration, margins)
         witness = np.minimum(np.maximum(0.0, lower), upper)
-        excess = G @ witness - h
+        excess = G.dot(witness) - h
         is_near = excess > 0.0
         if is_near.any():
             parting = np.linalg.lstsq(G[is_near], -excess[is_near], rcond=1e-6)[0]
@@ -153,32 +137,3 @@ class CollisionLimit:
             if (G[~is_near] @ parted <= h[~is_near]).all():
                 witness = parted
         return G, np.maximum(h, G @ witness)
-
-    def _near(self) -> np.ndarray:
-        """Return the pairs whose bounding balls are within the horizon, by index."""
-        if self._horizon == np.inf:
-            return self._all
-        rotations, translations = self._placed
-        centres = np.einsum("ijk,ik->ij", rotations, self._centres) + translations
-        offsets = centres[self._first] - centres[self._second]
-        lengths = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
-        return np.flatnonzero(lengths <= self._reaches)
-
-    def _measure(self, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return distances, and the wrenches (n, p x n) of a unit force along each normal."""
-        distances, wrenches = np.empty(len(pairs)), np.empty((len(pairs), 6))
-        points = np.empty((len(pairs), 3))
-        for i, k in enumerate(pairs.tolist()):
-            result = pin.computeDistance(self._geometry, self._data, k)
-            distances[i] = result.min_distance
-            wrenches[i, :3] = result.normal
-            points[i] = result.getNearestPoint1()
-        normals = wrenches[:, :3]
-        # np.cross takes as long as all else here.
-        wrenches[:, 3:] = (
-            points[:, _NEXT] * normals[:, _LAST] - points[:, _LAST] * normals[:, _NEXT]
-        )
-        return distances, wrenches
-
-
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]

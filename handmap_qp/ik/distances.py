@@ -1,0 +1,149 @@
+"""Distances between collision shapes by coal, only where they can be small.
+
+Two shapes whose bounding balls are farther apart than a horizon are not measured. All others are
+measured in one call of Pinocchio. Its results are read through views of its memory, because reading
+them one by one takes longer than the measurement.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.placements import placement_views
+
+# GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
+_TOLERANCE = 1e-9
+
+
+class NearPairs(NamedTuple):
+    """Pairs of shapes within the horizon, r of them.
+
+    Attributes:
+        pairs: Their indices, increasing, shape (r,).
+        distances: Signed distances, negative where shapes overlap [m], shape (r,).
+        wrenches: Unit force along the normal from the first to the second shape, and its moment
+            about the world's origin: `(n, p x n)`, shape (r, 6).
+    """
+
+    pairs: np.ndarray
+    distances: np.ndarray
+    wrenches: np.ndarray
+
+
+class ShapeDistances:
+    """Measures signed distances of pairs of shapes.
+
+    Args:
+        model: The hand's model.
+        geometry: Its collision shapes and pairs.
+        horizon: Pairs farther apart than this are left out [m].
+    """
+
+    def __init__(self, model: pin.Model, geometry: pin.GeometryModel, horizon: float) -> None:
+        self._model, self._geometry, self._horizon = model, geometry, horizon
+        self._data = geometry.createData()
+        for request in self._data.distanceRequests:
+            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+        shapes, pairs = geometry.geometryObjects, geometry.collisionPairs
+        for shape in shapes:
+            shape.geometry.computeLocalAABB()
+        self._first = np.array([pair.first for pair in pairs], dtype=int)
+        self._second = np.array([pair.second for pair in pairs], dtype=int)
+        self._centres = np.array([shape.geometry.aabb_center for shape in shapes]).reshape(-1, 3)
+        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
+        self._reaches = np.square(radii[self._first] + radii[self._second] + horizon)
+        self._placed = placement_views(self._data.oMg)
+        self._distances, self._normals, self._points = _result_views(model, geometry, self._data)
+        self._is_active = np.ones(len(pairs), dtype=bool)
+
+    def measure(self, configuration: Configuration) -> NearPairs:
+        """Measure the pairs within the horizon.
+
+        Args:
+            configuration: Of the hand, placed.
+        """
+        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
+        self._activate(self._may_be_near())
+        pin.computeDistances(self._geometry, self._data)
+        pairs = (self._is_active & (self._distances <= self._horizon)).nonzero()[0]
+        normals, points = self._normals[pairs], self._points[pairs]
+        wrenches = np.empty((len(pairs), 6))
+        wrenches[:, :3] = normals
+        # np.cross takes ten times as long.
+        wrenches[:, 3:] = points.take(_NEXT, 1) * normals.take(_LAST, 1)
+        wrenches[:, 3:] -= points.take(_LAST, 1) * normals.take(_NEXT, 1)
+        return NearPairs(pairs, self._distances[pairs], wrenches)
+
+    def measure_all(self, configuration: Configuration) -> np.ndarray:
+        """Return the signed distances of all pairs [m], shape (k,).
+
+        Args:
+            configuration: Of the hand, placed.
+        """
+        pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
+        self._activate(np.ones(len(self._is_active), dtype=bool))
+        pin.computeDistances(self._geometry, self._data)
+        return self._distances.copy()
+
+    def _may_be_near(self) -> np.ndarray:
+        """Return whether the bounding balls of each pair are within the horizon, shape (k,)."""
+        rotations, translations = self._placed
+        centres = np.einsum("ijk,ik->ij", rotations, self._centres) + translations
+        offsets = centres.take(self._first, 0) - centres.take(self._second, 0)
+        return np.square(offsets).dot(_ONES) <= self._reaches
+
+    def _activate(self, wanted: np.ndarray) -> None:
+        """Choose the pairs that `computeDistances` measures."""
+        changed = (wanted != self._is_active).nonzero()[0]
+        for k in changed.tolist():
+            if wanted[k]:
+                self._data.activateCollisionPair(k)
+            else:
+                self._data.deactivateCollisionPair(k)
+        self._is_active = wanted
+
+
+def _result_views(
+    model: pin.Model, geometry: pin.GeometryModel, data: pin.GeometryData
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """View all distances, normals and first nearest points as arrays that follow every measurement.
+
+    In coal's `DistanceResult`, the distance lies before the normal, and the nearest points behind
+    it. That is checked here rather than trusted.
+
+    Returns:
+        Read-only views, shapes (k,), (k, 3) and (k, 3).
+    """
+    results = data.distanceResults
+    count = len(results)
+    if count == 0:
+        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+    pin.updateGeometryPlacements(model, model.createData(), geometry, data, pin.neutral(model))
+    pin.computeDistances(geometry, data)
+    normals = [result.normal for result in results]
+    starts = [normal.__array_interface__["data"][0] for normal in normals]
+    stride = starts[1] - starts[0] if count > 1 else 56
+    if any(after - before != stride for before, after in pairwise(starts)) or stride % 8:
+        raise RuntimeError("coal's distances are not evenly spaced in memory")
+    # The last result's block ends where its nearest point does.
+    block = np.ctypeslib.as_array(
+        (ctypes.c_double * ((stride * (count - 1)) // 8 + 7)).from_address(starts[0] - 8)
+    )
+    block.setflags(write=False)
+    rows = np.lib.stride_tricks.as_strided(block, (count, 7), (stride, 8), writeable=False)
+    read = np.array(
+        [[r.min_distance, *r.normal.tolist(), *r.getNearestPoint1().tolist()] for r in results]
+    )
+    if not np.array_equal(rows, read):
+        raise RuntimeError("coal's distance, normal and nearest point do not lie side by side")
+    return rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_ONES = np.ones(3)
