@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -33,6 +34,9 @@ from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.service.caps import Caps
+
+_STOP_TIME = 2.0
+"""Time from SIGTERM to the end of the process, at most [s]."""
 
 
 def restarts(duration: float) -> dict[str, Any]:
@@ -154,6 +158,57 @@ def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
                 connection.sendall(payload)
             count += 1
     return count
+
+
+def resets(duration: float) -> dict[str, Any]:
+    """Ask over WebSocket, and reset the connection with the answers outstanding, 10,000 times.
+
+    A short run resets 2,000.
+    """
+    count = 2_000 if duration < 30.0 else 10_000
+    with (
+        serving(web=True, web_port=0, rate=1e7) as service,
+        honest(service) as clients,
+        MemoryWatch(service) as memory,
+    ):
+        files, rejected = service.files(), 0
+        for number in range(count):
+            rejected += not _ask_and_reset(service.ports["web"], number)
+        time.sleep(2.0)
+        left = service.files() - files
+    found = summary(
+        clients,
+        **memory.found(),
+        failures=len(service.failures),
+        resets=count,
+        rejected=rejected,
+        files_left=left,
+    )
+    if rejected:
+        found["wrong"].append("a connection was rejected")
+    if left > 2:
+        found["wrong"].append("connections were left")
+    return found
+
+
+def _ask_and_reset(port: int, number: int) -> bool:
+    """Ask several times, read nothing, and reset; return whether the handshake was accepted."""
+    status = msgspec.msgpack.encode({"type": "status", "protocol": 1, "seq": 1, "session": ""})
+    frame = bytes([0x82, 0x80 | len(status)]) + bytes(4) + status
+    with socket.create_connection(("127.0.0.1", port), timeout=5.0) as connection:
+        connection.sendall(_HANDSHAKE)
+        is_accepted = b" 101 " in connection.recv(4096)
+        with suppress(OSError):
+            connection.sendall(frame * (1 + number % 20))
+        # Reset the connection when it closes (linger of zero).
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    return is_accepted
+
+
+_HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
 
 
 def slow_readers(duration: float) -> dict[str, Any]:
@@ -369,6 +424,7 @@ SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "restarts": restarts,
     "vanishing": vanishing,
     "fuzz": fuzz,
+    "resets": resets,
     "slow_readers": slow_readers,
     "clock_jumps": clock_jumps,
     "wrong_keys": wrong_keys,
@@ -384,6 +440,16 @@ def _flat(found: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from ((f"{key}: {inner}", each) for inner, each in value.items())
         else:
             yield key, ", ".join(value) if isinstance(value, list) else value
+
+
+def _run(name: str, duration: float) -> dict[str, Any]:
+    """Run a scenario, and check that SIGTERM ended its service in time."""
+    ServiceProcess.stop_times.clear()
+    found = SCENARIOS[name](duration)
+    found["sigterm_s"] = max(ServiceProcess.stop_times)
+    if found["sigterm_s"] > _STOP_TIME:
+        found["wrong"].append("SIGTERM did not end the service in time")
+    return found
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -407,7 +473,7 @@ def main(words: Sequence[str] | None = None) -> None:
     results = {}
     with common.progress("scenarios", len(arguments.only)) as advance:
         for name in arguments.only:
-            results[name] = SCENARIOS[name](12.0 if arguments.quick else arguments.duration)
+            results[name] = _run(name, 12.0 if arguments.quick else arguments.duration)
             advance()
     for name, found in results.items():
         wrong = found.pop("wrong")

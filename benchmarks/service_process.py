@@ -10,10 +10,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -27,7 +28,10 @@ class ServiceProcess:
     Attributes:
         ports: Its ports by name.
         failures: After `stop`: log lines of unexpected exceptions.
+        stop_times: Time from SIGTERM to the end of the process, of every service so far [s].
     """
+
+    stop_times: ClassVar[list[float]] = []
 
     def __init__(self, **choices: Any) -> None:
         self._choices = {
@@ -76,11 +80,13 @@ class ServiceProcess:
 
     def stop(self) -> None:
         """Stop the service, and delete its log."""
+        asked = time.monotonic()
         self.process.terminate()
         try:
             self.process.wait(5.0)
         except subprocess.TimeoutExpired:
             self.kill()
+        self.stop_times.append(time.monotonic() - asked)
         self.failures = [
             line for line in self.log.read_text().splitlines() if '"event": "failed"' in line
         ]

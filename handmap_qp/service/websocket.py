@@ -10,6 +10,7 @@ TLS are required.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import http
 import logging
@@ -19,6 +20,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from logging import ERROR
 from pathlib import Path
 
 import msgspec
@@ -32,7 +34,7 @@ from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import MOST_SESSIONS, Caps
 from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.logs import log
+from handmap_qp.service.logs import log, report
 from handmap_qp.service.sessions import Sessions
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
@@ -42,6 +44,7 @@ _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:
 _LOG = logging.getLogger(f"{log.name}.websocket")
 _LOG.setLevel(logging.CRITICAL)
 _SEND_TIMEOUT = 5.0
+_CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
 _CONNECTIONS_PER_SESSION = 2
 
@@ -124,7 +127,7 @@ class WebSocketTransport:
                 max_size=self._caps.message_size,
                 max_queue=16,
                 open_timeout=5.0,
-                close_timeout=1.0,
+                close_timeout=0.5 * _CLOSE_TIMEOUT,
             )
         except OSError as error:
             raise InvalidInputError(
@@ -138,7 +141,10 @@ class WebSocketTransport:
         self._dispatcher.sessions.publish.remove(self._publish)
         if self._server is not None:
             self._server.close()
-            await self._server.wait_closed()
+            # Handshakes under way would hold it up for their own timeout.
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_CLOSE_TIMEOUT):
+                    await self._server.wait_closed()
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return None to accept a handshake, or the response that rejects it."""
@@ -161,10 +167,30 @@ class WebSocketTransport:
         )
 
     async def _handle(self, connection: ServerConnection) -> None:
+        """Serve one connection, and release it however it ends.
+
+        Reader and writer end each other: a client that vanished with answers outstanding ends the
+        writer, and the reader would wait for those answers.
+        """
         outbox = _Outbox(connection, self._dispatcher.sessions)
         self._connections.add(outbox)
-        writer = asyncio.create_task(outbox.write())
+        tasks = {
+            asyncio.create_task(self._read(connection, outbox)),
+            asyncio.create_task(outbox.write()),
+        }
         try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._connections.discard(outbox)
+            for task in tasks:
+                task.cancel()
+            for result in await asyncio.gather(*tasks, return_exceptions=True):
+                if isinstance(result, Exception):
+                    report(ERROR, "failed", error=repr(result), failure=result)
+
+    async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
+        """Pass messages to the dispatcher until the connection closes."""
+        with contextlib.suppress(ConnectionClosed):
             async for message in connection:
                 is_json = isinstance(message, str)
                 payload = message.encode() if isinstance(message, str) else message
@@ -180,11 +206,6 @@ class WebSocketTransport:
                 await outbox.answered()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
-        except ConnectionClosed:
-            pass
-        finally:
-            self._connections.discard(outbox)
-            writer.cancel()
 
     def _publish(self, name: str, payload: bytes) -> None:
         for outbox in self._connections:
@@ -228,7 +249,7 @@ class _Outbox:
 
     async def write(self) -> None:
         """Send waiting messages until the connection closes or accepts none for too long."""
-        try:
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
                 await self._has_work.wait()
                 self._has_work.clear()
@@ -238,9 +259,7 @@ class _Outbox:
                 newest, self._newest = self._newest, {}
                 for name, payload in newest.items():
                     await self._send(_as_json(payload) if self._streams.get(name) else payload)
-        except (ConnectionClosed, TimeoutError):
-            self._connection.transport.abort()
-            self._is_idle.set()
+        self._connection.transport.abort()
 
     async def _send(self, message: bytes | str) -> None:
         async with asyncio.timeout(_SEND_TIMEOUT):

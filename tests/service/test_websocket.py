@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 import shutil
+import socket
 import ssl
+import struct
 import subprocess
 import types
 from collections.abc import Awaitable, Callable
@@ -15,7 +18,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from patience import PATIENCE
+from patience import PATIENCE, wait_until
 from service_tools import SECRET, Sampler, human_q, opening, serving, streamed
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -229,6 +232,44 @@ def test_connections_are_capped() -> None:
 
     with serving(web=WEB, caps=Caps(sessions=1)) as server:
         asyncio.run(work(server))
+
+
+def test_clients_that_vanish_with_answers_outstanding_leave_no_connection() -> None:
+    status = msgspec.msgpack.encode(Status(protocol=PROTOCOL, seq=1))
+    frame = bytes([0x82, 0x80 | len(status)]) + bytes(4) + status
+
+    def ask_and_reset(port: int, count: int) -> None:
+        with socket.create_connection(("127.0.0.1", port)) as raw:
+            raw.sendall(
+                b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n"
+                b"Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+                b"Sec-WebSocket-Version: 13\r\n\r\n"
+            )
+            assert b" 101 " in raw.recv(4096)
+            raw.sendall(count * frame)
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+    def can_connect(server: Server) -> bool:
+        try:
+            run(nothing, server)
+        except InvalidStatus:
+            return False
+        return True
+
+    # Two connections are allowed, so two that are not released shut out all others.
+    with serving(web=WEB, caps=Caps(sessions=1)) as server:
+        for count in range(1, 31):
+            wait_until(lambda: can_connect(server))
+            ask_and_reset(server.ports["web"], count)
+        wait_until(lambda: can_connect(server))
+
+
+def test_a_handshake_that_stays_away_does_not_hold_up_the_stop() -> None:
+    with contextlib.ExitStack() as sockets, serving(web=WEB) as server:
+        for half in (b"", b"GET / HTTP/1.1\r\nHost:"):
+            raw = socket.create_connection(("127.0.0.1", server.ports["web"]))
+            sockets.enter_context(raw).sendall(half)
+        run(nothing, server)
 
 
 def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
