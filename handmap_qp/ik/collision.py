@@ -131,9 +131,10 @@ class CollisionLimit:
         witness = np.minimum(np.maximum(0.0, lower), upper)
         excess = G.dot(witness) - h
         is_near = excess > 0.0
-        if is_near.any():
-            parting = np.linalg.lstsq(G[is_near], -excess[is_near], rcond=1e-6)[0]
-            parted = np.minimum(np.maximum(witness + parting, lower), upper)
-            if (G[~is_near] @ parted <= h[~is_near]).all():
-                witness = parted
+        if not is_near.any():
+            return G, h
+        parting = np.linalg.lstsq(G[is_near], -excess[is_near], rcond=1e-6)[0]
+        parted = np.minimum(np.maximum(witness + parting, lower), upper)
+        if (G[~is_near] @ parted <= h[~is_near]).all():
+            witness = parted
         return G, np.maximum(h, G @ witness)

@@ -17,11 +17,10 @@ from handmap_qp.errors import InvalidOptionsError
 Rows = tuple[np.ndarray, np.ndarray]
 """G, shape (k, n), and h, shape (k,)."""
 
-# At DAQP's default of 1e-6 a joint was left 4e-7 rad outside its limit.
-_PRIMAL_TOLERANCE = 1e-9
-# Beyond this number of iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000
-# hostile problems one took 450; with targets at 1e18 m it took its default of 10,000, in 12 ms.
-_MOST_ITERATIONS = 1000
+# At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
+# iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
+# took 450; with targets at 1e18 m it took its default of 10,000, in 12 ms.
+_SETTINGS = {"primal_tol": 1e-9, "iter_limit": 1000}
 # Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
 # needs no setting. Interior-point methods (clarabel, piqp) report failure with smaller
 # tolerances.
@@ -61,9 +60,7 @@ class QpSolver(Protocol):
 
 
 class DaqpSolver:
-    """DAQP, a dual active-set method: exact, warm-started with the last active set.
-
-    Problems whose number of rows differs from the last one's start cold.
+    """DAQP, a dual active-set method: exact, and so quick that a warm start gains nothing.
 
     Args:
         size: Number of variables.
@@ -71,9 +68,7 @@ class DaqpSolver:
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._no_rows = np.zeros((0, size))
-        self._model = daqp.Model()
-        self._set_up_rows = -1
+        self._no_rows = np.zeros((0, size)), np.zeros(0)
         self._resize(0)
 
     def solve(
@@ -85,38 +80,25 @@ class DaqpSolver:
         rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
-        G, count = self._no_rows, 0
-        if rows is not None and len(rows[1]):
-            # DAQP takes the box first and the rows behind it. With rows and a Hessian of 1e11
-            # (targets 1000 km away) it reports feasible problems as infeasible. The solution does
-            # not depend on the cost's scale.
-            G, count, scale = rows[0], len(rows[1]), 1.0 / H.diagonal().max()
-            if count != len(self._sense) - self._size:
-                self._resize(count)
-            H, c = scale * H, scale * c
-            self._lower[: self._size] = lower
-            self._upper[: self._size], self._upper[self._size :] = upper, rows[1]
+        G, h = self._no_rows if rows is None else rows
+        if len(h):
+            # DAQP takes the box first and the rows behind it.
+            size = self._size
+            if len(h) != len(self._sense) - size:
+                self._resize(len(h))
+            self._lower[:size], self._upper[:size], self._upper[size:] = lower, upper, h
             lower, upper = self._lower, self._upper
         elif len(self._sense) != self._size:
             self._resize(0)
-        if self._set_up_rows == count:
-            update = {"H": H, "f": c, "bupper": upper, "blower": lower}
-            if self._model.update(**({**update, "A": G} if count else update)) == 0:
-                x, _, flag, _ = self._model.solve()
-                if flag > 0:
-                    return x
-        # The first problem of this size, or one that could not be solved from the last active set:
-        # start cold, with a Hessian near one.
-        scale = 1.0 / H.diagonal().max()
-        self._model = daqp.Model()
-        self._model.settings = {"primal_tol": _PRIMAL_TOLERANCE, "iter_limit": _MOST_ITERATIONS}
-        flag, _ = self._model.setup(scale * H, scale * c, G, upper, lower, self._sense)
-        self._set_up_rows = count if flag > 0 else -1
-        if flag > 0:
-            x, _, flag, _ = self._model.solve()
-            if flag > 0:
-                return x
-        return None
+        x, _, flag, _ = daqp.solve(H, c, G, upper, lower, self._sense, **_SETTINGS)
+        if flag <= 0:
+            # With a Hessian of 1e11 (targets 1000 km away) it reports feasible problems as
+            # infeasible. The solution does not depend on the cost's scale.
+            scale = 1.0 / H.diagonal().max()
+            x, _, flag, _ = daqp.solve(
+                scale * H, scale * c, G, upper, lower, self._sense, **_SETTINGS
+            )
+        return x if flag > 0 else None
 
     def _resize(self, row_count: int) -> None:
         total = self._size + row_count
