@@ -1,0 +1,219 @@
+"""Measures of 21 landmarks that tell a hand in the right order from anything else.
+
+All of them are ratios or angles, so that they hold for every hand and in every unit of length:
+
+- the distances between neighbouring landmarks, which bones and palm keep (`own_misfit`),
+- the side of the palm's plane on which thumb and bent fingers lie (`palmar_evidence`), which is
+  opposite on a left hand, in a mirrored world and where fingers bend backwards.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.trackers.sample import LANDMARK_COUNT
+
+_BASES = (1, 5, 9, 13, 17)
+_PAIRS = np.array(
+    [pair for base in _BASES for pair in ((0, base), *((base + k, base + k + 1) for k in range(3)))]
+    + [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
+)
+# Centre and half width of log(distance / median distance) over the hands that were measured: six
+# recordings of four trackers (WebXR headset, two Leap generations, MediaPipe), the human model's
+# own proportions, and those of Buchholz et al. 1992 (`HumanLengths.from_hand_length`). The half
+# widths have a margin of 0.05 and are at least 0.12. Rows: thumb to little, each wrist-base
+# distance and three bones; then the knuckles' gaps and three diagonals of the palm.
+# fmt: off
+_CENTRES = np.array([
+    0.14, 0.13, -0.25, -0.55,
+    1.03, 0.14, -0.18, -0.35,
+    1.01, 0.33, -0.02, -0.33,
+    0.97, 0.20, -0.11, -0.43,
+    0.90, -0.09, -0.37, -0.73,
+    -0.37, -0.44, -0.44, 0.49, 0.92, 0.64,
+])
+_WIDTHS = np.array([
+    0.57, 0.36, 0.49, 0.60,
+    0.23, 0.21, 0.23, 0.40,
+    0.23, 0.12, 0.22, 0.32,
+    0.23, 0.17, 0.16, 0.31,
+    0.19, 0.25, 0.24, 0.42,
+    0.31, 0.24, 0.24, 0.51, 0.16, 0.22,
+])
+# fmt: on
+_LARGEST_DEVIATION = 5.0  # widths; one pair far off counts no more than this
+# A tracker's bones change by up to 18 % from sample to sample (MediaPipe); the distance between
+# landmarks of two fingers changes by far more.
+_RIGID_SPREAD = 0.2
+_QUARTILES_APART = 1.349  # standard deviations, of a normal distribution
+
+# Sizes of the features of `palmar_evidence`, at which they are taken as certain.
+_FEATURE_SIZES = np.array([0.10, 0.05, 0.20, 0.20, 0.30])
+
+
+class PalmarEvidence(NamedTuple):
+    """Tells for each sample how surely the hand is a right one; of a left hand, all are negative.
+
+    Attributes:
+        palm: From the thumb's base and the arch of the knuckles, from -2 to 2, shape (T,).
+        thumb: From the thumb's MCP joint, from -1 to 1, shape (T,).
+        fingers: From the bends of the fingers, from -2 to 2, shape (T,).
+    """
+
+    palm: np.ndarray
+    thumb: np.ndarray
+    fingers: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        """The sum of all, from -5 to 5, shape (T,)."""
+        return self.palm + self.thumb + self.fingers
+
+
+class Distances(NamedTuple):
+    """Distances between pairs of landmarks over some samples.
+
+    Attributes:
+        medians: Logarithms of the median distances [log m].
+        spreads: Interquartile ranges of the logarithms, as standard deviations; same shape.
+    """
+
+    medians: np.ndarray
+    spreads: np.ndarray
+
+    def length(self, pairs: slice) -> float:
+        """Return the sum of some median distances [m]."""
+        return float(np.exp(self.medians[pairs]).sum())
+
+
+MIDDLE_FINGER = slice(8, 12)
+"""The pairs from the wrist to the tip of the middle finger, in `own_distances`."""
+_ROWS, _COLUMNS = np.triu_indices(LANDMARK_COUNT, 1)
+
+
+def own_distances(landmarks: np.ndarray) -> Distances:
+    """Measure the distances that bones and palm keep, in our order.
+
+    Args:
+        landmarks: Finite landmarks in any unit, shape (T, 21, 3).
+
+    Returns:
+        Medians and spreads, shape (26,).
+    """
+    return _measure(landmarks, _PAIRS[:, 0], _PAIRS[:, 1])
+
+
+def all_distances(landmarks: np.ndarray) -> Distances:
+    """Measure all distances between landmarks.
+
+    Args:
+        landmarks: Finite landmarks in any unit and order, shape (T, 21, 3).
+
+    Returns:
+        Medians and spreads, shape (21, 21); -inf and 0 on the diagonals.
+    """
+    found = _measure(landmarks, _ROWS, _COLUMNS)
+    medians = np.full((LANDMARK_COUNT, LANDMARK_COUNT), -np.inf)
+    spreads = np.zeros_like(medians)
+    medians[_ROWS, _COLUMNS] = medians[_COLUMNS, _ROWS] = found.medians
+    spreads[_ROWS, _COLUMNS] = spreads[_COLUMNS, _ROWS] = found.spreads
+    return Distances(medians, spreads)
+
+
+def own_misfit(distances: Distances) -> float:
+    """Tell how badly landmarks in our order fit a hand.
+
+    Args:
+        distances: Of `own_distances`.
+
+    Returns:
+        The misfit, as of `misfits_of_orders`.
+    """
+    return float(_misfits(distances.medians, distances.spreads))
+
+
+def misfits_of_orders(distances: Distances, orders: np.ndarray) -> np.ndarray:
+    """Tell how badly landmarks fit a hand, for several orders.
+
+    Args:
+        distances: Of `all_distances`.
+        orders: Orders to try, shape (K, 21): row by row, the index at which each of our landmarks
+            (`HumanSample.landmarks`) is found.
+
+    Returns:
+        Root mean square deviation from the proportions of hands [half widths of their range], and
+        from rigidity, shape (K,). Below 1.3 for hands, above 1.5 for orders that are wrong in more
+        than the exchange of two similar fingers.
+    """
+    first, second = orders[:, _PAIRS[:, 0]], orders[:, _PAIRS[:, 1]]
+    return _misfits(distances.medians[first, second], distances.spreads[first, second])
+
+
+def _measure(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> Distances:
+    offsets = landmarks[:, first] - landmarks[:, second]
+    squares = np.einsum("tpi,tpi->tp", offsets, offsets)
+    squares.sort(axis=0)
+    count = len(squares)
+    rows = squares[[count // 4, count // 2, count - 1 - count // 4]]
+    low, middle, high = 0.5 * np.log(np.maximum(rows, 1e-24))
+    return Distances(middle, (high - low) / _QUARTILES_APART)
+
+
+def _misfits(logs: np.ndarray, spreads: np.ndarray) -> np.ndarray:
+    """Return the misfits of medians and spreads, shape (..., 26) -> (...)."""
+    deviations = logs - _CENTRES
+    middle = np.sort(deviations, axis=-1)[..., len(_CENTRES) // 2, None]
+    deviations = (deviations - middle) / _WIDTHS
+    squares = deviations**2 + (spreads / _RIGID_SPREAD) ** 2
+    return np.sqrt(np.minimum(squares, _LARGEST_DEVIATION**2).mean(axis=-1))
+
+
+def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
+    """Tell a right hand from a left one.
+
+    On every hand, the thumb's base and the bent fingers lie on the palmar side of the plane through
+    wrist, index and little MCP joints, and the middle and ring MCP joints on its dorsal side.
+
+    Args:
+        landmarks: Finite landmarks in our order and any unit, shape (T, 21, 3).
+
+    Returns:
+        The evidence for a right hand, sample by sample; about 0 for a flat hand of a tracker
+        without an arched palm.
+    """
+    along = landmarks[:, 9] - landmarks[:, 0]
+    along /= _norms(along)
+    palmar = cross(landmarks[:, 5] - landmarks[:, 0], landmarks[:, 17] - landmarks[:, 0])
+    palmar /= _norms(palmar)
+    # Only heights above the palm's plane matter, so project all landmarks once.
+    heights = np.einsum("tki,ti->tk", landmarks, palmar)
+    heights -= heights[:, :1]
+    heights /= _norms(landmarks[:, 9] - landmarks[:, 0])
+    fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
+    bones = fingers[:, :, 1:3] - fingers[:, :, :2]
+    bones /= np.maximum(np.sqrt(np.einsum("tfki,tfki->tfk", bones, bones)), 1e-12)[..., None]
+    bends = np.einsum("tfi,ti->tf", cross(bones[:, :, 0], bones[:, :, 1]), cross(along, palmar))
+    features = np.empty((len(landmarks), 5))
+    features[:, 0] = heights[:, 1]
+    features[:, 1] = -0.5 * (heights[:, 9] + heights[:, 13])
+    features[:, 2] = heights[:, 2]
+    features[:, 3] = bends.mean(axis=1)
+    features[:, 4] = (heights[:, 8::4] - heights[:, 5::4]).mean(axis=1)
+    scores = np.clip(features / _FEATURE_SIZES, -1.0, 1.0)
+    return PalmarEvidence(scores[:, :2].sum(axis=1), scores[:, 2], scores[:, 3:].sum(axis=1))
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return cross products, without the overhead that `np.cross` has on small arrays."""
+    first, second = a[..., _NEXT], b[..., _NEXT]
+    return first * b[..., _LAST] - a[..., _LAST] * second
+
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def _norms(vectors: np.ndarray) -> np.ndarray:
+    """Return lengths of vectors (T, 3), shape (T, 1), nowhere 0."""
+    return np.sqrt(np.maximum(np.einsum("ti,ti->t", vectors, vectors), 1e-24))[:, None]

@@ -1,0 +1,251 @@
+"""Tell wrong input from a human hand, in the first second and at every sample after it.
+
+Landmarks in another order, the other hand, a mirrored world, millimetres, milliseconds, fingers
+that bend backwards or a wrist quaternion in another order map without an error, to nonsense.
+`InputCheck` measures what a human hand cannot do (`hand_geometry`) in small batches of samples,
+asks which mistake explains it, and names it. `check_recording` does the same for a file.
+
+    check = InputCheck("right")
+    finding = check.update(time, landmarks, wrist)      # at every valid sample; None if plausible
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
+from handmap_qp.trackers.landmark_order import find_order
+from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.sample import LANDMARK_COUNT
+from handmap_qp.trackers.units import find_length_unit, find_time_unit
+from handmap_qp.trackers.wrist_axes import WristCheck
+
+Lie = Literal["time", "unit", "order", "side", "flexion", "wrist"]
+"""Kinds of mistakes: the unit of time, the unit of length, the order of landmarks, the other hand
+or a mirrored world, fingers that bend backwards, the wrist's orientation."""
+
+_BATCH = 16  # samples
+_BATCH_TIME = 0.25  # s; a slow tracker's batch ends sooner
+_LEAST_BATCH = 8  # samples
+_SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
+_BACKWARDS_BEYOND = -0.45  # of 2 (`PalmarEvidence.fingers`)
+_OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
+_SAME_MISFIT = 0.06  # a misfit that changes by less needs no new search for orders
+_REFUSED_SHARE = 0.25  # of a recording's batches
+
+
+class Finding(NamedTuple):
+    """What is wrong with the input.
+
+    Attributes:
+        lie: The kind of mistake.
+        problem: What was found, in one line.
+        advice: What to do about it.
+    """
+
+    lie: Lie
+    problem: str
+    advice: str
+
+    def __str__(self) -> str:
+        """Compose `problem: advice`."""
+        return f"{self.problem}: {self.advice}"
+
+
+class InputCheck:
+    """Checks one hand's samples as they come.
+
+    Samples are collected into batches of 16, or of a quarter of a second for a slow tracker. Two
+    batches in a row must agree before the finding changes, so one bad sample changes nothing. A
+    sample costs about 15 us on average.
+
+    Args:
+        side: The hand that the samples are said to be of.
+
+    Raises:
+        InvalidInputError: If the side is neither `right` nor `left`.
+    """
+
+    def __init__(self, side: Side) -> None:
+        check_side(side)
+        self.side: Side = side
+        self._sign = 1.0 if side == "right" else -1.0
+        self._landmarks = np.empty((_BATCH, LANDMARK_COUNT, 3))
+        self._wrists = np.empty((_BATCH, 3, 4))
+        self._times = np.empty(_BATCH)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples: of a new session, or after the input was changed."""
+        self._count = 0
+        self._has_wrists = True
+        self._last_time = np.nan
+        self._guess: Finding | None = None
+        self._batches = 0
+        self._finding: Finding | None = None
+        self._wrist = WristCheck(self._sign)
+        self._misfit = np.nan
+
+    @property
+    def finding(self) -> Finding | None:
+        """What is wrong with the input; None if it is plausible, or if too little was seen."""
+        return self._finding
+
+    def update(
+        self, time: float, landmarks: np.ndarray, wrist: np.ndarray | None = None
+    ) -> Finding | None:
+        """Take one sample in which the tracker saw the hand.
+
+        Args:
+            time: Its instant [s].
+            landmarks: Its landmarks as they came, finite, shape (21, 3); not changed.
+            wrist: The tracker's own wrist pose, shape (4, 4), if it has one.
+
+        Returns:
+            The finding so far (`finding`).
+        """
+        k = self._count
+        self._times[k] = time
+        self._landmarks[k] = landmarks
+        if wrist is None:
+            self._has_wrists = False
+        elif self._has_wrists:
+            self._wrists[k] = wrist[:3]
+        self._count = k + 1
+        if self._count == _BATCH or (
+            self._count >= _LEAST_BATCH and time - self._times[0] >= _BATCH_TIME
+        ):
+            self._judge()
+        return self._finding
+
+    def finish(self) -> Finding | None:
+        """Judge the samples that are left, at the end of a recording.
+
+        Returns:
+            The finding; that of the only batch, if there was no other one to agree with it.
+        """
+        if self._count and (self._count >= _LEAST_BATCH or not self._batches):
+            self._judge()
+        self._count = 0
+        return self._guess if self._batches == 1 else self._finding
+
+    def _judge(self) -> None:
+        """Examine the collected samples, and change the finding if two batches agree."""
+        count, self._count = self._count, 0
+        self._batches += 1
+        times = self._times[:count]
+        if not np.isnan(self._last_time):
+            times = np.concatenate([[self._last_time], times])
+        self._last_time = float(times[-1])
+        wrists = self._wrists[:count] if self._has_wrists else None
+        self._has_wrists = True
+        guess = self._examine(times, self._landmarks[:count], wrists)
+        # Two batches in a row must agree that something is wrong, or that nothing is.
+        if (guess is None) == (self._guess is None) and self._batches > 1:
+            self._finding = guess
+        self._guess = guess
+
+    def _examine(
+        self, times: np.ndarray, landmarks: np.ndarray, wrists: np.ndarray | None
+    ) -> Finding | None:
+        """Return what is wrong in one batch."""
+        if unit := find_time_unit(times):
+            return Finding("time", *unit)
+        # Trackers send the same point 21 times where they lost the hand: that is no mistake of
+        # units or order, and has rules of its own.
+        is_hand = np.ptp(landmarks, axis=1).max(axis=1) > 1e-9
+        if not is_hand.all():
+            landmarks, wrists = landmarks[is_hand], None if wrists is None else wrists[is_hand]
+            if not len(landmarks):
+                return None
+        distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
+        misfit = own_misfit(distances)
+        total = self._sign * float(np.median(evidence.total))
+        is_known = abs(misfit - self._misfit) < _SAME_MISFIT and total > _SURE_SIDE
+        guess = None if is_known else find_order(landmarks, self._sign, total)
+        if unit := find_length_unit(landmarks, distances, is_hand=guess is None):
+            return Finding("unit", *unit)
+        if guess is not None:
+            return self._order_finding(guess.name)
+        fingers = self._sign * float(np.median(evidence.fingers))
+        if fingers < _BACKWARDS_BEYOND and total - fingers > _OTHERWISE_RIGHT:
+            return _BACKWARDS
+        if total < -_SURE_SIDE:
+            return self._other_side()
+        self._misfit = misfit
+        if wrists is not None and (mistake := self._wrist.examine(landmarks, wrists)):
+            return Finding("wrist", *mistake)
+        return None
+
+    def _order_finding(self, name: str) -> Finding:
+        found = f"their order is {name}" if name else "they are no hand in any order known here"
+        return Finding(
+            "order",
+            f"the landmarks are not in the order wrist, thumb, ..., little finger; {found}",
+            "name the layout of the data (handmap layouts), or reorder them",
+        )
+
+    def _other_side(self) -> Finding:
+        other = "left" if self.side == "right" else "right"
+        return Finding(
+            "side",
+            f"the landmarks are those of a {other} hand, or of a mirrored world, "
+            f"and are said to be of a {self.side} one",
+            f"say that the hand is the {other} one, or negate one axis of the data if its "
+            "coordinates are left-handed",
+        )
+
+
+_BACKWARDS = Finding(
+    "flexion",
+    "the fingers bend backwards, to the back of the hand",
+    "turn the sign of the flexion angles, or of the axis that points out of the palm",
+)
+
+
+def check_recording(recording: Recording, *, name: str = "") -> None:
+    """Reject a recording that cannot be what it says.
+
+    Args:
+        recording: The recording.
+        name: What to call the recording in an error; its own name if omitted.
+
+    Raises:
+        InvalidInputError: If something is wrong in its first second, or in a quarter of it.
+    """
+    finding = examine_recording(recording)
+    if finding is not None:
+        raise InvalidInputError(
+            argument=name or recording.name, problem=finding.problem, advice=finding.advice
+        )
+
+
+def examine_recording(recording: Recording) -> Finding | None:
+    """Tell what is wrong with a recording.
+
+    Args:
+        recording: The recording; its wrist poses are examined too.
+
+    Returns:
+        What is wrong in its first second of valid samples, or in a quarter of them and more; None
+        if it is plausible.
+    """
+    check = InputCheck(recording.side)
+    indices = np.flatnonzero(recording.valid)
+    wrists = recording.wrist
+    start, end = recording.time[indices[[0, -1]]]
+    found = 0
+    for i in indices:
+        wrist = None if wrists is None else wrists[i]
+        finding = check.update(recording.time[i], recording.landmarks[i], wrist)
+        if finding is not None:
+            found += 1
+            is_early = recording.time[i] - start <= 1.0
+            if is_early or finding.lie == "time" or found >= _REFUSED_SHARE * len(indices):
+                return finding
+    last = check.finish()
+    return last if end - start <= 1.0 else None

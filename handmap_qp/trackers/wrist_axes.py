@@ -1,0 +1,147 @@
+"""The tracker's own wrist poses, checked against the palm that the landmarks show."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handmap_qp.trackers.hand_geometry import cross
+
+_X, _Y, _Z = np.eye(3)
+
+
+def axes_convention(distal: np.ndarray, dorsal: np.ndarray) -> np.ndarray:
+    """Return a wrist's axes in the frame of our wrist: +y distal, +z dorsal.
+
+    Args:
+        distal: The direction of the fingers in the wrist's own axes, shape (3,).
+        dorsal: The direction out of the back of the hand in them, shape (3,).
+
+    Returns:
+        Rotation from the wrist's axes to ours, shape (3, 3).
+    """
+    return np.stack([np.cross(distal, dorsal), distal, dorsal])
+
+
+_CONVENTIONS = np.array(
+    [
+        axes_convention(_Y, _Z),  # ours
+        axes_convention(_X, _Z),  # from Leap's direction and palm normal
+        axes_convention(-_Z, _Y),  # OpenXR, WebXR
+        axes_convention(_X, _Y),  # MANO and SMPL-X, left
+        axes_convention(-_X, _Y),  # MANO and SMPL-X, right
+        axes_convention(_X, -_Y),
+    ]
+)
+"""The wrist's axes that known trackers have, shape (6, 3, 3)."""
+
+# Angle between a wrist's axes and those of the palm's landmarks: up to 10 degrees in recordings
+# of four trackers.
+_FARTHEST = np.cos(np.radians(22.0))
+# A wrist that follows the palm keeps its rotation to it: up to 5 degrees in recordings.
+_STEADY = np.cos(np.radians(12.0))
+_FARTHEST_APART = 0.10  # m, of the wrist's landmark from the pose
+
+
+def palm_axes(landmarks: np.ndarray, sign: float) -> np.ndarray:
+    """Return the palm's rotations: +y distal, +z dorsal, as in the human model's wrist frame.
+
+    Args:
+        landmarks: Some samples, shape (T, 21, 3).
+        sign: 1 for a right hand, -1 for a left one.
+
+    Returns:
+        Rotations, shape (T, 3, 3).
+    """
+    offsets = landmarks - landmarks[:, :1]
+    dorsal = -sign * cross(offsets[:, 5], offsets[:, 17])
+    dorsal /= _lengths(dorsal)[:, None]
+    lateral = cross(offsets[:, 9], dorsal)
+    lateral /= _lengths(lateral)[:, None]
+    return np.stack([lateral, cross(dorsal, lateral), dorsal], axis=2)
+
+
+class WristCheck:
+    """Tells whether wrist poses belong to the landmarks, batch by batch.
+
+    Args:
+        sign: 1 for a right hand, -1 for a left one.
+    """
+
+    def __init__(self, sign: float) -> None:
+        self._sign = sign
+        self._relative: np.ndarray | None = None
+
+    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> tuple[str, str] | None:
+        """Compare wrist poses with the palm that the landmarks show.
+
+        The rotation from one to the other must be that of a known tracker, or at least be the same
+        in all samples since the start.
+
+        Args:
+            landmarks: Some samples [m], shape (T, 21, 3).
+            wrists: The tracker's wrist poses, shape (T, 3, 4).
+
+        Returns:
+            Problem and advice; None if they belong together.
+        """
+        apart = float(np.median(_lengths(wrists[:, :, 3] - landmarks[:, 0])))
+        if apart > _FARTHEST_APART:
+            problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
+            return problem, "give both in metres and in the same world"
+        palms, rotations = palm_axes(landmarks, self._sign), wrists[:, :, :3]
+        mean, steadiness = _mean_relative(palms, rotations)
+        first = mean if self._relative is None else self._relative
+        is_steady = min(steadiness, _cosine(mean, first)) > _STEADY
+        if is_steady and _is_known(mean):
+            self._relative = first
+            return None
+        for name, others in _reinterpreted(rotations).items():
+            other, steadiness = _mean_relative(palms, others)
+            if steadiness > _STEADY and _is_known(other):
+                problem = f"the wrist's orientation does not follow the palm, but {name} would"
+                return problem, "check the order of the quaternion and the direction of the pose"
+        if is_steady:
+            self._relative = first
+            return None
+        return (
+            "the wrist's orientation does not follow the palm that the landmarks show",
+            "check the order of its quaternion, and that its world is that of the landmarks",
+        )
+
+
+def _mean_relative(palms: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the mean rotation from wrist to palm, and the cosine of the usual angle from it."""
+    relative = np.einsum("tji,tjk->tik", palms, rotations)
+    u, _, vt = np.linalg.svd(relative.mean(axis=0))
+    mean = (u * (1.0, 1.0, np.linalg.det(u @ vt))) @ vt
+    cosines = (np.einsum("tik,ik->t", relative, mean) - 1.0) / 2.0
+    return mean, float(np.sort(cosines)[len(cosines) // 4])
+
+
+def _cosine(a: np.ndarray, b: np.ndarray) -> float:
+    return float((np.vdot(a, b) - 1.0) / 2.0)
+
+
+def _is_known(relative: np.ndarray) -> bool:
+    traces = np.einsum("gik,ik->g", _CONVENTIONS, relative)
+    return float((traces.max() - 1.0) / 2.0) > _FARTHEST
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("ti,ti->t", vectors, vectors))
+
+
+def _reinterpreted(rotations: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the rotations as they would be if a reader had made a usual mistake."""
+    from scipy.spatial.transform import Rotation
+
+    xyzw = Rotation.from_matrix(rotations).as_quat()
+    return {
+        "a quaternion w, x, y, z that was read as x, y, z, w": Rotation.from_quat(
+            np.roll(xyzw, -1, axis=1)
+        ).as_matrix(),
+        "a quaternion x, y, z, w that was read as w, x, y, z": Rotation.from_quat(
+            np.roll(xyzw, 1, axis=1)
+        ).as_matrix(),
+        "its inverse": rotations.transpose(0, 2, 1),
+    }

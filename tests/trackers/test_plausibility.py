@@ -1,0 +1,151 @@
+"""Mistakes of users are found and named within a second, and real hands are never refused."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handmap_qp import InvalidInputError, Recording, read_recording
+from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
+from handmap_qp.trackers.plausibility import (
+    Finding,
+    InputCheck,
+    check_recording,
+    examine_recording,
+)
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def lies() -> Iterator[ModuleType]:
+    """The mistakes of `benchmarks/bench_lies.py`, which has the whole table."""
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        yield importlib.import_module("lies")
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+
+
+@pytest.fixture(scope="module")
+def take(lies: ModuleType) -> Any:
+    """Six seconds of the human model, which bends its fingers in each of them."""
+    return lies.model_take("left", 0.185, seed=4, duration=6.0)
+
+
+def find(take: Any) -> Finding | None:
+    check = InputCheck(take.side)
+    for time, landmarks, wrist in zip(take.time, take.landmarks, take.wrist, strict=True):
+        if finding := check.update(time, landmarks, wrist):
+            return finding
+    return check.finish()
+
+
+def as_recording(take: Any) -> Recording:
+    valid = np.ones(len(take.time), dtype=bool)
+    return Recording(take.name, take.time, take.landmarks, valid, take.side, wrist=take.wrist)
+
+
+def test_every_mistake_is_found_within_a_second(lies: ModuleType, take: Any) -> None:
+    for start in range(5):
+        part = take.part(float(start), 1.0)
+        assert find(part) is None
+        for lie in lies.all_lies():
+            if lies.is_visible(lie, part):
+                finding = find(lie.tell(part))
+                assert finding is not None, lie.name
+                # The palm of a mirrored world does not agree with its wrist either.
+                assert finding.lie in (lie.kind, "wrist"), (lie.name, finding)
+                assert finding.problem
+                assert finding.advice
+
+
+def test_real_hands_pass_and_mistakes_in_them_do_not(lies: ModuleType, recordings: Path) -> None:
+    for file in sorted(recordings.glob("*.npz")):
+        recording = read_recording(file)
+        assert examine_recording(recording) is None, file
+        seen = recording.valid
+        whole = lies.Take(
+            file.stem,
+            recording.time[seen],
+            recording.landmarks[seen],
+            recording.wrist[seen],
+            recording.side,
+        )
+        part = whole.part(whole.time[0] + 2.0, 1.0)
+        for lie in lies.all_lies():
+            if lies.is_visible(lie, part):
+                assert find(lie.tell(part)) is not None, (file, lie.name)
+
+
+def test_a_change_in_a_running_session_is_found_and_so_is_its_end(take: Any) -> None:
+    check = InputCheck(take.side)
+    mirrored = take.landmarks * (-1.0, 1.0, 1.0)
+    found = []
+    for i, time in enumerate(take.time):
+        landmarks = mirrored[i] if 2.0 <= time < 4.0 else take.landmarks[i]
+        found.append(check.update(time, landmarks) is not None)
+    changes = take.time[1:][np.diff(np.array(found, dtype=int)) != 0]
+    assert len(changes) == 2
+    assert 2.0 < changes[0] < 3.0
+    assert 4.0 < changes[1] < 5.0
+
+
+def test_few_bad_samples_change_nothing(take: Any) -> None:
+    landmarks = take.landmarks.copy()
+    landmarks[10] = 0.0  # a zero pose
+    landmarks[20, 8] += 0.2  # one landmark far off
+    landmarks[30] = -landmarks[30]
+    landmarks[50:] += 0.5  # a jump of the whole hand
+    check = InputCheck(take.side)
+    for i, time in enumerate(take.time):
+        assert check.update(time, landmarks[i]) is None
+
+
+def test_the_measures_do_not_depend_on_place_size_and_rate(lies: ModuleType, take: Any) -> None:
+    moved = 3.0 * take.landmarks[:, :, [1, 2, 0]] + (5.0, -2.0, 1.0)
+    one, other = palmar_evidence(take.landmarks), palmar_evidence(moved)
+    np.testing.assert_allclose(np.array(one), np.array(other), atol=1e-9)
+    pair = [own_misfit(own_distances(points[:16])) for points in (take.landmarks, moved)]
+    assert pair[0] == pytest.approx(pair[1], abs=1e-9)
+    # A mirror changes the sign of the evidence and nothing else.
+    mirrored = palmar_evidence(take.landmarks * (-1.0, 1.0, 1.0))
+    np.testing.assert_allclose(np.array(one), -np.array(mirrored), atol=1e-9)
+
+
+def test_short_recordings_are_judged_by_what_they_have(take: Any) -> None:
+    whole = as_recording(take)
+    for count in (1, 5, 12, 20):
+        short = replace(
+            whole,
+            time=whole.time[:count],
+            landmarks=whole.landmarks[:count],
+            valid=whole.valid[:count],
+            wrist=None,
+        )
+        check_recording(short)
+        with pytest.raises(InvalidInputError) as caught:
+            check_recording(replace(short, landmarks=short.landmarks * 1000.0), name="hand.npz")
+        assert caught.value.argument == "hand.npz"
+        assert "millimetres" in str(caught.value)
+        assert "multiply them by 0.001" in str(caught.value)
+
+
+def test_a_session_can_start_again(take: Any) -> None:
+    check = InputCheck("right")
+    for i in range(60):
+        check.update(take.time[i], take.landmarks[i])
+    assert check.finding is not None
+    assert check.finding.lie == "side"
+    check.reset()
+    assert check.finding is None
+    with pytest.raises(InvalidInputError):
+        InputCheck("both")  # type: ignore[arg-type]
