@@ -42,8 +42,8 @@ class MappingArguments:
             `object`: in-hand motion, without partners. `paper`: eqs. (5)-(8) as published. If
             omitted, teleoperation where fingers correspond, else object; paper where one of its
             options is given.
-        human_points: Set of reference points on the human hand; `handmap hands human` lists them.
-        robot_points: Set of reference points on the robot hand; `handmap hands HAND` lists them.
+        human_points: Set of reference points on the human hand; see `handmap hands show human`.
+        robot_points: Set of reference points on the robot hand; see `handmap hands show HAND`.
             Teleoperation takes fingertips and middle joints by itself.
         mapping: How T is estimated and imposed; for the presets paper and object.
         teleoperation: How fingers follow fingers; for the preset teleoperation.

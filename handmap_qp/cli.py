@@ -1,4 +1,4 @@
-"""The command `handmap`: parse the arguments, run a subcommand, and report errors.
+"""The command `handmap`: find the command, parse its arguments, run it, and report errors.
 
 A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but 0 for `view` and
 `serve`, which end that way. Results go to stdout, progress to stderr.
@@ -7,30 +7,19 @@ A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but
 from __future__ import annotations
 
 import contextlib
+import importlib
 import inspect
 import io
-import json
 import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import or_
-from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
-import tyro
-
-from handmap_qp.arguments import HandName, MappingArguments, PersonFile
-from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.experiments.cli import Compare, Figures
-from handmap_qp.onboarding.cli import HandsCheck, HandsInit, HandsMatch
-from handmap_qp.output_files import check_output
-from handmap_qp.service.cli import Keys, Serve
-from handmap_qp.tables import print_rows, print_table, progress
-from handmap_qp.viewer.cli import View
+from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean
 
 
 class Command(Protocol):
@@ -41,237 +30,85 @@ class Command(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Demo:
-    """Map a human hand's motion to a three-fingered robot hand; needs no data of your own.
+class _Place(NamedTuple):
+    """Where the class of a command is, and one line about it for the list of commands."""
 
-    The wrist follows the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural synergy
-    closes and opens the hand. Writes the robot's trajectory (.npz), a picture of both hands, and
-    plots of errors and joints (.png).
+    module: str
+    name: str
+    about: str
 
-    Examples:
-        handmap demo
-        handmap demo --out results/demo
-
-    Attributes:
-        out: Folder to write to; created if it does not exist.
-    """
-
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("demo")
-
-    def run(self) -> None:
-        """Run the demo, and print its errors and files."""
-        from handmap_qp.experiments.demo import run_demo
-
-        with progress("mapping") as advance:
-            result = run_demo(self.out, progress=advance)
-        print_table(
-            "The paper's arc with the first synergy, human hand to three_finger", result.summary()
-        )
-        for file in result.files:
-            print(f"wrote {file}")
+    def load(self) -> Any:
+        """Import the class."""
+        return getattr(importlib.import_module(f"handmap_qp.{self.module}"), self.name)
 
 
-@dataclass(frozen=True)
-class Map:
-    """Map a recording of a human hand to a robot hand.
-
-    Measures the human hand, maps the landmarks of every sample, and prints a summary of errors
-    [mm], times [us] and limits. Writes an .npz file with time [s], joint_names, q [rad or m], wrist
-    (poses), targets and points [m], point_error [m], valid, versions and more.
-
-    Examples:
-        handmap map recording.npz --robot three_finger
-        handmap map recording.npz --robot my_hand.yaml --preset object --json
-        handmap map recording.npz --robot allegro_right --person anna.yaml
-
-    Attributes:
-        recording: Recording of a human hand: an .npz file with handedness, time [s] of shape (T,)
-            and landmarks [m] of shape (T, 21, 3).
-        robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
-        out: File to write.
-        person: File of the person's hand, of `handmap calibrate`.
-        json: Print the summary as one JSON object instead of a table.
-        arguments: Reference points and options.
-    """
-
-    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
-    robot: HandName
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"),
-    ] = None
-    person: PersonFile = None
-    json: bool = False
-    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
-        default_factory=MappingArguments
-    )
-
-    def run(self) -> None:
-        """Read, fit and map the recording, write the trajectory, and print a summary."""
-        from handmap_qp.mapping.mapper import HandMapper
-        from handmap_qp.offline.summary import speed_note, summarise, table_rows
-        from handmap_qp.offline.trajectory import map_recording, save_npz
-        from handmap_qp.trackers.landmarks import scaled_human
-        from handmap_qp.trackers.person import measure_person, read_person
-        from handmap_qp.trackers.recording import read_recording
-
-        recording = read_recording(self.recording)
-        robot = self.arguments.load_robot(self.robot)
-        out = check_output(
-            "--out", self.out or Path(f"{recording.name}_{robot.name}.npz"), (".npz",)
-        )
-        person = measure_person(recording) if self.person is None else read_person(self.person)
-        human = scaled_human(recording, points=self.arguments.human_points, lengths=person.lengths)
-        preset = self.arguments.preset_for(human, robot, person.contact_gap)
-        mapper = HandMapper(
-            human, robot, preset.method, ik=preset.ik, smoothing=self.arguments.smoothing
-        )
-        with progress(f"mapping to {robot.name}", len(recording)) as advance:
-            trajectory = map_recording(mapper, recording, advance)
-        save_npz(out, trajectory.columns)
-        summary = {"recording": recording.name, **summarise(trajectory), "out": str(out)}
-        if self.json:
-            print(json.dumps(summary, allow_nan=False))
-            return
-        print_table(f"{recording.name} to {robot.name}", table_rows(summary))
-        if note := speed_note(summary):
-            print(note)
-        print(f"wrote {out}")
-
-
-@dataclass(frozen=True)
-class Calibrate:
-    """Measure a person's hand in a recording, and keep it in a file.
-
-    Measures bone lengths and palm, and the contact gap: the distance that the tracker gives between
-    thumb and finger landmarks where the skin touches. Touch every finger with the thumb in the
-    recording, and open the hand. `handmap map` and `handmap view` take the file by --person instead
-    of measuring every recording again.
-
-    Examples:
-        handmap calibrate recording.npz --out anna.yaml
-        handmap map another.npz --robot allegro_right --person anna.yaml
-
-    Attributes:
-        recording: Recording of a human hand, as for `handmap map`.
-        out: File to write.
-        overwrite: Replace the file if it exists.
-        json: Print one JSON object instead of a table.
-    """
-
-    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
-    overwrite: bool = False
-    json: bool = False
-
-    def run(self) -> None:
-        """Measure the person, write the file, and print the measures."""
-        from handmap_qp.trackers.person import measure_person, write_person
-        from handmap_qp.trackers.recording import read_recording
-
-        out = check_output("--out", self.out, (".yaml", ".yml"))
-        if out.exists() and not self.overwrite:
-            raise InvalidInputError(
-                argument="--out",
-                problem=f"{out} exists already",
-                value=str(out),
-                advice="give --overwrite to replace it",
-            )
-        recording = read_recording(self.recording)
-        person = measure_person(recording)
-        write_person(person, out)
-        samples = int(recording.valid.sum())
-        if self.json:
-            measures = {
-                "name": person.name,
-                "samples": samples,
-                "hand_length_m": person.hand_length,
-                "contact_gap_m": person.contact_gap,
-                "out": str(out),
-            }
-            print(json.dumps(measures))
-            return
-        rows = {
-            "samples": samples,
-            "hand length, wrist to middle tip": f"{1e3 * person.hand_length:.0f} mm",
-            "contact gap": f"{1e3 * person.contact_gap:.1f} mm",
-        }
-        print_table(person.name, rows)
-        print(f"wrote {out}")
-
-
-@dataclass(frozen=True)
-class Hands:
-    """List the hands of the package, or describe one hand.
-
-    A description shows joints with their limits [rad or m, and per second], reference points [m]
-    and point sets. To use a hand of your own, write its description with `handmap hands init` and
-    check it with `handmap hands check`. `handmap hands match` shows the posture that corresponds to
-    the resting human hand. Each of the three has its own --help.
-
-    Examples:
-        handmap hands
-        handmap hands allegro_right
-        handmap hands init my_robot.urdf --out my_hand.yaml
-        handmap hands check my_hand.yaml
-        handmap hands match my_hand.yaml
-
-    Attributes:
-        hand: Hand to describe, by name or by the path of its hand.yaml.
-        json: Print JSON instead of tables.
-    """
-
-    hand: tyro.conf.Positional[
-        Annotated[
-            str | None, tyro.conf.arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
-        ]
-    ] = None
-    json: bool = False
-
-    def run(self) -> None:
-        """Print the list or the description."""
-        from handmap_qp.hands.library import describe_hand, list_hands
-
-        rows = list_hands() if self.hand is None else describe_hand(self.hand)
-        if self.json:
-            print(json.dumps(rows))
-        elif isinstance(rows, list):
-            print_rows("Hands", rows)
-        else:
-            print_table(
-                rows["name"],
-                {key: value for key, value in rows.items() if not isinstance(value, list)},
-            )
-            print_rows("Joints", rows["joints"])
-            print_rows("Reference points", rows["points"])
-
-
-_COMMANDS: dict[str, Any] = {
-    "demo": Demo,
-    "map": Map,
-    "calibrate": Calibrate,
-    "compare": Compare,
-    "view": View,
-    "hands": Hands,
-    "figures": Figures,
-    "serve": Serve,
-    "keys": Keys,
+# Modules are imported when their command is called, so that `handmap --help` is immediate.
+COMMANDS: dict[str, _Place] = {
+    "demo": _Place(
+        "experiments.cli",
+        "Demo",
+        "Map a human hand's motion to a three-fingered robot hand; needs no data of your own.",
+    ),
+    "map": _Place("offline.cli", "Map", "Map a recording of a human hand to a robot hand."),
+    "calibrate": _Place(
+        "offline.cli", "Calibrate", "Measure a person's hand in a recording, and keep it in a file."
+    ),
+    "compare": _Place(
+        "experiments.cli",
+        "Compare",
+        "Compare mapping methods on recordings of a human hand, by what the robot's hand shows.",
+    ),
+    "view": _Place(
+        "viewer.cli",
+        "View",
+        "Show a mapping in the browser, and change its preset and options while it plays.",
+    ),
+    "hands list": _Place("onboarding.cli", "HandsList", "List the hands of the package."),
+    "hands show": _Place(
+        "onboarding.cli", "HandsShow", "Describe a hand: joints, limits and reference points."
+    ),
+    "hands init": _Place(
+        "onboarding.cli", "HandsInit", "Find a hand in a URDF and write its description, hand.yaml."
+    ),
+    "hands check": _Place(
+        "onboarding.cli",
+        "HandsCheck",
+        "Check a hand.yaml against its URDF, and draw the hand with its labels.",
+    ),
+    "hands match": _Place(
+        "onboarding.cli",
+        "HandsMatch",
+        "Find the robot posture that corresponds to the resting human hand.",
+    ),
+    "figures": _Place(
+        "experiments.cli",
+        "Figures",
+        "Repeat the paper's numerical experiment (Sec. IV) and draw its figures.",
+    ),
+    "serve": _Place(
+        "service.cli", "Serve", "Serve the mapper to trackers and robots over ZeroMQ and WebSocket."
+    ),
+    "keys": _Place(
+        "service.cli",
+        "Keys",
+        "Make the keys that `handmap serve --keys` needs; existing keys stay.",
+    ),
+    "doctor": _Place(
+        "doctor", "Doctor", "Report versions, extras, solvers, recordings and rendering."
+    ),
 }
-_NESTED: dict[str, Any] = {
-    "hands init": HandsInit,
-    "hands check": HandsCheck,
-    "hands match": HandsMatch,
-}
-"""Subcommands of a command that also runs on its own."""
+"""All commands by name, in the order of the list that `handmap --help` prints."""
+
 _ABOUT = """Map the motion of a human hand onto a robotic hand.
 
-Lengths are in metres, angles in radians and times in seconds unless a unit is given.
-`handmap COMMAND --help` explains a command and its options.
+Lengths are in metres, angles in radians and times in seconds unless a unit is
+given. `handmap COMMAND --help` explains a command and its options.
+`handmap --version` prints the version.
+`handmap --completion bash` (or zsh, tcsh) prints completions for a shell.
 
 Examples:
     handmap demo
-    handmap hands
+    handmap hands list
     handmap map recording.npz --robot allegro_right
     handmap compare recording.npz --robot allegro_right
     handmap view recording.npz --robot allegro_right
@@ -312,28 +149,125 @@ def parse(arguments: Sequence[str]) -> Command:
 
     Raises:
         InvalidInputError: If the words are not a valid command, in one line.
-        SystemExit: After printing the help that was asked for.
+        SystemExit: After printing the help, the version or the completions that were asked for.
     """
-    words, message, printed = list(arguments), io.StringIO(), _Page()
-    commands = {**_COMMANDS, **_NESTED}
-    name = next((key for key in (" ".join(words[:2]), *words[:1]) if key in commands), "")
-    command = commands[name] if name else _any_command()
-    program = f"handmap {name}".rstrip()
-    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0] if name else _ABOUT
+    words = list(arguments)
+    name = next((key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None)
+    if name is None:
+        _answer_without_command(words)
+    command = COMMANDS[name].load()
+    words = words[len(name.split()) :]
+    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
+    # tyro reads `completion` and the like in the arguments of any command.
+    parsed, page, complaint = _captured(
+        lambda tyro: tyro.cli(command, prog=f"handmap {name}", description=about, args=words)
+    )
+    if complaint is None:
+        return parsed
+    if complaint:
+        advice = f"see handmap {name} --help"
+        hint = _option_hint(command, name, words)
+        raise InvalidInputError(problem=f"{_first_sentences(complaint)} ({hint or advice})")
+    _print_page(_wrapped(page))
+    raise SystemExit(0)
+
+
+def _answer_without_command(words: list[str]) -> None:
+    """Print the page that was asked for, or name the mistake.
+
+    Raises:
+        SystemExit: After printing.
+        InvalidInputError: If the words ask for nothing that there is.
+    """
+    match words:
+        case ["--version"]:
+            from importlib.metadata import version
+
+            print(f"handmap {version('handmap-qp')}")
+        case ["--help" | "-h"]:
+            _print_page(f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}")
+        case ["hands"] | ["hands", "--help" | "-h"]:
+            about = "List, describe, write and check descriptions of robot hands."
+            _print_page(f"usage: handmap hands COMMAND ...\n\n{about}\n\n{_list_of('hands ')}")
+        case ["--completion", shell]:
+            _print_completion(shell)
+        case ["--completion"]:
+            raise InvalidInputError(argument="--completion", expected="bash, zsh or tcsh")
+        case []:
+            raise InvalidInputError(problem="expected a command (see handmap --help)")
+        case ["hands", word, *_]:
+            subcommands = [key.split()[1] for key in COMMANDS if key.startswith("hands ")]
+            hint = did_you_mean(word, subcommands) or f"describe a hand: handmap hands show {word}"
+            raise InvalidInputError(problem=f"no command 'hands {word}': {hint}")
+        case [word, *_]:
+            hint = did_you_mean(word, {key.split()[0] for key in COMMANDS})
+            raise InvalidInputError(problem=f"no command {word!r}: {hint or 'see handmap --help'}")
+    raise SystemExit(0)
+
+
+def _list_of(prefix: str) -> str:
+    """Return the commands that begin with a prefix, one a line, fitting the terminal."""
+    width = min(100, max(40, shutil.get_terminal_size().columns))
+    column = max(map(len, COMMANDS)) + 2
+    lines = [
+        textwrap.fill(
+            place.about,
+            width,
+            initial_indent=f"  {name:<{column}}",
+            subsequent_indent=" " * (column + 2),
+        )
+        for name, place in COMMANDS.items()
+        if name.startswith(prefix)
+    ]
+    return "\n".join(["Commands:", *lines, ""])
+
+
+def _print_completion(shell: str) -> None:
+    """Print the completions of all commands for a shell."""
+    if shell not in ("bash", "zsh", "tcsh"):
+        expected = "bash, zsh or tcsh"
+        raise InvalidInputError(argument="--completion", expected=expected, value=shell)
+    words = ["--tyro-print-completion", shell]
+    _, page, _ = _captured(lambda tyro: tyro.cli(_any_command(tyro), prog="handmap", args=words))
+    _print_page(page)
+
+
+def _any_command(tyro: Any) -> Any:
+    """Return a type whose values are all commands."""
+
+    def union(places: dict[str, _Place]) -> Any:
+        return reduce(
+            or_,
+            (
+                Annotated[
+                    place.load(),
+                    tyro.conf.subcommand(word, description=place.about, prefix_name=False),
+                ]
+                for word, place in places.items()
+            ),
+        )
+
+    single = {name: place for name, place in COMMANDS.items() if " " not in name}
+    nested = {name.split()[1]: place for name, place in COMMANDS.items() if " " in name}
+    hands = Annotated[union(nested), tyro.conf.subcommand("hands", prefix_name=False)]
+    return union(single) | hands
+
+
+def _captured(call: Callable[[Any], Any]) -> tuple[Any, str, str | None]:
+    """Call tyro with its output captured.
+
+    Returns:
+        The result; what was printed on stdout; None if the call returned, else the message on
+        stderr, empty if the call ended without an error.
+    """
+    import tyro
+
+    message, page = io.StringIO(), _Page()
     try:
-        with contextlib.redirect_stderr(message), contextlib.redirect_stdout(printed):
-            return tyro.cli(
-                command, prog=program, description=about, args=words[len(name.split()) :]
-            )
+        with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
+            return call(tyro), page.getvalue(), None
     except SystemExit as end:
-        if not end.code:
-            encoding = sys.stdout.encoding or "utf-8"
-            page = _wrapped(printed.getvalue())
-            print(page.encode(encoding, "replace").decode(encoding), end="")
-            raise
-        raise InvalidInputError(
-            problem=f"{_first_sentences(message.getvalue())} (see {program} --help)"
-        ) from end
+        return None, page.getvalue(), (message.getvalue() if end.code else "")
 
 
 class _Page(io.StringIO):
@@ -350,30 +284,35 @@ class _Page(io.StringIO):
         return self._is_terminal
 
 
-def _any_command() -> Any:
-    """Return a type that lists all commands with the first line of their descriptions."""
-    kinds = (
-        Annotated[
-            kind,
-            tyro.conf.subcommand(
-                name, description=(kind.__doc__ or "").partition("\n")[0], prefix_name=False
-            ),
-        ]
-        for name, kind in _COMMANDS.items()
+def _print_page(page: str) -> None:
+    encoding = sys.stdout.encoding or "utf-8"
+    print(page.encode(encoding, "replace").decode(encoding), end="")
+
+
+def _option_hint(command: Any, name: str, words: list[str]) -> str:
+    """Return the option that an unknown one resembles, or nothing."""
+    _, page, _ = _captured(lambda tyro: tyro.cli(command, prog=name, args=["--help"]))
+    known = {word.strip(",│[]") for word in page.split() if word.startswith("--")}
+    given = [word.partition("=")[0] for word in words if word.startswith("--")]
+    hints = (
+        f"{word}: {did_you_mean(word, known)}"
+        for word in given
+        if word not in known and did_you_mean(word, known)
     )
-    return reduce(or_, kinds)
+    return next(hints, "")
 
 
 def _wrapped(page: str) -> str:
-    """Wrap the lines of a help page that tyro leaves too long: the description."""
+    """Wrap the paragraphs of a help page that tyro leaves too long: the description."""
     width = max(40, shutil.get_terminal_size().columns)
-    lines = (
-        line
-        if len(line) <= width or line.startswith(("│", "╭", "╰"))
-        else textwrap.fill(line, width)
-        for line in page.splitlines(keepends=True)
-    )
-    return "".join(line if line.endswith("\n") else f"{line}\n" for line in lines)
+    blocks = []
+    for block in page.split("\n\n"):
+        is_prose = not any(line.startswith((" ", "│", "╭", "╰")) for line in block.splitlines())
+        is_long = any(len(line) > width for line in block.splitlines())
+        if is_prose and is_long:
+            block = textwrap.fill(" ".join(block.split()), width)
+        blocks.append(block)
+    return "\n\n".join(blocks).rstrip("\n") + "\n"
 
 
 def _first_sentences(box: str) -> str:

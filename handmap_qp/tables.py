@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator
 from typing import Any
 
 _PAIR = ("what", "value")
 """Columns of a table without a header."""
+_PIPE_WIDTH = 1000  # characters
 
 
 @contextlib.contextmanager
@@ -39,6 +41,7 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
     """Print a table whose columns are the keys of its rows; nothing if there are no rows."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     if not rows:
         return
@@ -48,9 +51,16 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
             name, justify="right" if isinstance(value, int | float) else "left", overflow="fold"
         )
     for row in rows:
+        # Text, because a plain string is markup, in which [robots] is a style.
         table.add_row(
-            *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
+            *(
+                Text(f"{value:.4g}" if isinstance(value, float) else str(value))
+                for value in row.values()
+            )
         )
     console = Console()
-    console.print(title, style="bold")
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        # Programs that read a pipe need whole rows.
+        console.width = _PIPE_WIDTH
+    console.print(Text(title), style="bold")
     console.print(table)

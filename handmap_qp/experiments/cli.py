@@ -1,4 +1,4 @@
-"""The commands `handmap figures` and `handmap compare`."""
+"""The commands `handmap demo`, `handmap figures` and `handmap compare`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from handmap_qp.arguments import HandName
+from handmap_qp.tables import print_table, progress
 
 DEFAULT_METHODS = (
     "teleoperation",
@@ -22,6 +23,37 @@ DEFAULT_METHODS = (
     "virtual-ellipsoid",
 )
 """Methods that `handmap compare` runs if none are named."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Map a human hand's motion to a three-fingered robot hand; needs no data of your own.
+
+    The wrist follows the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural synergy
+    closes and opens the hand. Writes the robot's trajectory (.npz), a picture of both hands, and
+    plots of errors and joints (.png).
+
+    Examples:
+        handmap demo
+        handmap demo --out results/demo
+
+    Attributes:
+        out: Folder to write to; created if it does not exist.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("demo")
+
+    def run(self) -> None:
+        """Run the demo, and print its errors and files."""
+        from handmap_qp.experiments.demo import run_demo
+
+        with progress("mapping") as advance:
+            result = run_demo(self.out, progress=advance)
+        print_table(
+            "The paper's arc with the first synergy, human hand to three_finger", result.summary()
+        )
+        for file in result.files:
+            print(f"wrote {file}")
 
 
 @dataclass(frozen=True)
@@ -86,12 +118,12 @@ class Compare:
     Examples:
         handmap compare recording.npz --robot allegro_right
         handmap compare *.npz --robot allegro_right --peers --out comparison
-        handmap compare a.npz b.npz --robot my_hand.yaml --methods teleoperation paper
+        handmap compare a.npz b.npz --robot my_hand.yaml --methods object paper
 
     Attributes:
         recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
-        robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoothed
             samples. Peers may be named too, such as dex-vector; then --peers runs those only.
         peers: Run the peers too.

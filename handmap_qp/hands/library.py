@@ -10,7 +10,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError, describe_value
+from handmap_qp.errors import (
+    HandError,
+    InvalidInputError,
+    MissingExtraError,
+    describe_value,
+    did_you_mean,
+)
 from handmap_qp.hands.hand import Hand, Points, read_urdf, urdf_path
 from handmap_qp.hands.human import HumanLengths, scaled_human_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, read_hand_spec
@@ -157,4 +163,5 @@ def _find(hand: str | Path) -> Path:
         if (path / "hand.yaml").is_file():
             return path / "hand.yaml"
     expected = f"one of {', '.join(hand_names())}, or the path of a hand.yaml"
-    raise HandError(f"no hand {describe_value(name)}: expected {expected}", value=name)
+    advice = did_you_mean(name, hand_names()) or f"expected {expected}"
+    raise HandError(f"no hand {describe_value(name)}: {advice}", value=name)

@@ -1,4 +1,4 @@
-"""The commands `handmap hands init`, `handmap hands check` and `handmap hands match`."""
+"""The commands `handmap hands`: list, show, init, check and match."""
 
 from __future__ import annotations
 
@@ -13,12 +13,69 @@ from handmap_qp.arguments import HandName
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import check_output
-from handmap_qp.tables import print_rows
+from handmap_qp.tables import print_rows, print_table
 
 
 def _optional(metavar: str, default: str) -> Any:
     """Describe an optional argument by a placeholder and its effect if omitted."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+@dataclass(frozen=True)
+class HandsList:
+    """List the hands of the package.
+
+    Examples:
+        handmap hands list
+
+    Attributes:
+        json: Print JSON instead of a table.
+    """
+
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the list."""
+        from handmap_qp.hands.library import list_hands
+
+        rows = list_hands()
+        if self.json:
+            print(json.dumps(rows))
+        else:
+            print_rows("Hands", rows)
+
+
+@dataclass(frozen=True)
+class HandsShow:
+    """Describe a hand: joints, limits and reference points.
+
+    Shows joints with their limits [rad or m, and per second], reference points [m] and point sets.
+
+    Examples:
+        handmap hands show allegro_right
+        handmap hands show my_hand.yaml
+
+    Attributes:
+        hand: Hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        json: Print JSON instead of tables.
+    """
+
+    hand: tyro.conf.Positional[HandName]
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the description."""
+        from handmap_qp.hands.library import describe_hand
+
+        rows = describe_hand(self.hand)
+        if self.json:
+            print(json.dumps(rows))
+            return
+        print_table(
+            rows["name"], {key: value for key, value in rows.items() if not isinstance(value, list)}
+        )
+        print_rows("Joints", rows["joints"])
+        print_rows("Reference points", rows["points"])
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class View:
 
     Attributes:
         recording: Recording of a human hand, as for `handmap map`.
-        robot: Robot hand, by a name that `handmap hands` lists or by the path of its hand.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
             Required for a recording. A service names its own.
         live: Show a session of a running mapping service instead of a recording. Its client must
             have opened it with has_detail or is_shared. A shared session can also be steered.
@@ -97,7 +97,7 @@ class View:
                 raise InvalidInputError(
                     argument="--robot",
                     problem="missing",
-                    advice="name a hand that `handmap hands` lists",
+                    advice="name a hand that `handmap hands list` prints",
                 )
             self._show_recording(self.recording, self.robot)
 

@@ -1,12 +1,13 @@
 """The command line: what it writes and prints, and one line for every mistake."""
 
+import importlib.metadata
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from handmap_qp import cli, load_hand
+from handmap_qp import cli, doctor, load_hand, tables
 
 KEYS = {
     "samples",
@@ -131,16 +132,16 @@ def test_a_calibrated_person_takes_the_place_of_measuring(
 
 
 def test_hands_lists_and_describes(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["hands", "--json"]) == 0
+    assert cli.main(["hands", "list", "--json"]) == 0
     assert {row["name"] for row in json.loads(capsys.readouterr().out)} >= {
         "human",
         "three_finger",
         "allegro_right",
     }
-    assert cli.main(["hands", "three_finger", "--json"]) == 0
+    assert cli.main(["hands", "show", "three_finger", "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["joints"]) == 8
-    assert cli.main(["hands"]) == 0
-    assert cli.main(["hands", "human"]) == 0
+    assert cli.main(["hands", "list"]) == 0
+    assert cli.main(["hands", "show", "human"]) == 0
     assert "thumb_TM_abduction" in capsys.readouterr().out
 
 
@@ -166,7 +167,10 @@ MISTAKES = {
     "no folder": ["map", "{recording}", "--robot", "three_finger", "--out", "nowhere/out.npz"],
     "not an npz": ["map", "{recording}", "--robot", "three_finger", "--out", "out.csv"],
     "no recording at all": ["map", "{folder}/hand.txt", "--robot", "three_finger"],
-    "unknown hand": ["hands", "tentacle"],
+    "unknown hand": ["hands", "show", "tentacle"],
+    "hand as a command": ["hands", "three_finger"],
+    "unknown shell": ["--completion", "powershell"],
+    "no shell": ["--completion"],
     "no such person": ["map", "{recording}", "--robot", "three_finger", "--person", "bob.yaml"],
     "person of a service": ["view", "--live", "127.0.0.1", "--person", "bob.yaml"],
     "person as a recording": ["calibrate", "{recording}", "--out", "bob.npz"],
@@ -206,11 +210,11 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
 
 COMMANDS = (
     *("", "demo", "map", "calibrate", "compare", "view"),
-    *("hands", "hands init", "hands check", "hands match"),
+    *("hands list", "hands show", "hands init", "hands check", "hands match", "doctor"),
 )
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "figures", "serve", "keys"])
+@pytest.mark.parametrize("command", [*COMMANDS, "hands", "figures", "serve", "keys"])
 def test_help_has_examples_and_fits_the_terminal(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -223,3 +227,72 @@ def test_help_has_examples_and_fits_the_terminal(
     if command in COMMANDS:
         assert f"\n    handmap {command}".rstrip() in printed.partition("Examples:")[2]
         assert "None}" not in printed.partition("--ridge")[0], "a type in place of a placeholder"
+
+
+def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
+    for name, place in cli.COMMANDS.items():
+        assert place.about == (place.load().__doc__ or "").partition("\n")[0], name
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["mpa", "x.npz"], "did you mean map?"),
+        (["hands", "int", "x.urdf"], "did you mean init?"),
+        (["hands", "three_finger"], "handmap hands show three_finger"),
+        (["hands", "show", "alegro_right"], "did you mean allegro_right?"),
+        (["map", "x.npz", "--robto", "y"], "--robto: did you mean --robot?"),
+        (["map", "x.npz", "--robot", "y", "--ik.dampin", "1"], "did you mean --ik.damping?"),
+    ],
+)
+def test_a_mistyped_word_is_answered_with_the_nearest_one(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    assert hint in capsys.readouterr().err
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"handmap {importlib.metadata.version('handmap-qp')}\n"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completions_name_every_command(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--completion", shell])
+    assert end.value.code == 0
+    script = capsys.readouterr().out
+    for name in cli.COMMANDS:
+        assert name.split()[-1] in script
+    assert "--robot" in script
+
+
+def test_rows_are_whole_in_a_pipe_and_brackets_are_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    long = "pip install 'handmap-qp[robots]' " * 5
+    tables.print_rows("Hands", [{"name": "allegro_right", "available": long}])
+    assert long in capsys.readouterr().out
+
+
+def test_the_doctor_reports_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["doctor", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["versions"]["pin"] == importlib.metadata.version("pin")
+    assert report["extras"]["robots"] == "installed"
+    assert "daqp" in report["solvers"]["available"]
+
+
+def test_the_doctor_says_how_to_install_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    def version(name: str) -> str:
+        if name == "viser":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    assert doctor.extras()["view"] == "viser not installed: pip install 'handmap-qp[view]'"
+    assert doctor.extras()["plot"] == "installed"
