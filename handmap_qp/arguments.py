@@ -17,6 +17,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import Choice, PresetName, default_preset, preset_choice
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 
@@ -49,6 +50,8 @@ class MappingArguments:
         teleoperation: How fingers follow fingers; for the preset teleoperation.
         ik: Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.
             Those not given are the preset's.
+        options: YAML file with a preset and options, as the view saves it. Options given on the
+            command line count more.
         smooth: Smooth the samples with a one-euro filter, and the robot's motion with costs of
             speed and acceleration: half the jerk, for about 8 ms more lag.
     """
@@ -63,6 +66,9 @@ class MappingArguments:
         default_factory=Teleoperation
     )
     ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
+    options: Annotated[
+        Path | None, tyro.conf.arg(metavar="OPTIONS.yaml", help_behavior_hint="(default: none)")
+    ] = None
     smooth: bool = False
 
     @property
@@ -83,7 +89,10 @@ class MappingArguments:
         """
         mapping = _given(self.mapping, MappingOptions())
         fingers = _given(self.teleoperation, Teleoperation())
-        name = self.preset or ("paper" if mapping else default_preset(human, robot))
+        saved = {} if self.options is None else read_options(self.options)
+        saved_preset = saved.pop("preset", None)
+        name = self.preset or saved_preset
+        name = name or ("paper" if mapping else default_preset(human, robot))
         chosen = preset_choice(name, contact_gap)
         own, foreign = (fingers, mapping) if chosen.is_teleoperation else (mapping, fingers)
         if foreign:
@@ -94,7 +103,7 @@ class MappingArguments:
                 advice="choose another --preset, or leave it out",
             )
         calm = SMOOTH_IK if self.smooth else {}
-        return chosen.with_changes(own | calm | _given(self.ik, IkOptions()))
+        return chosen.with_changes(saved | own | calm | _given(self.ik, IkOptions()))
 
     def load_robot(self, name: str) -> Hand:
         """Load a robot hand with the chosen reference points.

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import fields, replace
 from typing import Any, Literal, NamedTuple, get_args
 
+import numpy as np
+
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
@@ -173,7 +175,8 @@ class Choice(NamedTuple):
             start, changes = preset_choice(other.preset), {"preset": other.preset}
         for ours, theirs in ((start.options, other.options), (start.ik, other.ik)):
             for item in fields(theirs):
-                if getattr(ours, item.name) != getattr(theirs, item.name):
+                # array_equal, because an alignment may be a matrix.
+                if not np.array_equal(getattr(ours, item.name), getattr(theirs, item.name)):
                     changes[item.name] = getattr(theirs, item.name)
         return changes
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError
+from handmap_qp.mapping.options_file import options_text
 from handmap_qp.viewer.controls import PlayBar, SteeringControls, dock_main_panel
 from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
 from handmap_qp.viewer.gauges import Gauges, gauge_row
@@ -118,6 +119,8 @@ class ReplayViewer:
             self.steering.show_error(error)
             return
         self.steering.show_error(None)
+        choice = self.replay.choice
+        self.steering.options_text = options_text(choice, self.replay.preset(choice.preset))
         self._show_samples()
 
     def _show_samples(self) -> None:

@@ -6,10 +6,11 @@ carries out, so that mapping and drawing happen in one thread.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import PRESETS, Choice
 from handmap_qp.viewer.option_controls import OptionControls
 from handmap_qp.viewer.scene import HandScene
@@ -60,6 +61,8 @@ class SteeringControls:
         preset: List of presets; choosing one brings its own options.
         options: Sliders, lists and boxes for the options.
         reset: Button that restores the initial preset and options, and clutches.
+        save: Button that downloads preset and options as a file for `--options`.
+        options_text: The text of that file.
     """
 
     def __init__(
@@ -91,10 +94,19 @@ class SteeringControls:
             "Reset options and clutch",
             hint="Restore the initial preset and options, and resume mapping",
         )
+        self.save = gui.add_button(
+            "Save options", hint="Download preset and options, for --options of the commands"
+        )
+        self.options_text = options_text(choice)
+        self.save.on_click(self._download_options)
         self._requests: list[str] = []
         self.release.on_click(lambda _: self._requests.append("release"))
         self.clutch.on_click(lambda _: self._requests.append("clutch"))
         self.reset.on_click(lambda _: self._requests.append("reset"))
+
+    def _download_options(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            event.client.send_file_download("options.yaml", self.options_text.encode())
 
     def take_requests(self) -> list[str]:
         """Return the buttons pressed since the last call: `release`, `clutch` and `reset`."""
@@ -113,6 +125,7 @@ class SteeringControls:
             if choice.preset not in self.preset.options:
                 self.preset.options = (*self.preset.options, choice.preset)
             self.preset.value = self._taken_preset = choice.preset
+        self.options_text = options_text(choice)
         self.options.show(choice)
 
     def show_released(self, is_released: bool) -> None:

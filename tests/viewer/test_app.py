@@ -6,10 +6,12 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Any, Literal, get_args
+from types import SimpleNamespace
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import pytest
+import yaml
 from marks import slow
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
@@ -282,6 +284,17 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
     assert viewer.replay.choice.options == MappingOptions(deformation_gain=0.0)
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
     assert np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3]) > 1e-3
+
+
+def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
+    viewer.steering.options.handles["deformation_gain"].value = 0.5
+    viewer.tick(0.0)
+    saved = yaml.safe_load(viewer.steering.options_text)
+    assert saved == {"preset": "paper", "deformation_gain": 0.5}
+    sent: list[bytes] = []
+    client = SimpleNamespace(send_file_download=lambda name, content: sent.append(content))
+    viewer.steering._download_options(cast(Any, SimpleNamespace(client=client)))
+    assert yaml.safe_load(sent[0]) == saved
 
 
 @pytest.mark.parametrize("preset", ["paper", "teleoperation"])

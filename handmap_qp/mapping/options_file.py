@@ -1,0 +1,86 @@
+"""Preset and options in a YAML file, which `--options` reads and the view writes.
+
+The file has the names that `HandMapper.configure` and the service take: `preset`, and options of
+its method and of the QP. Options that are not in the file have the values of the preset.
+
+    preset: teleoperation
+    pinch_weight: 6.0
+    damping: 0.2
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from handmap_qp.errors import InvalidInputError, did_you_mean
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
+from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.presets import Choice, preset_choice
+
+_NAMES = {"preset"} | {
+    item.name for kind in (MappingOptions, Teleoperation, IkOptions) for item in fields(kind)
+}
+
+
+def read_options(path: Path | str) -> dict[str, Any]:
+    """Read a file of options.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Values by name, as `Choice.with_changes` takes them. Their ranges are not checked here.
+
+    Raises:
+        InvalidInputError: If the file cannot be read, is not a table, or has an unknown name;
+            `argument` is then that name.
+    """
+    file = Path(path)
+    try:
+        table = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        problem = f"{file}: cannot be read: {error.strerror or error}"
+        raise InvalidInputError(argument="options", problem=problem) from error
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
+        problem = f"{file}: is not YAML: {' '.join(str(error).split())}"
+        raise InvalidInputError(argument="options", problem=problem) from error
+    if not isinstance(table, dict):
+        expected = "a table such as `preset: teleoperation`"
+        raise InvalidInputError(argument="options", problem=f"{file}: expected {expected}")
+    for name in table:
+        if name not in _NAMES:
+            advice = did_you_mean(str(name), _NAMES) or "see handmap map --help"
+            raise InvalidInputError(
+                argument=str(name), problem=f"{file} has an unknown option", advice=advice
+            )
+    return {name: _tuples(value) for name, value in table.items()}
+
+
+def options_text(choice: Choice, start: Choice | None = None) -> str:
+    """Return the text of a file with the options that differ from their preset's.
+
+    Args:
+        choice: Preset and options.
+        start: The preset with the values that need not be written; its own if omitted.
+    """
+    start = preset_choice(choice.preset) if start is None else start
+    changes = {name: _plain(value) for name, value in start.changes_to(choice).items()}
+    return yaml.safe_dump({"preset": choice.preset} | changes, sort_keys=False)
+
+
+def _tuples(value: Any) -> Any:
+    """Turn lists into tuples, which the options hold."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _plain(value: Any) -> Any:
+    """Turn tuples and arrays into lists, and numpy's numbers into Python's."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return list(map(_plain, value)) if isinstance(value, tuple) else value
