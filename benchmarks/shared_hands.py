@@ -12,6 +12,8 @@ from pathlib import Path
 
 import msgspec
 
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import HandSpec, read_hand_spec
 
 DESCRIPTIONS = Path(__file__).resolve().parent / "hands"
@@ -51,3 +53,8 @@ def shared_hand_spec(name: str) -> HandSpec:
     spec = read_hand_spec(DESCRIPTIONS / f"{name}.yaml")
     urdf = spec.urdf.replace("${HANDMAP_HANDS}", str(folder))
     return msgspec.structs.replace(spec, urdf=urdf)
+
+
+def load(name: str) -> Hand:
+    """Load a hand by name, one of `NAMES` or one of the package."""
+    return load_hand(shared_hand_spec(name) if name in NAMES else name)

@@ -114,35 +114,38 @@ def _result_views(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """View all distances, normals and first nearest points as arrays that follow every measurement.
 
-    In coal's `DistanceResult`, the distance lies before the normal, and the nearest points behind
-    it. That is checked here rather than trusted.
-
     Returns:
         Read-only views, shapes (k,), (k, 3) and (k, 3).
     """
-    results = data.distanceResults
-    count = len(results)
-    if count == 0:
-        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
-    pin.updateGeometryPlacements(model, model.createData(), geometry, data, pin.neutral(model))
-    pin.computeDistances(geometry, data)
-    normals = [result.normal for result in results]
-    starts = [normal.__array_interface__["data"][0] for normal in normals]
-    stride = starts[1] - starts[0] if count > 1 else 56
+    # Checked on data of its own: GJK would start from the results of the check.
+    trial = geometry.createData()
+    pin.updateGeometryPlacements(model, model.createData(), geometry, trial, pin.neutral(model))
+    pin.computeDistances(geometry, trial)
+    read = [
+        [result.min_distance, *result.normal.tolist(), *result.getNearestPoint1().tolist()]
+        for result in trial.distanceResults
+    ]
+    if not np.array_equal(_view_results(trial), np.array(read).reshape(-1, 7)):
+        raise RuntimeError("coal's distance, normal and nearest point do not lie side by side")
+    rows = _view_results(data)
+    return rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+
+
+def _view_results(data: pin.GeometryData) -> np.ndarray:
+    """View distance, normal and first nearest point of every result, shape (k, 7).
+
+    In coal's `DistanceResult` they lie in this order, which `_result_views` checks.
+    """
+    starts = [result.normal.__array_interface__["data"][0] - 8 for result in data.distanceResults]
+    if not starts:
+        return np.zeros((0, 7))
+    stride = starts[1] - starts[0] if len(starts) > 1 else 56
     if any(after - before != stride for before, after in pairwise(starts)) or stride % 8:
         raise RuntimeError("coal's distances are not evenly spaced in memory")
-    # The last result's block ends where its nearest point does.
-    block = np.ctypeslib.as_array(
-        (ctypes.c_double * ((stride * (count - 1)) // 8 + 7)).from_address(starts[0] - 8)
-    )
-    block.setflags(write=False)
-    rows = np.lib.stride_tricks.as_strided(block, (count, 7), (stride, 8), writeable=False)
-    read = np.array(
-        [[r.min_distance, *r.normal.tolist(), *r.getNearestPoint1().tolist()] for r in results]
-    )
-    if not np.array_equal(rows, read):
-        raise RuntimeError("coal's distance, normal and nearest point do not lie side by side")
-    return rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+    # The last result's block ends with its nearest point.
+    doubles = ctypes.c_double * (stride * (len(starts) - 1) // 8 + 7)
+    block = np.ctypeslib.as_array(doubles.from_address(starts[0]))
+    return np.lib.stride_tricks.as_strided(block, (len(starts), 7), (stride, 8), writeable=False)
 
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -1,0 +1,184 @@
+"""Landmarks in, robot command out: CPU time of a sample, beside dexi-rs and dex-retargeting.
+
+All programs map the same landmarks, in turns. Ours are whole calls of `HandMapper.map_landmarks`,
+with every preset that the hand can be mapped with; `teleoperation` has its pinch and contact rows.
+A peer's time is that of its own `retarget` alone. What its examples compute before that, the hand's
+frame in numpy, is the column `frame_us`.
+
+    make peers
+    python benchmarks/bench_end_to_end.py
+    python benchmarks/bench_end_to_end.py --compare ../another_checkout --no-peers
+
+`teleoperation:free` has no contact rows. With `--compare`, the same presets of another checkout
+take turns with these, and the last column says by how much the robot's joints and wrist differ at
+most [rad or m]. All use one matched posture. `teleoperation, other, shifted` is the other checkout
+against itself with its landmarks moved by 1e-15 m: so much do contact rows magnify rounding.
+"""
+
+from __future__ import annotations
+
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import interleaved
+import numpy as np
+import shared_hands
+from interleaved import Worker
+from peers import build
+
+ROBOTS = {
+    "allegro_right": "allegro_hand_right",
+    "leap_right": "leap_hand_right",
+    "svh_right": "schunk_svh_hand_right",
+}
+"""Hands with four and five fingers, and their names in the peers' configurations."""
+PRESETS = ("teleoperation", "teleoperation:free", "object", "paper")
+"""Our presets; `:free` is without contact rows."""
+PEERS = (
+    ("dexi-rs", "vector"),
+    ("dexi-rs", "dexpilot"),
+    ("dex-retargeting", "vector"),
+    ("dex-retargeting", "dexpilot"),
+)
+"""Peers and their methods."""
+_SHIFTED = "teleoperation, other, shifted"
+_RECORDING = "quest3_webxr_right"
+
+
+def measure(
+    robot: str, file: Path, samples: int, rounds: int, *, other: Path | None, has_peers: bool
+) -> list[dict[str, Any]]:
+    """Time all programs on one robot.
+
+    Args:
+        robot: One of `ROBOTS`.
+        file: Inputs of `interleaved.write_inputs`.
+        samples: Their number.
+        rounds: How often all samples are mapped.
+        other: Another checkout to compare with.
+        has_peers: Whether to run the peers.
+
+    Returns:
+        A row a program.
+    """
+    commands: dict[str, tuple[list[str], Path | None]] = {}
+    for preset in PRESETS:
+        command = interleaved.tree_command(file, robot, preset, "map_landmarks")
+        commands[preset] = (command, common.ROOT)
+        if other is not None:
+            commands[f"{preset}, other"] = (command, other)
+    if other is not None:
+        command = interleaved.tree_command(file, robot, "teleoperation:shifted", "map_landmarks")
+        commands[_SHIFTED] = (command, other)
+    for peer, method in PEERS if has_peers else ():
+        command = interleaved.peer_command(file, peer, method, ROBOTS[robot])
+        commands[f"{peer} {method}"] = (command, None)
+    with (
+        interleaved.workers(commands) as working,
+        common.progress(robot, interleaved.turns(samples, rounds)) as advance,
+    ):
+        interleaved.take_turns(working, samples, rounds, advance)
+        return [_row(worker, working) for worker in working]
+
+
+def _row(worker: Worker, working: Sequence[Worker]) -> dict[str, Any]:
+    """Return a program's numbers, as shares of those of dexi-rs vector where it took part."""
+    numbers = worker.numbers()
+    by_name = {each.name: each for each in working}
+    row: dict[str, Any] = {
+        "program": worker.name,
+        "median_us": numbers["median_us"],
+        "p99_us": numbers["p99_us"],
+        "iterations": numbers.get("iterations", ""),
+    }
+    frames = worker.extra.get("frame_ns")
+    row["frame_us"] = 1e-3 * float(np.median(frames)) if frames else ""
+    if dexi := by_name.get("dexi-rs vector"):
+        theirs = dexi.numbers()
+        row["of dexi"] = numbers["median_us"] / theirs["median_us"]
+        row["of dexi p99"] = numbers["p99_us"] / theirs["p99_us"]
+    if _SHIFTED in by_name:
+        plain = "teleoperation" if worker.name == _SHIFTED else worker.name
+        other = by_name.get(f"{plain}, other")
+        before = other.numbers() if other else None
+        row["of other"] = numbers["median_us"] / before["median_us"] if before else ""
+        row["of other p99"] = numbers["p99_us"] / before["p99_us"] if before else ""
+        row["difference"] = interleaved.largest_difference(worker, other) if other else ""
+    return row
+
+
+def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
+    """Draw median and 99th percentile of every program, a panel a robot."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 3.4), layout="constrained")
+    panels = figure.subplots(1, len(results), squeeze=False)[0]
+    for axes, (robot, rows) in zip(panels, results.items(), strict=True):
+        names = [row["program"] for row in rows][::-1]
+        axes.barh(names, [row["p99_us"] for row in rows][::-1], color="#cfd6df", label="p99")
+        axes.barh(
+            names, [row["median_us"] for row in rows][::-1], color=common.PALETTE[1], label="median"
+        )
+        axes.set(title=robot, xlabel="CPU time of a sample [us]", xscale="log")
+        axes.grid(axis="y", visible=False)
+    panels[-1].legend(loc="lower right")
+    return figure
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    parser = common.make_parser("Landmarks in, robot command out: CPU time of a sample.")
+    parser.add_argument(
+        "--compare", metavar="CHECKOUT", type=Path, help="another checkout, which takes turns"
+    )
+    parser.add_argument("--no-peers", action="store_true", help="run no peers")
+    parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))
+    parser.add_argument("--recording", default=_RECORDING, help="name (default: %(default)s)")
+    arguments = common.parse_arguments(parser, words)
+    other = None if arguments.compare is None else interleaved.check_tree(arguments.compare)
+    missing = [] if arguments.no_peers else build.missing_peers()
+    if missing:
+        print(f"without {', '.join(missing)}: not built, run make peers", file=sys.stderr)
+    known = [name for name in arguments.robots if name not in shared_hands.NAMES]
+    if shared_hands.shared_hands_folder() is None and known != arguments.robots:
+        print("without LEAP and SVH: set HANDMAP_HANDS to their folder", file=sys.stderr)
+        arguments.robots = known
+    files = {file.stem: file for file in common.find_recordings(arguments.recordings)}
+    if arguments.recording not in files:
+        common.stop(f"--recording {arguments.recording}: expected one of {', '.join(files)}")
+    recording = files[arguments.recording]
+    results: dict[str, list[dict[str, Any]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "samples.npz"
+        for robot in arguments.robots[: 1 if arguments.quick else None]:
+            samples = interleaved.write_inputs(
+                recording, robot, file, points="landmarks", quick=arguments.quick
+            )
+            results[robot] = measure(
+                robot,
+                file,
+                samples,
+                1 if arguments.quick else 3,
+                other=other,
+                has_peers=not (arguments.no_peers or missing),
+            )
+            caption = f"{samples} samples of {arguments.recording}, load {os.getloadavg()[0]:.1f}"
+            common.print_table(
+                f"Landmarks to {robot}, CPU time of a sample",
+                results[robot],
+                to_stderr=arguments.json == "-",
+                caption=caption,
+            )
+    common.write_json(arguments.json, "bench_end_to_end", {"robots": results})
+    common.save_picture(arguments.picture, lambda: draw(results))
+
+
+if __name__ == "__main__":
+    main()
