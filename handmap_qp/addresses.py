@@ -1,11 +1,15 @@
-"""Checks of the addresses that service and view listen on."""
+"""Addresses that service and view listen on, and those that clients connect to."""
 
 from __future__ import annotations
 
 import ipaddress
 import re
+import socket
 
 from handmap_qp.errors import InvalidInputError
+
+REQUESTS_PORT = 5570
+"""Default port of requests to `handmap serve`."""
 
 
 def is_loopback(host: str) -> bool:
@@ -73,3 +77,30 @@ def check_port(name: str, port: int) -> None:
     """
     if not 0 <= port <= 65535:
         raise InvalidInputError(argument=name, expected="0 to 65535", value=port)
+
+
+def service_address(name: str, host: str) -> str:
+    """Return the ZeroMQ address of a mapping service.
+
+    Args:
+        name: Name of the argument, for the error.
+        host: `HOST`, `HOST:PORT` or `[IPv6]:PORT`, also after `tcp://`.
+
+    Raises:
+        InvalidInputError: If there is no such host or port.
+    """
+    text = host.removeprefix("tcp://")
+    place, _, port = (
+        text.rpartition(":") if ":" in text.rpartition("]")[2] else (text, "", str(REQUESTS_PORT))
+    )
+    try:
+        number = int(port if place.strip() else "")
+        socket.getaddrinfo(place.strip("[]"), None)
+    except ValueError as error:
+        raise InvalidInputError(argument=name, expected="HOST or HOST:PORT", value=host) from error
+    except OSError as error:
+        raise InvalidInputError(
+            argument=name, problem=f"unknown host {place!r}: {error.strerror}", value=host
+        ) from error
+    check_port(name, number)
+    return f"tcp://{place}:{number}"

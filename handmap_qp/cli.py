@@ -17,7 +17,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, NoReturn, Protocol
 
 from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean
 
@@ -93,11 +93,22 @@ COMMANDS: dict[str, _Place] = {
         "Keys",
         "Make the keys that `handmap serve --keys` needs; existing keys stay.",
     ),
+    "track replay": _Place(
+        "live.cli", "TrackReplay", "Play a recording as if it were live, with faults if wanted."
+    ),
+    "track record": _Place(
+        "live.cli", "TrackRecord", "Record the human samples that lead a session of the service."
+    ),
     "doctor": _Place(
         "doctor", "Doctor", "Report versions, extras, solvers, recordings and rendering."
     ),
 }
 """All commands by name, in the order of the list that `handmap --help` prints."""
+_GROUPS = {
+    "hands": "List, describe, write and check descriptions of robot hands.",
+    "track": "Lead live samples of a human hand to the mapping service, or into a file.",
+}
+"""First words of commands of two words, and what these commands are for."""
 
 _ABOUT = """Map the motion of a human hand onto a robotic hand.
 
@@ -172,7 +183,7 @@ def parse(arguments: Sequence[str]) -> Command:
     raise SystemExit(0)
 
 
-def _answer_without_command(words: list[str]) -> None:
+def _answer_without_command(words: list[str]) -> NoReturn:
     """Print the page that was asked for, or name the mistake.
 
     Raises:
@@ -186,23 +197,31 @@ def _answer_without_command(words: list[str]) -> None:
             print(f"handmap {version('handmap-qp')}")
         case ["--help" | "-h"]:
             _print_page(f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}")
-        case ["hands"] | ["hands", "--help" | "-h"]:
-            about = "List, describe, write and check descriptions of robot hands."
-            _print_page(f"usage: handmap hands COMMAND ...\n\n{about}\n\n{_list_of('hands ')}")
+        case [group] | [group, "--help" | "-h"] if group in _GROUPS:
+            usage = f"usage: handmap {group} COMMAND ..."
+            _print_page(f"{usage}\n\n{_GROUPS[group]}\n\n{_list_of(f'{group} ')}")
         case ["--completion", shell]:
             _print_completion(shell)
         case ["--completion"]:
             raise InvalidInputError(argument="--completion", expected="bash, zsh or tcsh")
         case []:
             raise InvalidInputError(problem="expected a command (see handmap --help)")
-        case ["hands", word, *_]:
-            subcommands = [key.split()[1] for key in COMMANDS if key.startswith("hands ")]
-            hint = did_you_mean(word, subcommands) or f"describe a hand: handmap hands show {word}"
-            raise InvalidInputError(problem=f"no command 'hands {word}': {hint}")
+        case [group, word, *_] if group in _GROUPS:
+            hint = did_you_mean(word, _members(group))
+            if not hint and group == "hands":
+                hint = f"describe a hand: handmap hands show {word}"
+            hint = hint or f"see handmap {group} --help"
+            raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
         case [word, *_]:
             hint = did_you_mean(word, {key.split()[0] for key in COMMANDS})
             raise InvalidInputError(problem=f"no command {word!r}: {hint or 'see handmap --help'}")
     raise SystemExit(0)
+
+
+def _members(group: str) -> dict[str, _Place]:
+    """Return the commands of a group by their second words."""
+    words = {name: name.split() for name in COMMANDS}
+    return {words[name][1]: COMMANDS[name] for name in COMMANDS if words[name][:-1] == [group]}
 
 
 def _list_of(prefix: str) -> str:
@@ -248,9 +267,11 @@ def _any_command(tyro: Any) -> Any:
         )
 
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
-    nested = {name.split()[1]: place for name, place in COMMANDS.items() if " " in name}
-    hands = Annotated[union(nested), tyro.conf.subcommand("hands", prefix_name=False)]
-    return union(single) | hands
+    groups = (
+        Annotated[union(_members(group)), tyro.conf.subcommand(group, prefix_name=False)]
+        for group in _GROUPS
+    )
+    return reduce(or_, groups, union(single))
 
 
 def _captured(call: Callable[[Any], Any]) -> tuple[Any, str, str | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections import deque
@@ -14,7 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from handmap_qp.addresses import check_port
+from handmap_qp.addresses import service_address
 from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
@@ -27,8 +26,6 @@ from handmap_qp.trackers.landmarks import LandmarkFitter, human_name
 from handmap_qp.transform import rigid_fit
 from handmap_qp.viewer.replay import ViewSample
 
-PORT = 5570
-"""Default port of requests to `handmap serve`."""
 _TIMEOUT = 1.0
 # Timeout of the first replies, longer because the service may still be starting [s].
 _FIRST_TIMEOUT = 3.0
@@ -100,7 +97,7 @@ class ServiceSession:
         self._requests: deque[Callable[[], Any]] = deque()
         self.is_outdated, self.is_released = False, False
         self.last_error: HandmapError | None = None
-        address = _address(host)
+        address = service_address("--live", host)
         self._client = self._try(lambda: Client(address, timeout=_FIRST_TIMEOUT, keys=keys))
         try:
             about = self._find_session(session, time.monotonic() + patience)
@@ -338,27 +335,3 @@ def _choice(about: dict[str, Any]) -> Choice:
     if preset == "teleoperation":
         kind, options = Teleoperation, about["teleoperation"]
     return Choice(preset, msgspec.convert(options, kind), msgspec.convert(about["ik"], IkOptions))
-
-
-def _address(host: str) -> str:
-    """Return the ZeroMQ address of `HOST`, `HOST:PORT` or `[IPv6]:PORT`.
-
-    Raises:
-        InvalidInputError: If there is no such host or port.
-    """
-    name, _, port = (
-        host.rpartition(":") if ":" in host.rpartition("]")[2] else (host, "", str(PORT))
-    )
-    try:
-        number = int(port if name.strip() else "")
-        socket.getaddrinfo(name.strip("[]"), None)
-    except ValueError as error:
-        raise InvalidInputError(
-            argument="--live", expected="HOST or HOST:PORT", value=host
-        ) from error
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--live", problem=f"unknown host {name!r}: {error.strerror}", value=host
-        ) from error
-    check_port("--live", number)
-    return f"tcp://{name}:{number}"

@@ -1,0 +1,282 @@
+"""`handmap track`: lead live samples of a human hand to the service or into a file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import tyro
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.mapping.presets import PresetName
+from handmap_qp.tables import print_table
+
+if TYPE_CHECKING:
+    from handmap_qp.live.source import Sink, Source
+
+_REPORT_PERIOD = 0.2
+"""Period of the line that shows the present state [s]."""
+
+_RARE = ("not_in_order", "not_sent_hand_lost", "flags", "refusals", "unanswered", "reopened")
+"""Rows of the table that are left out if there is nothing to count."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where samples go: to the service, into a file, or both.
+
+    Attributes:
+        to: Address of the service's requests.
+        robot: Robot hand that the service moves; `handmap hands` lists those of the package.
+        record: Recording to write (.npz).
+        session: Public name of the session.
+        preset: What the mapping is for, as in `handmap map`.
+        person: File of the person's hand, of `handmap calibrate`.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        json: Print the summary as one JSON object instead of a table.
+    """
+
+    to: Annotated[
+        str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
+    ] = None
+    robot: Annotated[str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="")] = None
+    record: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: no file)")
+    ] = None
+    session: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)")
+    ] = None
+    preset: Annotated[
+        PresetName | None, tyro.conf.arg(help_behavior_hint="(default: the service decides)")
+    ] = None
+    person: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="PERSON.yaml", help_behavior_hint="(default: measured in the first samples)"
+        ),
+    ] = None
+    keys: Annotated[
+        tuple[Path, Path] | None,
+        tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
+    ] = None
+    json: bool = False
+
+    def check(self) -> None:
+        """Refuse options that contradict each other, before any work.
+
+        Raises:
+            InvalidInputError: With the option at fault.
+        """
+        if self.to is None and self.record is None:
+            raise InvalidInputError(
+                problem="expected --to HOST, --record FILE.npz or both",
+                advice="samples need a place to go",
+            )
+        if self.to is None:
+            for name in ("robot", "session", "preset", "person", "keys"):
+                if getattr(self, name) is not None:
+                    raise InvalidInputError(argument=f"--{name}", problem="needs --to")
+        elif self.robot is None:
+            raise InvalidInputError(
+                argument="--robot",
+                problem="missing",
+                advice="name a hand that `handmap hands` lists",
+            )
+
+    def lead(self, source: Source) -> None:
+        """Lead the samples of a source here until it ends or Ctrl-C, and print a summary.
+
+        Raises:
+            InvalidInputError: If the service cannot be reached, refuses the session or every
+                sample, or the file cannot be written.
+        """
+        summary = _lead(source, self._sinks(source), is_json=self.json)
+        if summary.get("refusals") and not summary["commands"]:
+            raise InvalidInputError(
+                problem=f"the service refused every sample: {next(iter(summary['refusals']))}"
+            )
+
+    def _sinks(self, source: Source) -> list[Sink]:
+        sinks: list[Sink] = []
+        if self.record is not None:
+            from handmap_qp.live.recorder import Recorder
+
+            sinks.append(Recorder(self.record, "--record"))
+        if self.to is not None and self.robot is not None:
+            from handmap_qp.live.service_sink import ServiceSink
+            from handmap_qp.trackers.person import read_person
+
+            sinks.append(
+                ServiceSink(
+                    self.to,
+                    self.robot,
+                    source.side,
+                    session=self.session,
+                    preset=self.preset,
+                    person=None if self.person is None else read_person(self.person),
+                    keys=self.keys,
+                )
+            )
+        return sinks
+
+
+@dataclass(frozen=True)
+class TrackReplay:
+    """Play a recording as if it were live, with faults if wanted.
+
+    A fault is NAME@START[+DURATION][:SIZE], in seconds from the first sample, for example
+    dropout@2+0.5 or jump@4+1:0.3; separate several by commas. Names: dropout (hand not seen),
+    silence (no samples), frozen, jump (m), flip (palm and back), mirror (other hand), zero (all at
+    the origin), outlier (one landmark, m), noise (m), clock (s), jitter (s), late (s), duplicate.
+
+    Examples:
+        handmap track replay demo.npz --to 127.0.0.1 --robot allegro_right
+        handmap track replay demo.npz --speed 2 --loop --to 127.0.0.1 --robot hey5
+        handmap track replay demo.npz --faults dropout@2+0.5 --record spoilt.npz
+
+    Attributes:
+        recording: Recording of a human hand, as for `handmap map`.
+        speed: Factor on the speed of time, 0.01 to 100.
+        loop: Start again at the end, until Ctrl-C.
+        faults: Faults to put in.
+        seed: Seed of the faults' random numbers.
+        target: Where the samples go.
+    """
+
+    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
+    speed: float = 1.0
+    loop: bool = False
+    faults: Annotated[
+        str | None, tyro.conf.arg(metavar="FAULTS", help_behavior_hint="(default: none)")
+    ] = None
+    seed: int = 0
+    target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
+
+    def run(self) -> None:
+        """Replay the recording until its end or Ctrl-C."""
+        from handmap_qp.live.replay import Replay
+        from handmap_qp.trackers.injection import parse_faults
+        from handmap_qp.trackers.recording import read_recording
+
+        self.target.check()
+        faults = () if self.faults is None else parse_faults(self.faults)
+        self.target.lead(
+            Replay(
+                read_recording(self.recording),
+                speed=self.speed,
+                loop=self.loop,
+                faults=faults,
+                seed=self.seed,
+            )
+        )
+
+
+@dataclass(frozen=True)
+class TrackRecord:
+    """Record the human samples that lead a session of the service.
+
+    Works beside a headset's page, `handmap track` in another terminal, or a program of your own
+    that opens its session with has_detail. Ends with the session or by Ctrl-C.
+
+    Examples:
+        handmap track record session.npz --from 127.0.0.1
+        handmap track record right.npz --from 127.0.0.1 --session webxr-right
+
+    Attributes:
+        out: Recording to write (.npz); one that exists is replaced at the end.
+        source: Address of the service's requests.
+        session: Public name of the session.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        json: Print the summary as one JSON object instead of a table.
+    """
+
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT.npz")]]
+    source: Annotated[
+        str,
+        tyro.conf.arg(name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
+    ]
+    session: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only open session)"),
+    ] = None
+    keys: Annotated[
+        tuple[Path, Path] | None,
+        tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
+    ] = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Record until the session ends or Ctrl-C."""
+        from handmap_qp.live.recorder import Recorder
+        from handmap_qp.live.service_source import ServiceSource
+
+        recorder = Recorder(self.out, "OUT.npz")
+        source = ServiceSource(self.source, session=self.session, keys=self.keys)
+        _lead(source, [recorder], is_json=self.json)
+
+
+def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> dict[str, Any]:
+    """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
+    from handmap_qp.live.source import run
+
+    with _terminated_like_interrupted(), _status_line() as report:
+        summary = run(source, sinks, report)
+    if is_json:
+        print(json.dumps(summary))
+    else:
+        print_table(source.name, _table(summary))
+    return summary
+
+
+@contextlib.contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """End on SIGTERM as on Ctrl-C, so that files are written and sessions closed."""
+
+    def interrupt(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextlib.contextmanager
+def _status_line() -> Iterator[Callable[[str], None]]:
+    """Show the present state in one line on stderr, if stderr is a terminal."""
+    import time
+
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status("waiting for the first sample") as line:
+        shown = 0.0
+
+        def report(text: str) -> None:
+            nonlocal shown
+            if (now := time.monotonic()) - shown >= _REPORT_PERIOD:
+                line.update(text)
+                shown = now
+
+        yield report
+
+
+def _table(summary: dict[str, Any]) -> dict[str, Any]:
+    """Return the rows of a table: labels in words, counts by name in one line."""
+    rows = {}
+    for name, value in summary.items():
+        if name in _RARE and not value:
+            continue
+        if isinstance(value, dict):
+            value = ", ".join(f"{text}: {count}" for text, count in value.items())
+        rows[name.replace("_", " ")] = value
+    return rows

@@ -1,0 +1,119 @@
+"""`handmap track`: what it writes and prints, and one line for every mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_cases import moving_hand, save_recording
+from service_tools import address_of, serving
+
+from handmap_qp import cli
+from handmap_qp.trackers.recording import read_recording
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return save_recording(moving_hand(), tmp_path / "moving.npz")
+
+
+def test_replay_records_with_faults(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "spoilt.npz"
+    command = ["track", "replay", str(recording), "--record", str(out), "--speed", "50"]
+    assert cli.main([*command, "--faults", "dropout@0.01+0.005", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    copy = read_recording(out)
+    assert summary["samples"] == len(copy) == 60
+    assert summary["hand_seen"] == int(copy.valid.sum()) < 50
+    lost = copy.time[~copy.valid]
+    assert lost[-1] == pytest.approx(0.015, abs=0.001)
+
+
+def test_replay_leads_the_service(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with serving() as server:
+        command = ["track", "replay", str(recording), "--to", address_of(server), "--robot"]
+        assert cli.main([*command, "three_finger"]) == 0
+        table = capsys.readouterr().out
+        assert "three_finger" in table
+        assert "calibrating: " in table
+        faults = ["--faults", "zero@0", "--speed", "5"]
+        assert cli.main([*command, "three_finger", *faults]) == 2
+        refused = capsys.readouterr()
+        assert "refused every sample" in refused.err
+        assert refused.err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_loop_ends_by_sigterm_and_writes_its_file(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "loop.npz"
+    words = ["track", "replay", str(recording), "--loop", "--record", str(out), "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "handmap_qp.cli", *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        # Nothing tells when the loop runs; a signal before that ends the process too early.
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(5.0)
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=30.0)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    copy = read_recording(out)
+    assert len(copy) == json.loads(output)["recorded"] > 60
+    assert (np.diff(copy.time) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ([], "--record"),
+        (["--to", "127.0.0.1"], "--robot: missing"),
+        (["--robot", "allegro_right", "--record", "OUT"], "--robot: needs --to"),
+        (["--session", "a", "--record", "OUT"], "--session: needs --to"),
+        (["--record", "out.txt"], "--record"),
+        (["--record", "OUT", "--speed", "0"], "speed"),
+        (["--record", "OUT", "--faults", "fall@1"], "fall"),
+        (["--record", "OUT", "--faults", "jump"], "NAME@START"),
+        (["--to", "nowhere.invalid", "--robot", "allegro_right"], "nowhere.invalid"),
+    ],
+)
+def test_every_mistake_is_one_line(
+    recording: Path,
+    tmp_path: Path,
+    words: list[str],
+    complaint: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = str(tmp_path / "out.npz")
+    words = [out if word == "OUT" else word for word in words]
+    assert cli.main(["track", "replay", str(recording), *words]) == 2
+    message = capsys.readouterr().err
+    assert complaint in message
+    assert message.startswith("handmap: ")
+    assert message.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [recording]
+
+
+@pytest.mark.parametrize("words", [["track"], ["track", "--help"], ["track", "replay", "--help"]])
+def test_help_is_given(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(words)
+    assert not end.value.code
+    assert "replay" in capsys.readouterr().out
+
+
+def test_a_wrong_source_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["track", "replai"]) == 2
+    assert "did you mean replay?" in capsys.readouterr().err

@@ -1,0 +1,174 @@
+"""The whole chain: a source, the service, commands; and the samples of a session recorded."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_cases import moving_hand
+from patience import wait_until
+from service_tools import PATIENCE, address_of, client_of, connected, lose_sessions, serving
+
+from handmap_qp import InvalidInputError
+from handmap_qp.live.recorder import Recorder
+from handmap_qp.live.replay import Replay, recording_samples
+from handmap_qp.live.service_sink import ServiceSink
+from handmap_qp.live.service_source import ServiceSource
+from handmap_qp.live.source import run
+from handmap_qp.service.server import Server
+from handmap_qp.trackers.injection import parse_faults
+from handmap_qp.trackers.person import Person, measure_person
+from handmap_qp.trackers.recording import read_recording
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def person() -> Person:
+    return measure_person(moving_hand())
+
+
+def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path) -> None:
+    recording = moving_hand()
+    sink = ServiceSink(address_of(server), "allegro_right", "right", session="chain", person=person)
+    with client_of(server) as watcher:
+        watcher.watch("chain")
+        about = watcher.status().about
+        assert about is not None
+        assert about["preset"] == "teleoperation"
+        assert about["teleoperation"]["contact_gap"] == person.contact_gap
+        np.testing.assert_allclose(about["lengths"]["segments"], person.lengths.segments)
+        before = watcher.status().q
+        recorder = Recorder(tmp_path / "sent.npz")
+        summary = run(Replay(recording), [sink, recorder])
+    assert summary["sent"] == len(recording) - 1
+    assert summary["not_sent_hand_lost"] == 1
+    assert summary["recorded"] == len(recording)
+    # Nearly every sample is answered; the stream keeps the newest only.
+    assert 0.5 * summary["sent"] <= summary["commands"] <= summary["sent"]
+    assert not summary["refusals"]
+    assert "calibrating" not in summary["statuses"]
+    assert sink._command is not None
+    assert np.abs(np.subtract(sink._command.q, before)).max() > 0.1
+    with pytest.raises(InvalidInputError, match="no session"):
+        ServiceSource(address_of(server), session="chain")
+
+
+def test_a_lost_hand_is_not_sent_and_the_robot_holds(server: Server, person: Person) -> None:
+    sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
+    summary = run(
+        Replay(moving_hand(), faults=parse_faults("dropout@0.3+0.4,silence@0.8+0.05")), [sink]
+    )
+    # 0.4 s without a sample is more than the watchdog's 0.25 s.
+    assert summary["flags"]["resumed"] == 1
+    assert summary["not_sent_hand_lost"] == pytest.approx(25, abs=2)
+    assert summary["sent"] + summary["not_sent_hand_lost"] == summary["samples"]
+
+
+def test_samples_that_are_no_hand_are_refused_and_counted(server: Server, person: Person) -> None:
+    sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
+    summary = run(Replay(moving_hand(), faults=parse_faults("zero@0.5+9")), [sink])
+    assert sum(summary["refusals"].values()) > 0
+    assert summary["commands"] > 0
+    assert "landmarks" in next(iter(summary["refusals"]))
+
+
+def test_a_lost_session_is_opened_again(server: Server, person: Person) -> None:
+    sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
+    with sink:
+        for i, sample in enumerate(Replay(moving_hand())):
+            if i == 20:
+                lose_sessions(server)
+            sink.put(sample)
+    summary = sink.summary()
+    assert summary["reopened"] == 1
+    assert summary["commands"] > 20
+
+
+def test_a_session_is_recorded_from_the_service(
+    server: Server, person: Person, tmp_path: Path
+) -> None:
+    recording = moving_hand(90)
+    sink = ServiceSink(
+        address_of(server), "three_finger", "right", session="recorded", person=person
+    )
+    file = tmp_path / "session.npz"
+    summaries = []
+    source = ServiceSource(address_of(server))  # the only open session
+    assert (source.name, source.side) == ("recorded", "right")
+    thread = threading.Thread(target=lambda: summaries.append(run(source, [Recorder(file)])))
+    thread.start()
+    run(Replay(recording), [sink])
+    thread.join(PATIENCE)  # the source ends with the session
+    assert not thread.is_alive()
+    copy = read_recording(file)
+    assert len(copy) == summaries[0]["recorded"] >= 45
+    # Each recorded sample is one of the replay, at its time.
+    clean = recording.landmarks[recording.valid]
+    times = recording.time[recording.valid]
+    rows = [
+        int(np.flatnonzero((np.abs(clean - each) < 1e-12).all(axis=(1, 2)))[0])
+        for each in copy.landmarks
+    ]
+    assert (np.diff(rows) > 0).all()
+    np.testing.assert_allclose(copy.time, times[rows] - times[rows[0]], atol=1e-6)
+
+
+def test_sessions_that_cannot_be_recorded_are_refused(server: Server) -> None:
+    address = address_of(server)
+    with pytest.raises(InvalidInputError, match="no session is open"):
+        ServiceSource(address)
+    with connected(server, name="angles"), pytest.raises(InvalidInputError, match="led by q"):
+        ServiceSource(address, session="angles")
+    with (
+        connected(server, name="plain", input="landmarks", hand_length=0.19),
+        pytest.raises(InvalidInputError, match="has_detail"),
+    ):
+        ServiceSource(address, session="plain")
+    with (
+        connected(server, name="one"),
+        connected(server, name="two"),
+        pytest.raises(InvalidInputError, match=r"one, two|two, one"),
+    ):
+        ServiceSource(address)
+
+
+def test_a_service_that_is_not_there_is_one_line(
+    server: Server, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("handmap_qp.live.service_sink.TIMEOUT", 0.2)
+    monkeypatch.setattr("handmap_qp.live.service_source.TIMEOUT", 0.2)
+    nobody = f"127.0.0.1:{free_port}"
+    with pytest.raises(InvalidInputError, match="handmap serve"):
+        ServiceSink(nobody, "three_finger", "right")
+    with pytest.raises(InvalidInputError, match="handmap serve"):
+        ServiceSource(nobody)
+    with pytest.raises(InvalidInputError, match="no hand 'nonsense'"):
+        ServiceSink(address_of(server), "nonsense", "right")
+    for wrong in ("", ":", "127.0.0.1:port", "127.0.0.1:99999"):
+        with pytest.raises(InvalidInputError, match="--to"):
+            ServiceSink(wrong, "three_finger", "right")
+
+
+def test_the_status_says_that_the_service_is_silent(
+    server: Server, person: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with ServiceSink(address_of(server), "three_finger", "right", person=person) as sink:
+        assert "waiting" in sink.status()
+        samples = recording_samples(moving_hand())
+
+        def send() -> bool:
+            sink.put(next(samples))
+            return sink._command is not None
+
+        wait_until(send)
+        assert "three_finger" in sink.status()
+        monkeypatch.setattr("handmap_qp.live.service_sink._SILENCE", -1.0)
+        assert "no answer" in sink.status()
