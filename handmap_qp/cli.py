@@ -53,6 +53,9 @@ COMMANDS: dict[str, _Place] = {
     "calibrate": _Place(
         "offline.cli", "Calibrate", "Measure a person's hand in a recording, and keep it in a file."
     ),
+    "convert": _Place(
+        "datasets.cli", "Convert", "Convert recordings of human hands between file formats."
+    ),
     "compare": _Place(
         "experiments.cli",
         "Compare",

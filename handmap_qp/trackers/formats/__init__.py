@@ -13,10 +13,24 @@ from typing import Any, NamedTuple
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
+from handmap_qp.trackers.formats.csv_files import CsvFormat
+from handmap_qp.trackers.formats.egodex import EgoDexFormat
+from handmap_qp.trackers.formats.lerobot import LeRobotFormat
+from handmap_qp.trackers.formats.mano import ManoFormat
+from handmap_qp.trackers.formats.mcap import McapFormat
 from handmap_qp.trackers.formats.npz import NpzFormat
+from handmap_qp.trackers.formats.robomimic import RobomimicFormat
 from handmap_qp.trackers.recording import Recording
 
-FORMATS: tuple[RecordingFormat, ...] = (NpzFormat(),)
+FORMATS: tuple[RecordingFormat, ...] = (
+    NpzFormat(),
+    CsvFormat(),
+    LeRobotFormat(),
+    RobomimicFormat(),
+    EgoDexFormat(),
+    McapFormat(),
+    ManoFormat(),
+)
 """All formats; where a suffix has several, the first one that recognises a file reads it."""
 SEPARATOR = "::"
 """Between the path of a file and the name of one of its recordings."""
@@ -120,11 +134,7 @@ def format_of(path: Path) -> RecordingFormat:
     if not path.exists():
         raise RecordingError("cannot be read: No such file or directory", file=path)
     is_folder = path.is_dir()
-    candidates = [
-        form
-        for form in FORMATS
-        if (not form.suffixes if is_folder else path.suffix.lower() in form.suffixes)
-    ]
+    candidates = [f for f in FORMATS if is_folder or path.suffix.lower() in f.suffixes]
     for form in candidates:
         if form.recognises(path):
             return form

@@ -41,7 +41,8 @@ class NpzFormat:
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has no arrays of another form."""
-        return not {"pose", "poses", "joints", "betas"} & member_names(path)
+        names = member_names(path) if path.is_file() else {"joints"}
+        return "landmarks" in names or not {"pose", "hand_pose", "joints"} & names
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the one hand, or both."""

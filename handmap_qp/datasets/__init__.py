@@ -1,0 +1,1 @@
+"""Recordings by the thousand: convert files, and map whole data sets."""

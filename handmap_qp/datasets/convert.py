@@ -1,0 +1,99 @@
+"""Convert recordings between file formats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import check_output
+from handmap_qp.trackers.formats import Source, format_to_write, list_sources
+from handmap_qp.trackers.formats.base import RecordingFormat
+from handmap_qp.trackers.formats.mano import ManoFormat
+from handmap_qp.trackers.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """What was converted.
+
+    Attributes:
+        recordings: Number of recordings.
+        samples: Number of samples in all.
+        files: Files or folders written.
+        unread: What the files held besides recordings of hands.
+        losses: What the new format cannot hold.
+    """
+
+    recordings: int
+    samples: int
+    files: tuple[Path, ...]
+    unread: tuple[str, ...]
+    losses: tuple[str, ...]
+
+
+def convert(
+    inputs: Sequence[Path | str], out: Path, form: str | None = None, mano: Path | None = None
+) -> Conversion:
+    """Read recordings from files of any format, and write them in another one.
+
+    Args:
+        inputs: Files or data sets, as of `list_sources`.
+        out: File or folder to write. A folder, that is a path without suffix, together with the
+            name of a format that has one file for each recording, gets such files.
+        form: Name of the new format; by the suffix of `out` if omitted.
+        mano: File of the licensed MANO model, or its folder, for MANO parameters.
+
+    Raises:
+        HandmapError: If a file cannot be read, or `out` cannot be written or cannot hold them.
+    """
+    target = format_to_write(out, form)
+    is_folder = bool(target.suffixes) and not out.suffix
+    if target.suffixes and not is_folder:
+        check_output("OUT", out, target.suffixes)
+    sources = [
+        source
+        if mano is None or source.format.name != ManoFormat.name
+        else source._replace(format=ManoFormat(mano))
+        for path in inputs
+        for source in list_sources(path)
+    ]
+    unread = {source.path: source.format.unread(source.path) for source in sources}
+    recordings = [source.read() for source in sources]
+    files = (
+        _write_each(recordings, sources, out, target)
+        if is_folder
+        else _write_one(recordings, out, target)
+    )
+    return Conversion(
+        recordings=len(recordings),
+        samples=sum(len(recording) for recording in recordings),
+        files=files,
+        unread=tuple(dict.fromkeys(name for names in unread.values() for name in names)),
+        losses=target.losses(recordings),
+    )
+
+
+def _write_one(recordings: list[Recording], out: Path, target: RecordingFormat) -> tuple[Path, ...]:
+    target.write(recordings, out)
+    return (out,)
+
+
+def _write_each(
+    recordings: list[Recording], sources: list[Source], out: Path, target: RecordingFormat
+) -> tuple[Path, ...]:
+    files = [out / f"{source.name}{target.suffixes[0]}" for source in sources]
+    twice = next((file for file in files if files.count(file) > 1), None)
+    if twice is not None:
+        raise InvalidInputError(
+            argument="IN", expected="recordings of different names", got=f"{twice.stem} twice"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"{out}: cannot be made: {error.strerror or error}"
+        raise InvalidInputError(argument="OUT", problem=problem) from error
+    for recording, file in zip(recordings, files, strict=True):
+        target.write([recording], file)
+    return tuple(files)

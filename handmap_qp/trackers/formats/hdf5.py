@@ -1,0 +1,108 @@
+"""What the HDF5 forms share: opening files, and errors of damaged ones."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.trackers.formats.archive import DAMAGES, LARGEST_ARCHIVE
+from handmap_qp.trackers.formats.base import require
+
+SUFFIXES = (".hdf5", ".h5")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a file for reading, and turn what h5py raises inside the block into `RecordingError`.
+
+    Args:
+        path: The file.
+
+    Yields:
+        The `h5py.File`.
+
+    Raises:
+        RecordingError: If the file is damaged.
+        MissingExtraError: If h5py is not installed.
+    """
+    h5py = require("h5py")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (RecordingError, InvalidInputError):
+        raise
+    except DAMAGES as error:
+        text = " ".join(str(error).split())
+        raise RecordingError(f"cannot be read as HDF5: {text[:160]}", file=path) from error
+
+
+def numbers(path: Path, group: Any, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Read an array of numbers.
+
+    Args:
+        path: The file, for errors.
+        group: The group that holds it.
+        name: Its name there.
+        shape: Its shape; None stands for any length.
+
+    Raises:
+        RecordingError: If it is missing, of another shape or type, or impossibly large.
+    """
+    place = f"{group.name.rstrip('/')}/{name}"
+    item = group.get(name)
+    if item is None or not hasattr(item, "dtype"):
+        names = sorted(group)
+        shown = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+        raise RecordingError(f"is missing; there are {shown or 'none'}", file=path, array=place)
+    fits = len(item.shape) == len(shape) and all(
+        wanted is None or length == wanted for length, wanted in zip(item.shape, shape, strict=True)
+    )
+    if not fits or item.dtype.kind not in "biuf":
+        sizes = ", ".join("T" if length is None else str(length) for length in shape)
+        got = f"{item.dtype} of shape {item.shape}"
+        raise RecordingError(
+            f"expected numbers of shape ({sizes}), got {got}", file=path, array=place
+        )
+    if item.size * item.dtype.itemsize > LARGEST_ARCHIVE:
+        most = f"{LARGEST_ARCHIVE >> 20} MB"
+        raise RecordingError(f"is larger than the {most} that are read", file=path, array=place)
+    return np.asarray(item[()], dtype=float)
+
+
+@contextmanager
+def created(path: Path, argument: str = "path") -> Iterator[Any]:
+    """Open a file for writing that takes the place of `path` when the block has succeeded.
+
+    Args:
+        path: The file; its folder must exist.
+        argument: Argument or option that names it.
+
+    Yields:
+        The `h5py.File`; it keeps no times, so that the same content is the same bytes.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If h5py is not installed.
+    """
+    h5py = require("h5py")
+    try:
+        handle, name = tempfile.mkstemp(suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        try:
+            with h5py.File(name, "w") as file:
+                yield file
+            Path(name).chmod(0o644)
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        problem = f"{path}: cannot be written: {error.strerror or error}"
+        raise InvalidInputError(argument=argument, problem=problem) from error

@@ -1,0 +1,495 @@
+"""Data sets in the form of LeRobot v3: many episodes in a few parquet files, and `meta/`.
+
+Written from the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot):
+`meta/info.json` with the features, `meta/stats.json`, `meta/tasks.parquet`,
+`meta/episodes/chunk-000/` with a row for each episode, and `data/chunk-000/file-000.parquet` with a
+row for each frame. pyarrow alone reads them.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import msgspec
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.trackers.formats.archive import DAMAGES
+from handmap_qp.trackers.formats.base import require
+
+VERSION = "v3.0"
+DATA_FILE_SIZE = 100 * 2**20
+"""Size from which a new data file is begun [bytes in memory]."""
+CHUNK_FILES = 1000
+"""Files of a chunk, which is a folder."""
+_DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+_ROW_GROUP = 1000
+
+
+class Feature(NamedTuple):
+    """One column of a data set.
+
+    Attributes:
+        dtype: `float64`, `float32`, `int64`, `bool` or `string`.
+        names: Names of its numbers; None for a single one.
+    """
+
+    dtype: str
+    names: tuple[str, ...] | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers a frame has."""
+        return 1 if self.names is None else len(self.names)
+
+
+_INDEX_FEATURES = {
+    "timestamp": Feature("float32"),
+    "frame_index": Feature("int64"),
+    "episode_index": Feature("int64"),
+    "index": Feature("int64"),
+    "task_index": Feature("int64"),
+}
+
+
+class LeRobotWriter:
+    """Writes a data set episode by episode; memory does not grow with their number.
+
+    Use as a context manager. The folder appears when the block has succeeded.
+
+    Args:
+        root: Folder to write; must not exist, or be empty.
+        fps: Frames per second of all episodes.
+        features: Columns by name, without those that every data set has.
+        robot_type: Name of the robot or hand.
+        argument: Argument or option that names the folder, for errors.
+
+    Raises:
+        InvalidInputError: If the folder exists and is not empty, or cannot be written.
+        MissingExtraError: If pyarrow is not installed.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        *,
+        fps: float,
+        features: Mapping[str, Feature],
+        robot_type: str,
+        argument: str = "path",
+    ) -> None:
+        self._pa, self._pq = require("pyarrow"), require("pyarrow.parquet")
+        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+            raise InvalidInputError(
+                argument=argument, problem=f"{root} exists already", advice="remove it first"
+            )
+        self._root, self._argument = root, argument
+        self._fps, self._robot_type = fps, robot_type
+        self._features = {**features, **_INDEX_FEATURES}
+        self._tasks: dict[str, int] = {}
+        self._stats = {name: _Stats() for name, item in self._numeric()}
+        self._episodes: list[dict[str, Any]] = []
+        self._episode_count = self._frame_count = self._file_index = self._file_size = 0
+        self._data: Any = None
+        self._meta: Any = None
+
+    def __enter__(self) -> Self:
+        try:
+            parent = self._root.parent
+            parent.mkdir(parents=True, exist_ok=True)
+            self._folder = Path(tempfile.mkdtemp(prefix=f".{self._root.name}-", dir=parent))
+        except OSError as error:
+            raise self._unwritable(error) from error
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+                if self._root.exists():
+                    self._root.rmdir()
+                self._folder.chmod(0o755)
+                self._folder.rename(self._root)
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+        finally:
+            for writer in (self._data, self._meta):
+                if writer is not None:
+                    writer.close()
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def add(
+        self, columns: Mapping[str, np.ndarray], task: str, about: Mapping[str, Any] | None = None
+    ) -> int:
+        """Add an episode.
+
+        Args:
+            columns: An array (T,) or (T, n) for each feature.
+            task: What is done in it, in words.
+            about: Further values of the episode, for columns in `meta/episodes`; the same names in
+                every episode.
+
+        Returns:
+            Index of the episode.
+
+        Raises:
+            InvalidInputError: If the disk is full.
+        """
+        count = len(next(iter(columns.values())))
+        task_index = self._tasks.setdefault(task, len(self._tasks))
+        start, episode = self._frame_count, self._episode_count
+        frames = np.arange(count)
+        values = {
+            **{name: np.asarray(columns[name]) for name in self._features if name in columns},
+            "timestamp": (frames / self._fps).astype(np.float32),
+            "frame_index": frames,
+            "episode_index": np.full(count, episode),
+            "index": start + frames,
+            "task_index": np.full(count, task_index),
+        }
+        table = self._table(values)
+        try:
+            self._write_data(table)
+            stats = {name: _Stats.of(values[name]) for name, _ in self._numeric()}
+            for name, own in stats.items():
+                self._stats[name].add(own)
+            self._episodes.append(
+                {
+                    "episode_index": episode,
+                    "tasks": [task],
+                    "length": count,
+                    "data/chunk_index": self._file_index // CHUNK_FILES,
+                    "data/file_index": self._file_index % CHUNK_FILES,
+                    "dataset_from_index": start,
+                    "dataset_to_index": start + count,
+                    "meta/episodes/chunk_index": 0,
+                    "meta/episodes/file_index": 0,
+                    **(about or {}),
+                    **{
+                        f"stats/{name}/{key}": value
+                        for name, own in stats.items()
+                        for key, value in own.as_dict().items()
+                    },
+                }
+            )
+            if len(self._episodes) >= _ROW_GROUP:
+                self._flush_episodes()
+        except OSError as error:
+            raise self._unwritable(error) from error
+        self._frame_count += count
+        self._episode_count += 1
+        return episode
+
+    def _numeric(self) -> list[tuple[str, Feature]]:
+        return [(name, item) for name, item in self._features.items() if item.dtype != "string"]
+
+    def _table(self, values: Mapping[str, np.ndarray]) -> Any:
+        pa, arrays = self._pa, []
+        for name, feature in self._features.items():
+            kind = pa.type_for_alias(feature.dtype)
+            if feature.names is None:
+                arrays.append(pa.array(values[name].reshape(-1), type=kind))
+            else:
+                flat = pa.array(np.ascontiguousarray(values[name]).reshape(-1), type=kind)
+                arrays.append(pa.FixedSizeListArray.from_arrays(flat, feature.size))
+        return pa.Table.from_arrays(arrays, names=list(self._features))
+
+    def _write_data(self, table: Any) -> None:
+        """Write an episode as a row group of its own, so that it is found without the others."""
+        if self._data is not None and self._file_size + table.nbytes > DATA_FILE_SIZE:
+            self._data.close()
+            self._data, self._file_size = None, 0
+            self._file_index += 1
+        if self._data is None:
+            place = _DATA_PATH.format(
+                chunk_index=self._file_index // CHUNK_FILES,
+                file_index=self._file_index % CHUNK_FILES,
+            )
+            file = self._folder / place
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._data = self._pq.ParquetWriter(file, table.schema, compression="snappy")
+        self._data.write_table(table, row_group_size=max(1, table.num_rows))
+        self._file_size += table.nbytes
+
+    def _flush_episodes(self) -> None:
+        if not self._episodes:
+            return
+        table = self._pa.Table.from_pylist(self._episodes)
+        if self._meta is None:
+            file = self._folder / _EPISODES_PATH
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._meta = self._pq.ParquetWriter(file, table.schema, compression="snappy")
+        self._meta.write_table(table.cast(self._meta.schema))
+        self._episodes.clear()
+
+    def _finish(self) -> None:
+        self._flush_episodes()
+        meta = self._folder / "meta"
+        meta.mkdir(exist_ok=True)
+        self._write_tasks(meta / "tasks.parquet")
+        stats = {name: own.as_dict() for name, own in self._stats.items()}
+        (meta / "stats.json").write_text(json.dumps(stats, indent=1) + "\n", encoding="utf-8")
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": self._robot_type,
+            "total_episodes": self._episode_count,
+            "total_frames": self._frame_count,
+            "total_tasks": len(self._tasks),
+            "chunks_size": CHUNK_FILES,
+            "data_files_size_in_mb": DATA_FILE_SIZE // 2**20,
+            "video_files_size_in_mb": 500,
+            "fps": int(self._fps) if float(self._fps).is_integer() else self._fps,
+            "splits": {"train": f"0:{self._episode_count}"},
+            "data_path": _DATA_PATH,
+            "video_path": None,
+            "features": {
+                name: {
+                    "dtype": item.dtype,
+                    "shape": [item.size],
+                    "names": None if item.names is None else list(item.names),
+                }
+                for name, item in self._features.items()
+            },
+        }
+        (meta / "info.json").write_text(json.dumps(info, indent=4) + "\n", encoding="utf-8")
+
+    def _write_tasks(self, file: Path) -> None:
+        """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
+        columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
+        table = self._pa.table(columns)
+        kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        about = {
+            "index_columns": ["task"],
+            "column_indexes": [],
+            "columns": [
+                {
+                    "name": name,
+                    "field_name": name,
+                    "pandas_type": kind,
+                    "numpy_type": own,
+                    "metadata": None,
+                }
+                for name, kind, own in kinds
+            ],
+            "creator": {"library": "pyarrow", "version": self._pa.__version__},
+            "pandas_version": "2.0.0",
+        }
+        self._pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), file)
+
+    def _unwritable(self, error: OSError) -> InvalidInputError:
+        problem = f"{self._root}: cannot be written: {error.strerror or error}"
+        return InvalidInputError(argument=self._argument, problem=problem)
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """Where an episode is.
+
+    Attributes:
+        index: Its index in the data set.
+        length: Number of frames.
+        file: Its data file.
+        about: Its row of `meta/episodes`, without the statistics.
+    """
+
+    index: int
+    length: int
+    file: Path
+    about: dict[str, Any]
+
+
+class LeRobotReader:
+    """Reads a data set episode by episode.
+
+    Args:
+        root: Its folder.
+
+    Attributes:
+        fps: Frames per second.
+        features: Columns by name.
+        robot_type: Name of the robot or hand.
+
+    Raises:
+        RecordingError: If the folder is not a data set of version 3, or is damaged.
+        MissingExtraError: If pyarrow is not installed.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._pa, self._pq = require("pyarrow"), require("pyarrow.parquet")
+        self._root = root
+        file = root / "meta" / "info.json"
+        try:
+            info = msgspec.json.decode(file.read_bytes(), type=_Info)
+        except (OSError, ValueError) as error:
+            raise RecordingError(f"cannot be read: {error}", file=file) from error
+        if not info.codebase_version.startswith("v3."):
+            problem = f"expected a data set of version v3, got {info.codebase_version!r}"
+            raise RecordingError(problem, file=file, array="codebase_version")
+        if not info.fps > 0.0:
+            raise RecordingError("expected a rate > 0", file=file, array="fps")
+        self.fps, self.robot_type = info.fps, info.robot_type or ""
+        self.features = {
+            name: Feature(item.dtype, None if item.shape == [1] else _names(item))
+            for name, item in info.features.items()
+        }
+        self._data_path = info.data_path
+
+    def episodes(self, index: int | None = None) -> list[Episode]:
+        """List the episodes, or only the one with an index.
+
+        Raises:
+            RecordingError: If their files are damaged.
+        """
+        found = []
+        for file in sorted(self._root.glob("meta/episodes/*/*.parquet")):
+            with _damage(file, self._pa):
+                names = self._pq.read_schema(file).names
+                kept = [name for name in names if not name.startswith("stats/")]
+                only = None if index is None else [("episode_index", "=", index)]
+                for row in self._pq.read_table(file, columns=kept, filters=only).to_pylist():
+                    place = self._data_path.format(
+                        chunk_index=int(row["data/chunk_index"]),
+                        file_index=int(row["data/file_index"]),
+                    )
+                    own, length = int(row["episode_index"]), int(row["length"])
+                    found.append(Episode(own, length, self._root / place, row))
+        return found
+
+    def read(self, episode: Episode, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Read columns of an episode.
+
+        Args:
+            episode: The episode.
+            names: Names of the features; those that the data set lacks are left out.
+
+        Returns:
+            Arrays (T,) or (T, n) by name.
+
+        Raises:
+            RecordingError: If the file is damaged, or has other columns than `meta/info.json` says.
+        """
+        wanted = [name for name in names if name in self.features]
+        with _damage(episode.file, self._pa):
+            table = self._pq.read_table(
+                episode.file, columns=wanted, filters=[("episode_index", "=", episode.index)]
+            )
+            if table.num_rows != episode.length:
+                problem = f"expected {episode.length} frames of episode {episode.index}"
+                problem = f"{problem}, got {table.num_rows}"
+                raise RecordingError(problem, file=episode.file, array="episode_index")
+            return {name: self._array(table, name) for name in wanted}
+
+    def _array(self, table: Any, name: str) -> np.ndarray:
+        column = table.column(name).combine_chunks()
+        size = self.features[name].size
+        if size == 1:
+            return np.asarray(column.to_numpy(zero_copy_only=False))
+        return column.flatten().to_numpy(zero_copy_only=False).reshape(table.num_rows, size)
+
+
+class _FeatureFile(msgspec.Struct):
+    """One feature of `meta/info.json`."""
+
+    dtype: str
+    shape: list[int]
+    names: Any = None
+
+
+class _Info(msgspec.Struct):
+    """What is needed of `meta/info.json`."""
+
+    codebase_version: str
+    fps: float
+    features: dict[str, _FeatureFile]
+    data_path: str = _DATA_PATH
+    robot_type: str | None = None
+
+
+class _damage:  # noqa: N801 - used as a context manager
+    """Turn what pyarrow raises on damaged files into `RecordingError`."""
+
+    def __init__(self, file: Path, pa: Any) -> None:
+        self._file, self._pa = file, pa
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, RecordingError):
+            return
+        if isinstance(error, (*DAMAGES, self._pa.ArrowException)):
+            text = " ".join(str(error).split())
+            problem = f"cannot be read as parquet: {text[:160]}"
+            raise RecordingError(problem, file=self._file) from error
+
+
+class _Stats:
+    """Least, largest, mean and standard deviation of a column, of one episode or of many."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._low = self._high = self._mean = self._square = np.zeros(0)
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> Self:
+        """Return those of one episode, (T,) or (T, n), over the frames without NaN."""
+        own, rows = cls(), values.reshape(len(values), -1).astype(float)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if (count := len(rows)) == 0:
+            own._low = own._high = own._mean = own._square = np.zeros(rows.shape[1])
+            return own
+        own._count = count
+        own._low, own._high, own._mean = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0)
+        own._square = np.square(rows - own._mean).sum(axis=0)
+        return own
+
+    def add(self, other: _Stats) -> None:
+        """Add those of an episode (Chan, Golub and LeVeque 1979)."""
+        if self._count == 0 or other._count == 0:
+            if self._count == 0:
+                self.__dict__.update(other.__dict__)
+            return
+        count = self._count + other._count
+        shift = other._mean - self._mean
+        self._low = np.minimum(self._low, other._low)
+        self._high = np.maximum(self._high, other._high)
+        self._square = (
+            self._square + other._square + shift**2 * (self._count * other._count / count)
+        )
+        self._mean = self._mean + shift * (other._count / count)
+        self._count = count
+
+    def as_dict(self) -> dict[str, list[float]]:
+        """Return the numbers by the names that LeRobot gives them."""
+        spread = np.sqrt(self._square / max(1, self._count))
+        values = {"min": self._low, "max": self._high, "mean": self._mean, "std": spread}
+        lists: dict[str, list[float]] = {name: a.tolist() for name, a in values.items()}
+        return {**lists, "count": [self._count]}
+
+
+def _names(item: _FeatureFile) -> tuple[str, ...]:
+    """Return the names of a feature's numbers, or numbers where it has none."""
+    size = 1
+    for length in item.shape:
+        size *= length
+    if isinstance(item.names, list) and len(item.names) == size:
+        return tuple(map(str, item.names))
+    return tuple(map(str, range(size)))

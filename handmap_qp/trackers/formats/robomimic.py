@@ -1,0 +1,146 @@
+"""Recordings as HDF5 in the form of robomimic: a group for each demonstration.
+
+Written from its documentation (robomimic.github.io/docs/datasets/overview.html): the group `data`
+has the attributes `total` and `env_args` (JSON); `data/demo_0` has the attribute `num_samples`, and
+`obs` with an array (N, ...) for each observation.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.formats.base import SIDES, Entry, reading
+from handmap_qp.trackers.formats.columns import landmark_rows, pose_rows, recording_of_rows
+from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, numbers, opened
+from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.sample import LANDMARK_COUNT
+
+_KNOWN = {"landmarks", "time", "valid", "confidence", "wrist"}
+
+
+class RobomimicFormat:
+    """A file with one demonstration for each hand and recording; lossless.
+
+    `obs` of each demonstration has `landmarks (N, 63)` [m], `time (N,)` [s], `valid (N,)`, and
+    where they are known `confidence (N,)` and `wrist (N, 12)`, the upper three rows of its pose.
+    Name, side and source are attributes.
+    """
+
+    name = "robomimic"
+    suffixes = SUFFIXES
+    about = "HDF5 in the form of robomimic; lossless, any number of recordings"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the file has demonstrations."""
+        if not path.is_file():
+            return False
+        with opened(path) as file:
+            return "data" in file
+
+    def entries(self, path: Path) -> tuple[Entry, ...]:
+        """List the demonstrations by their numbers."""
+        with opened(path) as file:
+            demos = file["data"]
+            names = sorted(demos, key=_number)
+            return tuple(_entry(path, name, demos[name]) for name in names)
+
+    def read(self, path: Path, entry: Entry) -> Recording:
+        """Read one demonstration."""
+        with opened(path) as file:
+            demo = file["data"][entry.name]
+            obs, count = demo["obs"], entry.samples
+            columns = {
+                name: numbers(path, obs, name, shape)
+                for name, shape in {
+                    "time": (count,),
+                    "valid": (count,),
+                    "confidence": (count,),
+                    "wrist": (count, 12),
+                }.items()
+                if name in obs or name == "time"
+            }
+            size = 3 * LANDMARK_COUNT
+            is_flat = "landmarks" not in obs or len(obs["landmarks"].shape) == 2
+            shape = (count, size) if is_flat else (count, LANDMARK_COUNT, 3)
+            landmarks = numbers(path, obs, "landmarks", shape).reshape(count, size)
+            about = {key: str(demo.attrs.get(key, "")) for key in ("name", "source")}
+        valid = columns.get("valid")
+        with reading(path, f"data/{entry.name}/obs/"):
+            if valid is not None and not np.isin(valid, (0.0, 1.0)).all():
+                raise InvalidInputError(argument="valid", problem="expected 0 and 1")
+            return recording_of_rows(
+                about["name"] or f"{path.stem}_{entry.name}",
+                entry.side,
+                columns["time"],
+                landmarks,
+                valid=None if valid is None else valid.astype(bool),
+                confidence=columns.get("confidence"),
+                wrist=columns.get("wrist"),
+                source=about["source"],
+            )
+
+    def unread(self, path: Path) -> tuple[str, ...]:
+        """Name the arrays that a recording cannot hold."""
+        with opened(path) as file:
+            found: set[str] = set()
+            for demo in file["data"].values():
+                found |= {name for name in demo if name != "obs"}
+                found |= {f"obs/{name}" for name in demo["obs"] if name not in _KNOWN}
+            return tuple(sorted(found))
+
+    def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
+        """Name nothing: the form is lossless."""
+        return ()
+
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+        """Write each recording as a demonstration."""
+        if not recordings:
+            raise InvalidInputError(argument="recordings", expected="at least one", got="none")
+        with created(path) as file:
+            data = file.create_group("data")
+            data.attrs["total"] = sum(len(recording) for recording in recordings)
+            env = {"env_name": "human_hand", "env_type": 2, "env_kwargs": {}}
+            data.attrs["env_args"] = json.dumps(env)
+            for i, recording in enumerate(recordings):
+                demo = data.create_group(f"demo_{i}")
+                demo.attrs["num_samples"] = len(recording)
+                for key in ("name", "side", "source"):
+                    demo.attrs[key] = getattr(recording, key)
+                obs = demo.create_group("obs")
+                obs["time"] = recording.time
+                obs["landmarks"] = landmark_rows(recording)
+                obs["valid"] = recording.valid
+                if recording.confidence is not None:
+                    obs["confidence"] = recording.confidence
+                if recording.wrist is not None:
+                    obs["wrist"] = pose_rows(recording.wrist)
+
+
+def _number(name: str) -> tuple[int, str]:
+    """Return the key that sorts `demo_2` before `demo_10`."""
+    digits = re.fullmatch(r"demo_(\d{1,18})", name)
+    return (int(digits.group(1)) if digits else -1, name)
+
+
+def _entry(path: Path, name: str, demo: Any) -> Entry:
+    if not hasattr(demo, "keys") or "obs" not in demo or "landmarks" not in demo["obs"]:
+        known = sorted(demo["obs"]) if hasattr(demo, "keys") and "obs" in demo else ["no group obs"]
+        problem = f"has no landmarks; it has {', '.join(known)}"
+        raise RecordingError(problem, file=path, array=f"data/{name}")
+    return Entry(name, _side(path, name, demo), len(demo["obs"]["landmarks"]))
+
+
+def _side(path: Path, name: str, demo: Any) -> Side:
+    for side in SIDES:
+        if demo.attrs.get("side") == side:
+            return side
+    problem = "expected the attribute side, right or left"
+    raise RecordingError(problem, file=path, array=f"data/{name}")

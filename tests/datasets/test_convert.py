@@ -1,0 +1,87 @@
+"""`handmap convert`: between any two formats, with one line about what is lost."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmap_qp import Recording, load_hand, read_recording
+from handmap_qp.cli import main
+from handmap_qp.trackers.formats import FORMATS, write_recordings
+
+pytest.importorskip("h5py")
+pytest.importorskip("pyarrow")
+pytest.importorskip("rosbags")
+
+NAMES = [form.name for form in FORMATS]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The same short recording in every format."""
+    folder = tmp_path_factory.mktemp("formats")
+    human = load_hand("human", points="landmarks")
+    landmarks = np.array([human.points(share * human.rest) for share in (0.2, 0.6, 1.0)])
+    given = Recording("take", np.array([1.0, 1.5, 1.75]), landmarks, np.ones(3), "right")
+    paths = {}
+    for form in FORMATS:
+        paths[form.name] = folder / f"{form.name}{form.suffixes[0] if form.suffixes else ''}"
+        write_recordings([given], paths[form.name], form)
+    return paths
+
+
+@pytest.mark.parametrize(("start", "end"), list(itertools.permutations(NAMES, 2)))
+def test_from_each_to_each(
+    start: str, end: str, files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    out = tmp_path / f"out{files[end].suffix}"
+    assert main(["convert", str(files[start]), str(out), "--format", end]) == 0
+    printed = capsys.readouterr().out
+    assert "1 recordings, 3 samples" in printed
+    assert f"wrote {out}" in printed
+    found, given = read_recording(out), read_recording(files["npz"])
+    np.testing.assert_array_equal(found.landmarks, given.landmarks)
+    np.testing.assert_allclose(found.time, given.time, rtol=0, atol=1e-9)
+    is_lossless = end in ("npz", "lerobot", "robomimic") and start in ("npz", "csv", "mano")
+    assert not is_lossless or "nothing was lost" in printed
+
+
+def test_a_set_becomes_files(files: dict[str, Path], tmp_path: Path, capsys: object) -> None:
+    both = [str(files["npz"]), str(files["csv"])]
+    assert main(["convert", *both, str(tmp_path / "set")]) == 0
+    assert main(["convert", str(tmp_path / "set"), str(tmp_path / "each"), "--format", "npz"]) == 0
+    assert sorted(p.name for p in (tmp_path / "each").iterdir()) == ["set_0.npz", "set_1.npz"]
+
+
+def test_bad_calls_are_one_line(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    npz = str(files["npz"])
+    calls = {
+        ("convert", npz): "IN OUT: expected a file to read and one to write",
+        ("convert", npz, str(tmp_path / "a.txt")): "OUT: expected a file that ends in one of",
+        ("convert", npz, str(tmp_path / "no" / "a.npz")): "OUT: there is no folder",
+        ("convert", str(tmp_path / "absent.npz"), str(tmp_path / "a.csv")): "absent.npz: cannot be",
+        ("convert", npz, npz, str(tmp_path / "a.csv")): "one recording of each hand",
+        ("convert", npz, str(tmp_path / "a"), "--format", "zip"): "--format",
+    }
+    for call, line in calls.items():
+        assert main(call) == 2, call
+        error = capsys.readouterr().err
+        assert line in error
+        assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_json_says_the_same(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert main(["convert", str(files["egodex"]), str(tmp_path / "a.mcap"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["recordings"], result["samples"]) == (1, 3)
+    assert "orientations of the fingers' joints" in result["not_read"]
+    assert "instants beyond whole nanoseconds" in result["lost"]
