@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import coal
+import numpy as np
 import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
@@ -37,9 +40,38 @@ def _read(hand: Hand) -> pin.GeometryModel:
         message = f"the collision shapes cannot be read: {' '.join(str(error).split())}"
         raise hand.spec.error(message, key="urdf") from error
     for part in geometry.geometryObjects:
-        if hasattr(part.geometry, "buildConvexRepresentation"):
+        if isinstance(part.geometry, coal.BVHModelBase):
             # A mesh is a surface without an inside: an object within it would not be noticed, and
             # an overlap would have no depth.
-            part.geometry.buildConvexRepresentation(False)
-            part.geometry = part.geometry.convex
+            try:
+                part.geometry = _convex_hull(np.array(part.geometry.vertices()))
+            except QhullError as error:
+                message = f"the collision shape {part.name!r} is flat: it has no convex hull"
+                raise hand.spec.error(message, key="urdf") from error
     return geometry
+
+
+def _convex_hull(points: np.ndarray) -> coal.Convex:
+    """Return the convex hull of a mesh's vertices.
+
+    coal's own `buildConvexRepresentation` keeps the vertices inside the hull. They disturb the
+    search along edges for the farthest vertex, and distances are then wrong by millimetres.
+
+    Args:
+        points: Vertices [m], shape (n, 3).
+    """
+    hull = ConvexHull(points)
+    corners = hull.points[hull.vertices]
+    index = np.zeros(len(points), dtype=int)
+    index[hull.vertices] = np.arange(len(corners))
+    triangles = index[hull.simplices]
+    first, second, third = corners[triangles].transpose(1, 0, 2)
+    normals = np.cross(second - first, third - first)
+    is_inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    triangles[is_inward] = triangles[is_inward, ::-1]
+    vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for corner in corners:
+        vertices.append(corner)
+    for triangle in triangles.tolist():
+        faces.append(coal.Triangle(*triangle))
+    return coal.Convex(vertices, faces)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 import pytest
 import trimesh
 
@@ -101,6 +102,46 @@ def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:
     hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path))
     with pytest.raises(HandError, match=r"collision shapes cannot be read: .*gone\.stl"):
         read_collision_shapes(hand)
+
+
+def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path) -> None:
+    # Vertices inside the hull, as of a cavity or a screw hole, must not change it.
+    rng, corners = np.random.default_rng(0), []
+    for name in ("palm", "tip"):
+        outer = trimesh.creation.icosphere(2, 0.05)
+        outer.apply_scale((0.4, 1.0, 0.6))
+        inner = trimesh.convex.convex_hull(rng.uniform(-0.01, 0.01, size=(60, 3)))
+        mesh = trimesh.util.concatenate([inner, outer])
+        mesh.export(tmp_path / f"{name}.stl")
+        corners.append(np.array(mesh.vertices))
+    text = FINGER.format(mesh="palm.stl")
+    text = text.replace('<box size="0.02 0.02 0.02"/>', '<mesh filename="tip.stl"/>')
+    (tmp_path / "hand.urdf").write_text(text)
+    hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path), mount="fixed")
+    geometry = read_collision_shapes(hand)
+    geometry.addCollisionPair(pin.CollisionPair(0, 1))
+    data, placed = hand.model.createData(), geometry.createData()
+    placed.distanceRequests[0].gjk_tolerance = 1e-9
+    for angle in np.linspace(-1.0, 1.0, 15):
+        q = hand.configuration_vector([angle])
+        pin.updateGeometryPlacements(hand.model, data, geometry, placed, q)
+        result = pin.computeDistance(geometry, placed, 0)
+        palm, tip = (
+            points @ pose.rotation.T + pose.translation
+            for points, pose in zip(corners, placed.oMg, strict=True)
+        )
+        # The projections of two convex bodies onto the line between their nearest points.
+        gap = (tip @ result.normal).min() - (palm @ result.normal).max()
+        assert result.min_distance == pytest.approx(gap, abs=1e-7)
+        assert gap > 0.01
+
+
+def test_a_flat_mesh_is_named(tmp_path: Path) -> None:
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
+    flat.export(tmp_path / "flat.stl")
+    (tmp_path / "hand.urdf").write_text(FINGER.format(mesh="flat.stl"))
+    with pytest.raises(HandError, match=r"palm_0.* is flat"):
+        read_collision_shapes(Hand(msgspec.structs.replace(SPEC, directory=tmp_path)))
 
 
 @pytest.mark.slow
