@@ -26,7 +26,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test fast lint bench peers lock clean
+.PHONY: help demo test fast lint docs bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -51,6 +51,10 @@ lint: $(INSTALLED) ## Check style (ruff), types (pyright) and who imports whom (
 	@$(BIN)/ruff format --check .
 	@$(BIN)/pyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports --no-cache
+
+docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
+	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "open build/site/index.html"
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
 	@for script in benchmarks/bench_*.py; do \

@@ -35,6 +35,8 @@ TOP_LEVEL = {
     "CITATION.cff",
     "Makefile",
     "uv.lock",
+    "mkdocs.yml",
+    "CONTRIBUTING.md",
 }
 # Packages that a plain import must not load.
 SLOW_PACKAGES = ("mujoco", "mink", "qpsolvers", "matplotlib", "yourdfpy", "trimesh")
