@@ -15,6 +15,7 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     MissingExtraError,
+    MissingPackageError,
     RecordingError,
 )
 from handmap_qp.hands.hand import Hand
@@ -66,6 +67,7 @@ __all__ = [
     "MappingOptions",
     "Method",
     "MissingExtraError",
+    "MissingPackageError",
     "MotionEstimate",
     "PointDistances",
     "PointSpec",

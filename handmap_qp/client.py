@@ -39,7 +39,7 @@ Numbers = tuple[float, ...]
 Names = tuple[str, ...]
 KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
-Preset = Literal["teleoperation", "object", "paper"]
+Preset = Literal["teleoperation", "object", "paper", "fixed_wrist"]
 _OPTIONS = ("mapping", "teleoperation", "ik")
 
 

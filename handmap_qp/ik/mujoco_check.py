@@ -196,8 +196,7 @@ class MujocoIk:
         return limits
 
 
-# mujoco's classes come from a binary module without type information.
-def mujoco_model(hand: Hand) -> mujoco.MjModel:  # type: ignore[name-defined]
+def mujoco_model(hand: Hand) -> mujoco.MjModel:
     """Return the kinematics of a hand as a MuJoCo model.
 
     Args:
@@ -213,7 +212,7 @@ def mujoco_model(hand: Hand) -> mujoco.MjModel:  # type: ignore[name-defined]
         for part in list(link):
             link.remove(part)
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", _COMPILER)
-    spec = mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))  # type: ignore[attr-defined]
+    spec = mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))
     if hand.is_floating:
         spec.worldbody.first_body().add_freejoint()
     for point in hand.reference_points:

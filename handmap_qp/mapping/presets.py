@@ -18,7 +18,7 @@ from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import Alignment, MappingOptions, Rotation
 
-PresetName = Literal["teleoperation", "object", "paper"]
+PresetName = Literal["teleoperation", "object", "paper", "fixed_wrist"]
 MethodOptions = MappingOptions | Teleoperation
 """The options of a preset's method."""
 _IK_NAMES = frozenset(item.name for item in fields(IkOptions))
@@ -63,6 +63,14 @@ PRESETS: dict[str, Preset] = {
         "eqs. (5)-(8) as published: rigid part and deformation from the points alone",
         "gestures; closing the fingers turns the robot's wrist, by 24 deg for a half-closed hand",
     ),
+    "fixed_wrist": Preset(
+        Homogeneous(
+            MappingOptions(rigid_from="none", pivot="palm", reference="rest", alignment="palm")
+        ),
+        IkOptions(),
+        "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
+        "gestures; the motion of the human's own wrist goes to the fingers as well",
+    ),
 }
 """All presets, by name."""
 
@@ -81,7 +89,10 @@ def get_preset(name: str) -> Preset:
 
 
 def default_preset(human: Hand, robot: Hand) -> PresetName:
-    """Choose the preset for two hands: teleoperation where fingers correspond, else object.
+    """Choose the preset for two hands.
+
+    It is teleoperation where fingers correspond, else object, or fixed_wrist if the robot's wrist
+    cannot move.
 
     Args:
         human: The hand that leads.
@@ -92,7 +103,7 @@ def default_preset(human: Hand, robot: Hand) -> PresetName:
     needed = {table[finger] for finger in fingers for table in (TIPS, MIDDLES, KNUCKLES)}
     if fingers and needed <= given:
         return "teleoperation"
-    return "object" if robot.has_moving_wrist else "paper"
+    return "object" if robot.has_moving_wrist else "fixed_wrist"
 
 
 def possible_presets(human: Hand, robot: Hand) -> tuple[PresetName, ...]:
@@ -104,8 +115,8 @@ def possible_presets(human: Hand, robot: Hand) -> tuple[PresetName, ...]:
     """
     first = default_preset(human, robot)
     following: tuple[PresetName, ...] = ("teleoperation",) if first == "teleoperation" else ()
-    moving: tuple[PresetName, ...] = ("object", "paper") if robot.has_moving_wrist else ()
-    return following + moving
+    moving: tuple[PresetName, ...] = ("object", "paper")
+    return (*following, *(moving if robot.has_moving_wrist else ()), "fixed_wrist")
 
 
 class Choice(NamedTuple):

@@ -40,8 +40,8 @@ PROGRAM = "compare.py"
 SMOOTH = "+smooth"
 """Ending of a name that asks for smoothed samples and motion, as `--smooth` of `handmap map`."""
 _FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
-# The preset `paper` is this method.
-_COVERED = ("homogeneous",)
+# The preset `paper` is the method homogeneous; fixed_wrist is for hands that cannot follow a palm.
+_LEFT_OUT = ("homogeneous", "fixed_wrist")
 
 
 class OutsideError(HandmapError):
@@ -125,7 +125,7 @@ class OutsideMethod:
 
 def own_methods() -> tuple[str, ...]:
     """Return the names of the package's own methods, without `+smooth`."""
-    return (*PRESETS, *(name for name in METHODS if name not in (*PRESETS, *_COVERED)))
+    return tuple(name for name in dict.fromkeys([*PRESETS, *METHODS]) if name not in _LEFT_OUT)
 
 
 def own_method(name: str) -> OwnMethod:

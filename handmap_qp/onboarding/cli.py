@@ -80,18 +80,24 @@ class HandsShow:
 
 @dataclass(frozen=True)
 class HandsInit:
-    """Find a hand in a URDF and write its description, hand.yaml.
+    """Find a hand in a URDF or MJCF file and write its description, hand.yaml.
 
     Finds palm, fingers, thumb, fingertips, side and a rest posture from the kinematics, and prints
     how each was found and how certain it is. Check the result with `handmap hands check`.
 
+    An MJCF file is compiled by MuJoCo and converted: a URDF and its meshes are written beside the
+    hand.yaml. `robot_descriptions:NAME` is a robot of the package robot_descriptions, which clones
+    it at first use.
+
     Examples:
         handmap hands init my_hand.urdf
+        handmap hands init scene.xml --out my_hand/hand.yaml
+        handmap hands init robot_descriptions:leap_hand_v1_description
         handmap hands init humanoid.urdf --root left_wrist_link --out left/hand.yaml
         handmap hands init humanoid.urdf --root left_wrist_link --base torso_link
 
     Attributes:
-        urdf: URDF of the hand or of a robot with a hand.
+        urdf: URDF or MJCF file of the hand or of a robot with a hand, or its name.
         root: Link at which the hand begins, in the URDF of a whole robot.
         base: Fixed link of the arm; the joints between it and the hand then move the wrist.
         side: Side of the hand.
@@ -102,7 +108,7 @@ class HandsInit:
         json: Print one JSON object instead of a table.
     """
 
-    urdf: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROBOT.urdf")]]
+    urdf: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROBOT")]]
     root: Annotated[str | None, _optional("LINK", "the root of the URDF")] = None
     base: Annotated[str | None, _optional("LINK", "the wrist floats")] = None
     side: Annotated[Side | None, _optional("{right,left}", "found")] = None
@@ -116,16 +122,19 @@ class HandsInit:
         """Find the hand, write its description, load it, and print how each part was found."""
         from handmap_qp.hands.library import load_hand
         from handmap_qp.onboarding.detect import detect
-        from handmap_qp.onboarding.write import write_hand
+        from handmap_qp.onboarding.source import open_source
+        from handmap_qp.onboarding.write import check_free, write_hand
 
+        check_free(self.out, overwrite=self.overwrite)
+        source = open_source(self.urdf, self.out.parent, overwrite=self.overwrite)
         found = detect(
-            self.urdf,
+            source.urdf,
             root=self.root,
             base=self.base,
             side=self.side,
             thumb=self.thumb,
             name=self.name,
-        )
+        ).from_source(source.reference, source.notes)
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
         rows = [
@@ -145,6 +154,8 @@ class HandsInit:
         print_rows(f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows)
         for note in found.notes:
             print(f"note: {note}")
+        for path in source.written:
+            print(f"wrote {path}, with the kinematics of {self.urdf}")
         print(f"wrote {self.out}; check it with: handmap hands check {self.out}")
 
 

@@ -8,7 +8,7 @@ answer has its evidence and its confidence.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -16,6 +16,7 @@ import numpy as np
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.spec import HandSpec, Mount, PalmSpec, PointSpec, Side, WristSpec
+from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
 from handmap_qp.onboarding.flexion import FingerFlexion, FingertipKinematics, find_flexion
 from handmap_qp.onboarding.robot import Robot
@@ -43,6 +44,18 @@ class Detection:
     clues: tuple[Clue, ...]
     notes: tuple[str, ...]
     chains: dict[str, tuple[str, ...]]
+
+    def from_source(self, reference: str | None, notes: tuple[str, ...]) -> Detection:
+        """Return the detection with another reference to its URDF, and with more notes.
+
+        Args:
+            reference: What `hand.yaml` names as `urdf`; the file itself if None.
+            notes: Notes of the URDF's conversion; they come first.
+        """
+        spec = (
+            self.spec if reference is None else msgspec.structs.replace(self.spec, urdf=reference)
+        )
+        return replace(self, spec=spec, notes=(*notes, *self.notes))
 
 
 def detect(
@@ -72,8 +85,8 @@ def detect(
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
     try:
-        text = urdf.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = decode_xml(urdf.read_bytes())
+    except (OSError, ValueError) as error:  # ValueError: also a null character in the path
         raise HandError(f"cannot be read: {error}", file=urdf) from error
     return detect_text(text, urdf, root=root, base=base, side=side, thumb=thumb, name=name)
 

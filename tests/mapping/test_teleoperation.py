@@ -75,7 +75,7 @@ def test_it_is_the_default_where_fingers_correspond() -> None:
     assert HandMapper(HUMAN, ALLEGRO).ik == IK
     tips = HUMAN.with_points("fingertips")
     assert default_preset(tips, ALLEGRO) == "object"
-    assert default_preset(tips, load_hand("allegro_right", mount="fixed")) == "paper"
+    assert default_preset(tips, load_hand("allegro_right", mount="fixed")) == "fixed_wrist"
 
 
 @pytest.mark.parametrize("robot", ["allegro_right", *map(slow, ["allegro_left", "hey5", "human"])])

@@ -303,3 +303,37 @@ def test_init_and_check_commands(tmp_path: Path, capsys: pytest.CaptureFixture[s
     (tmp_path / "broken.yaml").write_text("name: x")
     with pytest.raises(HandError, match="missing"):
         HandsCheck(hand=str(tmp_path / "broken.yaml")).run()
+
+
+CLAW = """<mujoco model="claw"><compiler angle="radian"/><worldbody><body name="palm">
+<geom type="box" size=".03 .04 .01"/>%s</body></worldbody></mujoco>"""
+FINGER = """<body name="base_{0}" pos="{1} {2} 0" euler="0 0 {3}">
+<joint name="flex_{0}" axis="-1 0 0" range="0 1.5"/>
+<geom type="capsule" size=".008" fromto="0 0 0 0 .04 0"/>
+<body name="end_{0}" pos="0 .04 0"><joint name="curl_{0}" axis="-1 0 0" range="0 1.5"/>
+<geom type="capsule" size=".007" fromto="0 0 0 0 .03 0"/></body></body>"""
+
+
+def test_init_takes_an_mjcf_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    places = {"index": (-0.03, 0.04, 0.0), "middle": (0.0, 0.04, 0.0), "ring": (0.03, 0.04, 0.0)}
+    fingers = [FINGER.format(name, *place) for name, place in places.items()]
+    model = tmp_path / "scene.xml"
+    model.write_text(CLAW % "".join([*fingers, FINGER.format("thumb", -0.03, -0.03, 1.2)]))
+    out = tmp_path / "made" / "claw.yaml"
+    HandsInit(model, side="right", out=out).run()
+    printed = capsys.readouterr().out
+    assert f"wrote {out.parent / 'scene.urdf'}, with the kinematics of {model}" in printed
+    assert "no speed limit in the URDF: 5 is assumed (flex_index, curl_index" in printed
+    hand = load_hand(out)
+    assert hand.spec.urdf == "scene.urdf"
+    assert set(hand.joint_names) == {
+        f"{j}_{f}" for j in ("flex", "curl") for f in (*places, "thumb")
+    }
+    model.unlink()
+    assert load_hand(out).joint_names == hand.joint_names
+    with pytest.raises(InvalidInputError, match="exists already"):
+        HandsInit(model, out=out).run()
+    model.write_text("<mujoco/>")
+    with pytest.raises(HandError, match="no joint moves"):
+        HandsInit(model, out=tmp_path / "other" / "claw.yaml").run()
+    assert not (tmp_path / "other").exists()

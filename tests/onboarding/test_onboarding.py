@@ -12,12 +12,13 @@ from hypothesis import given, settings
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.hands.urdf.files import package_share, urdf_path
+from handmap_qp.hands.urdf.files import urdf_path
 from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.urdf.sources import package_folder
 from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"
-ROBOTS = package_share("example-robot-data") / "example-robot-data" / "robots"
+ROBOTS = package_folder("example-robot-data") / "robots"
 G1 = ROBOTS / "g1_description" / "urdf" / "g1_29dof_with_hand_rev_1_0.urdf"
 ROMEO = ROBOTS / "romeo_description" / "urdf" / "romeo.urdf"
 TIAGO = ROBOTS / "tiago_description" / "robots" / "tiago.urdf"

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from handmap_qp.errors import HandError
+from handmap_qp.hands.urdf.xml_text import parse_xml
 from handmap_qp.transform import affine, rotation_from_rpy
 
 
@@ -23,7 +24,7 @@ def parse_urdf(text: str) -> ET.Element:
         HandError: If the text is not XML, or its root is another element.
     """
     try:
-        robot = ET.fromstring(text)
+        robot = parse_xml(text)
     except (ET.ParseError, TypeError, ValueError) as error:
         raise HandError(f"the URDF is not valid XML: {error}") from error
     if robot.tag != "robot":

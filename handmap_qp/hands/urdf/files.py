@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from handmap_qp.errors import HandError, MissingExtraError
+from handmap_qp.errors import HandError, MissingExtraError, MissingPackageError
 from handmap_qp.hands.spec import ArmSpec, HandSpec
 from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.hands.urdf.sources import package_folder, source_path
+from handmap_qp.hands.urdf.xml_text import decode_xml
 
 
 def read_urdf(spec: HandSpec | ArmSpec) -> str:
@@ -25,41 +26,45 @@ def read_urdf(spec: HandSpec | ArmSpec) -> str:
     """
     path = urdf_path(spec)
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
+        return decode_xml(path.read_bytes())
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
         unset = re.search(r"\$\{(\w+)\}", str(path))
         reason = f"set the environment variable {unset[1]}" if unset else error
-        message = f"the URDF cannot be read: {reason}"
-        if isinstance(spec, ArmSpec):
-            raise HandError(message, key="arm.urdf", value=spec.urdf) from error
-        raise spec.error(message, key="urdf", value=spec.urdf) from error
+        raise _source_error(spec, f"the URDF cannot be read: {reason}") from error
 
 
 def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     """Return the path of the URDF of a hand or an arm, which need not exist.
 
-    Environment variables in it, such as `${FOLDER}/hand.urdf`, are replaced by their values.
+    Environment variables in it, such as `${FOLDER}/hand.urdf`, are replaced by their values. An
+    MJCF file is converted to a URDF in the cache folder of the user.
 
     Raises:
+        HandError: If it is a robot of `robot_descriptions` that cannot be had, or an MJCF file that
+            MuJoCo cannot compile.
         MissingExtraError: If it lies in a package that is not installed.
     """
-    if spec.urdf.startswith("package://"):
-        package, _, inside = spec.urdf.removeprefix("package://").partition("/")
-        return package_share(package) / package / inside
-    return (spec.directory or Path()) / os.path.expandvars(spec.urdf)
-
-
-def package_share(package: str) -> Path:
-    """Return the `share` folder of an installed package of robot descriptions (a cmeel wheel).
-
-    Raises:
-        MissingExtraError: If the package is not installed.
-    """
     try:
-        distribution = importlib.metadata.distribution(package)
-    except (importlib.metadata.PackageNotFoundError, ValueError) as error:  # ValueError: no name
-        raise MissingExtraError(package, "robots") from error
-    return Path(str(distribution.locate_file("cmeel.prefix/share")))
+        source = source_path(spec.urdf)
+        path = (
+            (spec.directory or Path()) / os.path.expandvars(spec.urdf) if source is None else source
+        )
+        if path.suffix in (".xml", ".mjcf"):
+            from handmap_qp.hands.mjcf.compile import is_mjcf
+
+            if is_mjcf(path):
+                from handmap_qp.hands.mjcf.cache import cached_urdf
+
+                return cached_urdf(path)
+    except HandError as error:
+        raise _source_error(spec, error.problem) from error
+    return path
+
+
+def _source_error(spec: HandSpec | ArmSpec, problem: str) -> HandError:
+    if isinstance(spec, ArmSpec):
+        return HandError(problem, key="arm.urdf", value=spec.urdf)
+    return spec.error(problem, key="urdf", value=spec.urdf)
 
 
 def find_mesh(name: str, folder: Path) -> Path:
@@ -81,8 +86,8 @@ def find_mesh(name: str, folder: Path) -> Path:
     package, _, inside = name.partition("://")[2].partition("/")
     candidates = []
     try:
-        candidates.append(package_share(package) / package / inside)
-    except MissingExtraError:
+        candidates.append(package_folder(package) / inside)
+    except (MissingExtraError, MissingPackageError):
         candidates.append(folder / inside)
     for above in (folder.resolve(), *folder.resolve().parents):
         candidates.append(above / package / inside)

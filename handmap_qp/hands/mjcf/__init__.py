@@ -1,0 +1,1 @@
+"""Hands described in MuJoCo's MJCF, converted to URDF."""

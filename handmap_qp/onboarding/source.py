@@ -1,0 +1,96 @@
+"""The robot that `handmap hands init` is given: a URDF, an MJCF file, or a robot by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.hands.urdf.sources import source_path
+
+# Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
+_MOST_DIFFERENCE = 1e-9
+
+
+class RobotSource(NamedTuple):
+    """A URDF to detect a hand in.
+
+    Attributes:
+        urdf: The URDF file.
+        reference: How `hand.yaml` refers to it; None for its path.
+        notes: What a conversion from MJCF left out, one sentence each.
+        written: Files that were written.
+    """
+
+    urdf: Path
+    reference: str | None = None
+    notes: tuple[str, ...] = ()
+    written: tuple[Path, ...] = ()
+
+
+def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotSource:
+    """Find the URDF of a robot, and convert an MJCF file to one.
+
+    Args:
+        robot: A URDF or MJCF file, `package://PACKAGE/path`, or `robot_descriptions:MODULE`.
+        folder: Folder of the `hand.yaml`. The URDF and the meshes of an MJCF file are written
+            beside it.
+        overwrite: Whether to replace a URDF that is there.
+
+    Raises:
+        HandError: If there is no such robot, or it cannot be converted.
+        InvalidInputError: If the URDF exists, or cannot be written.
+        MissingExtraError: If `robot_descriptions` or a package of an extra is not installed.
+        MissingPackageError: If another package is not installed.
+    """
+    given = str(robot).replace("package:/", "package://", 1).replace(":///", "://")
+    source = source_path(given)
+    path = robot if source is None else source
+    # MuJoCo takes a second to load.
+    if not _is_mjcf(path):
+        return RobotSource(path, None if source is None else given)
+    from handmap_qp.hands.mjcf.cache import cached_urdf
+    from handmap_qp.hands.mjcf.convert import convert_mjcf
+
+    if source is not None:
+        return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
+    return _convert(path, folder, overwrite)
+
+
+def _is_mjcf(path: Path) -> bool:
+    if path.suffix not in (".xml", ".mjcf"):
+        return False
+    from handmap_qp.hands.mjcf.compile import is_mjcf
+
+    return is_mjcf(path)
+
+
+def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
+    """Convert an MJCF file, and write its URDF and meshes into a folder."""
+    from handmap_qp.hands.mjcf.comparison import kinematics_difference
+    from handmap_qp.hands.mjcf.convert import convert_mjcf, write_converted
+
+    urdf = folder / f"{file.stem}.urdf"
+    if urdf.exists() and not overwrite:
+        raise InvalidInputError(
+            argument="--out",
+            problem=f"the URDF is written beside it, and {urdf} exists already",
+            value=str(urdf),
+            advice="give --overwrite to replace it, or another folder",
+        )
+    converted = convert_mjcf(file, f"{file.stem}_meshes")
+    difference = kinematics_difference(converted)
+    if not difference < _MOST_DIFFERENCE:
+        raise HandError(
+            f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m: please report it",
+            file=file,
+        )
+    try:
+        write_converted(converted, urdf)
+    except OSError as error:
+        raise InvalidInputError(
+            argument="--out",
+            problem=f"cannot write {urdf}: {error.strerror or error}",
+            value=str(urdf),
+        ) from error
+    return RobotSource(urdf, None, converted.notes, (urdf,))
