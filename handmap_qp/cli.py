@@ -71,7 +71,9 @@ COMMANDS: dict[str, _Place] = {
         "onboarding.cli", "HandsShow", "Describe a hand: joints, limits and reference points."
     ),
     "hands init": _Place(
-        "onboarding.cli", "HandsInit", "Find a hand in a URDF and write its description, hand.yaml."
+        "onboarding.cli",
+        "HandsInit",
+        "Find a hand in a URDF or MJCF file and write its description, hand.yaml.",
     ),
     "hands check": _Place(
         "onboarding.cli",

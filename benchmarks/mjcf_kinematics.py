@@ -1,6 +1,6 @@
 """Compare converted MJCF files with MuJoCo: largest difference of any link's pose.
 
-    python benchmarks/bench_mjcf.py FOLDER_OR_FILE [...]
+    python benchmarks/mjcf_kinematics.py FOLDER_OR_FILE [...]
 
 Folders are searched for MJCF files. Files that MuJoCo refuses, or in which nothing moves, are
 counted and named with the reason.
