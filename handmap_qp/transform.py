@@ -21,7 +21,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import get_lapack_funcs
+from eigenpy import ComputationInfo, DecompositionOptions, NoPrecondJacobiSVD  # type: ignore[attr-defined]
 
 from handmap_qp.errors import InvalidInputError, describe_value
 
@@ -39,11 +39,11 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 _IDENTITY = np.eye(4)
+_ONES = np.ones(3)
 
-# LAPACK's own SVD takes less than half the time of numpy's on a 3x3 matrix.
-(_dgesdd,) = get_lapack_funcs(("gesdd",), dtype=np.float64)
+_FULL = int(DecompositionOptions.ComputeFullU) | int(DecompositionOptions.ComputeFullV)
 
-# What numpy and LAPACK raise on arrays of another shape or type.
+# What numpy and Eigen raise on arrays of another shape or type.
 _ARRAY_ERRORS = (TypeError, ValueError, IndexError, AttributeError)
 
 
@@ -107,6 +107,14 @@ def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
         raise _mismatch("motion and points", "shapes (4, 4) and (n, 3)") from error
 
 
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Return the Euclidean length of each row, shape (n,), of vectors of shape (n, 3).
+
+    In half the time of `numpy.linalg.norm`; not checked, for use sample by sample.
+    """
+    return np.sqrt(np.square(vectors).dot(_ONES))
+
+
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
     """Invert a pose.
 
@@ -127,29 +135,28 @@ def inverse_pose(pose: np.ndarray) -> np.ndarray:
 
 
 def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decompose a matrix with three columns into its thin singular value decomposition.
+    """Decompose a 3x3 matrix into singular values and vectors.
 
     Args:
-        matrix: Shape (n, 3), finite; k = min(n, 3).
+        matrix: Shape (3, 3), finite.
 
     Returns:
-        Left singular vectors as columns, shape (n, k); singular values, largest first, shape (k,);
-        right singular vectors as rows, shape (k, 3).
+        Left singular vectors as columns, shape (3, 3); singular values, largest first, shape (3,);
+        right singular vectors as rows, shape (3, 3).
 
     Raises:
-        InvalidInputError: On numbers that are not finite, or something else than a matrix.
+        InvalidInputError: On a wrong shape, or numbers that are not finite.
     """
     try:
-        if matrix.shape[1:] != (3,) or len(matrix) == 0:
+        if matrix.shape != (3, 3):
             raise ValueError(f"shape {matrix.shape}")
-        # Positional: keywords cost a tenth of the whole call. U and V^T, and no more of them than
-        # there are singular values.
-        left, values, right, info = _dgesdd(matrix, 1, 0)
+        # Eigen's takes a third of the time of numpy's on so small a matrix.
+        found = NoPrecondJacobiSVD(matrix, _FULL)
     except _ARRAY_ERRORS as error:
-        raise _mismatch("matrix", "numbers of shape (n, 3), n >= 1") from error
-    if info != 0:
+        raise _mismatch("matrix", "numbers of shape (3, 3)") from error
+    if found.info() != ComputationInfo.Success:
         raise InvalidInputError(argument="matrix", expected="finite numbers", value=matrix)
-    return left, values, right
+    return found.matrixU(), found.singularValues(), found.matrixV().T
 
 
 def determinant(matrix: np.ndarray) -> float:
@@ -482,6 +489,8 @@ def as_floats(
         InvalidInputError: If these are not real numbers, a ragged sequence of them, of another
             shape, or not finite where they must be.
     """
+    if type(value) is np.ndarray and value.dtype == np.float64 and shape is None and not is_finite:
+        return value
     expected = _numbers_text(shape, "finite " if is_finite else "")
     try:
         array = np.asarray(value)

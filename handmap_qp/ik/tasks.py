@@ -25,7 +25,7 @@ from handmap_qp.hands.configuration import CROSS, Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.transform import as_floats
+from handmap_qp.transform import as_floats, lengths
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""
@@ -72,6 +72,7 @@ class AttachedPoints:
         self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
         self._moved = np.array([moved_by(hand.model, joint) for joint in self._joints.tolist()])
         self._moved = self._moved.reshape(-1, 1, hand.model.nv)
+        self._rows = np.tile(np.eye(3, 6), (len(self._joints), 1, 1))
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
@@ -86,16 +87,27 @@ class AttachedPoints:
         """Return the points in the world [m], shape (n, 3)."""
         rotations, translations = hand.joints
         turned = np.einsum("ijk,ik->ij", rotations[self._joints], self._offsets)
-        return turned + translations[self._joints]
+        turned += translations[self._joints]
+        return turned
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
-        spatial, count = hand.joint_jacobian(), len(positions)
-        crosses = positions.dot(CROSS).reshape(count, 3, 3)
-        moving = (spatial[:3] + crosses.dot(spatial[3:])) * self._moved
+        count = len(positions)
+        # [I, -[p]x] takes the spatial velocity at the world's origin to the point p.
+        rows = self._rows.copy()
+        rows[:, :, 3:] = positions.dot(CROSS).reshape(count, 3, 3)
+        moving = rows.reshape(3 * count, 6).dot(hand.joint_jacobian()).reshape(count, 3, -1)
+        moving *= self._moved
         if hand.expansion is None:
             return moving
         return hand.contracted(moving.reshape(3 * count, -1)).reshape(count, 3, -1)
+
+    def taken(self, indices: np.ndarray) -> AttachedPoints:
+        """Return some of the points, in the order of their indices."""
+        points = object.__new__(AttachedPoints)
+        points._joints, points._offsets = self._joints[indices], self._offsets[indices]
+        points._moved, points._rows = self._moved[indices], self._rows[indices]
+        return points
 
 
 class PointDistances:
@@ -113,7 +125,7 @@ class PointDistances:
         InvalidInputError: On wrong shapes, numbers that are not finite, or negative ones.
     """
 
-    __slots__ = ("_damping", "_distances", "_first", "_points", "_second", "_weights")
+    __slots__ = ("_damping", "_distances", "_ends", "_weights")
 
     def __init__(
         self,
@@ -130,8 +142,8 @@ class PointDistances:
             raise InvalidInputError(
                 argument="pairs", expected=f"two different points below {len(points)}", value=pairs
             )
-        self._points = points
-        self._first, self._second = indices.T
+        # The first points of all pairs, then the second ones.
+        self._ends = points.taken(indices.T.reshape(-1))
         self._distances = _check_numbers(distances, len(indices), "distances")
         self._weights = _check_numbers(weights, len(indices), "weights") / LENGTH_UNIT
         self._damping = _check_numbers(damping, len(indices), "damping")
@@ -139,32 +151,28 @@ class PointDistances:
     def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
         """Return the same task with other targets, unchecked: for use sample by sample.
 
-        Pairs of weight zero are left out.
-
         Args:
             distances: Wanted distance of each pair [m], shape (p,).
             weights: Weight of each pair per 10 mm of error, shape (p,).
         """
-        kept = np.flatnonzero(weights)
         task = object.__new__(PointDistances)
-        task._points, task._damping = self._points, self._damping[kept]
-        task._first, task._second = self._first[kept], self._second[kept]
-        task._distances, task._weights = distances[kept], weights[kept] / LENGTH_UNIT
+        task._ends, task._damping = self._ends, self._damping
+        task._distances, task._weights = distances, weights / LENGTH_UNIT
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a pair; see `Task.linearise`."""
-        positions = self._points.positions(hand)
-        offsets = positions[self._first] - positions[self._second]
-        lengths = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
+        count, positions = len(self._weights), self._ends.positions(hand)
+        offsets = positions[:count] - positions[count:]
+        apart = lengths(offsets)
+        directions = offsets / np.maximum(apart, _SHORTEST)[:, None]
         # Points in one place have no direction: any will do to part them.
-        directions = np.where(
-            lengths[:, None] > _SHORTEST, offsets / np.maximum(lengths, _SHORTEST)[:, None], _UP
-        )
-        jacobians = self._points.jacobians(hand, positions)
-        levers = self._weights[:, None, None] * (jacobians[self._first] - jacobians[self._second])
-        rows = np.einsum("ij,ijk->ik", directions, levers)
-        residual = self._weights * (lengths - self._distances)
+        directions[apart <= _SHORTEST] = _UP
+        jacobians = self._ends.jacobians(hand, positions)
+        levers = jacobians[:count] - jacobians[count:]
+        levers *= self._weights[:, None, None]
+        rows = np.matmul(directions[:, None], levers)[:, 0]
+        residual = self._weights * (apart - self._distances)
         # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
         return TaskRows(residual, rows, (self._damping * np.abs(residual)).dot(columns))

@@ -19,7 +19,6 @@ from handmap_qp.transform import (
     determinant,
     frozen,
     nearest_rotation,
-    svd3,
 )
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
@@ -111,7 +110,7 @@ class MotionEstimator:
         roots = np.sqrt(self.weights * len(points))
         # The SVD of the points, not of their normal matrix, which would square the condition of
         # points near a plane.
-        left, values, right = svd3(self._centred * roots[:, None])
+        left, values, right = np.linalg.svd(self._centred * roots[:, None], full_matrices=False)
         self.singular_values = np.zeros(3)
         self.singular_values[: len(values)] = values
         frozen(self.singular_values)

@@ -12,6 +12,7 @@ from handmap_qp.transform import FARTHEST, affine, as_floats, nearest_rotation
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
 """Landmarks that move as one rigid body."""
+_MEAN = np.full(len(_PALM), 1.0 / len(_PALM))
 
 
 class LandmarkReader:
@@ -57,16 +58,17 @@ class LandmarkReader:
             raise InvalidInputError(
                 argument="landmarks", expected=f"shape ({self._count}, 3)", got=f"{points.shape}"
             )
-        if not (np.abs(points) <= FARTHEST).all():
+        # `not ... <= FARTHEST` also rejects NaN.
+        if not np.abs(points).max() <= FARTHEST:
             raise InvalidInputError(
                 argument="landmarks", expected=f"finite coordinates within {FARTHEST:g} m"
             )
         if wrist is None:
-            wrist = self._fit(points[self._palm])
-        return HumanPose(points[self._used], wrist)
+            wrist = self._fit(points.take(self._palm, 0))
+        return HumanPose(points.take(self._used, 0), wrist)
 
     def _fit(self, palm: np.ndarray) -> np.ndarray:
         """Lay the model's palm on measured points (5, 3) as `rigid_fit` does, centred once."""
-        centre = palm.mean(axis=0)
+        centre = _MEAN.dot(palm)
         rotation = nearest_rotation((palm - centre).T.dot(self._model))
         return affine(rotation, centre - rotation.dot(self._model_centre))

@@ -284,9 +284,10 @@ class HandMapper:
                 margins=asked.margins,
             )
         configuration = plan.ik.configuration
+        robot = plan.bound.robot
         command = RobotCommand(
-            self.robot.joint_names,
-            configuration.q[self.robot.q_indices],
+            robot.joint_names,
+            configuration.q.take(robot.q_indices),
             configuration.wrist.homogeneous,
         )
         if plan.bound.renews_reference:

@@ -42,7 +42,8 @@ class PalmFollower:
         self._is_still = not robot.has_moving_wrist
         before, self._start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
         self._rotation = before[:3, :3].T @ self._start[:3, :3]
-        self._human_anchor, self._robot_anchor = human_anchor, robot_anchor
+        # The robot's palm seen from the human's: its origin there, and the rest in world axes.
+        self._origin = human_anchor - self._rotation.dot(robot_anchor)
         self._offset = transform_point(self._start, robot_anchor) - transform_point(
             before, human_anchor
         )
@@ -55,9 +56,8 @@ class PalmFollower:
         human_palm = wrist.dot(self._human_wrist_to_palm)
         if self._is_still:
             return human_palm, self._start
-        rotation = human_palm[:3, :3].dot(self._rotation)
-        anchor = transform_point(human_palm, self._human_anchor) + self._offset
-        return human_palm, affine(rotation, anchor - rotation.dot(self._robot_anchor))
+        origin = transform_point(human_palm, self._origin) + self._offset
+        return human_palm, affine(human_palm[:3, :3].dot(self._rotation), origin)
 
     def wrist(self, palm: np.ndarray) -> np.ndarray:
         """Return the robot's wrist pose for a pose of its palm, shape (4, 4)."""

@@ -22,6 +22,7 @@ from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
+from handmap_qp.transform import lengths
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
@@ -165,10 +166,8 @@ class BoundTeleoperation:
         """Say which contact pair belongs to which pinch."""
         fingers = () if self.contacts is None else self.contacts.fingers
         self.base_margins = np.full(len(fingers), _LINK_MARGIN)
-        self.pinch_of_pair = np.array(
-            [self.pinched.index(f) if f in self.pinched else -1 for f in fingers], dtype=int
-        )
-        self.is_pinch_pair = self.pinch_of_pair >= 0
+        closing = [(k, self.pinched.index(f)) for k, f in enumerate(fingers) if f in self.pinched]
+        self.pinch_pairs, self.pinch_of_pair = np.array(closing, dtype=int).reshape(-1, 2).T
 
 
 class TeleoperationMap:
@@ -182,26 +181,29 @@ class TeleoperationMap:
             method.human, pair.robot, sample, robot, pair.human_knuckles, pair.robot_knuckles
         )
         self._palm_before = palm_of(sample, method.human)
-        self._thumb = pair.fingers.index(THUMB) if THUMB in pair.fingers else -1
-        self._others = [i for i, finger in enumerate(pair.fingers) if finger != THUMB]
-        self._human_partners = pair.human_rest[pair.partners]
-        self._pivot = pair.robot_centre
-        self._offsets = pair.robot_rest - self._pivot
+        # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
+        # thumb's.
+        thumb = pair.tips[[pair.fingers.index(THUMB) for _ in method.pinched]]
+        pinched = pair.tips[[pair.fingers.index(finger) for finger in method.pinched]]
+        self._from = np.concatenate([pair.knuckles, thumb])
+        self._to = np.concatenate([pair.tips, pinched])
+        # Terms of `_points` that no sample changes.
+        ratio, centroid = pair.finger_ratio, method.estimator.centroid
+        self._gain = method.choices.residual_gain * ratio
+        human = pair.human_rest[pair.partners] - centroid
+        self._offsets = pair.robot_rest - pair.robot_centre - self._gain * human
+        self._centre, self._shift = pair.robot_centre - ratio * centroid, ratio - self._gain
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
         method, pair = self._method, self._pair
         human_palm, palm = self._follower.palms(sample)
         now = (sample.points - human_palm[:3, 3]).dot(human_palm[:3, :3])
-        estimate = method.estimator.estimate(now[pair.shape_points])
+        estimate = method.estimator.estimate(now.take(pair.shape_points, 0))
         in_palm = self._points(estimate, now)
-        tips = now[pair.tips]
-        extensions = np.linalg.norm(tips - now[pair.knuckles], axis=1) / pair.human_reach
-        gaps = (
-            np.linalg.norm(tips[self._others] - tips[self._thumb], axis=1)
-            if method.pinched
-            else _NONE
-        )
+        distances = lengths(now.take(self._to, 0) - now.take(self._from, 0))
+        extensions = distances[: len(pair.fingers)] / pair.human_reach
+        gaps = distances[len(pair.fingers) :]
         pinching = smoothstep((method.pinch_from - gaps) / _PINCH_OVER)
         return Targets(
             in_palm.dot(palm[:3, :3].T) + palm[:3, 3],
@@ -214,15 +216,17 @@ class TeleoperationMap:
         )
 
     def _points(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
-        """Move the matched points by T, and add each finger's residual; palm axes, shape (m, 3)."""
-        pair, ratio = self._pair, self._pair.finger_ratio
-        shift = ratio * (estimate.centroid_after - estimate.centroid_before)
-        moved = self._offsets.dot(estimate.linear.T) + (self._pivot + shift)
-        partners_moved = (self._human_partners - estimate.centroid_before).dot(
-            estimate.linear.T
-        ) + estimate.centroid_after
-        residual = now[pair.partners] - partners_moved
-        return moved + self._method.choices.residual_gain * ratio * residual
+        """Move the matched points by T, and add each finger's residual; palm axes, shape (m, 3).
+
+        With s the robot's points and c_r their centre, x and y the human partners at rest and now,
+        c and c' the centroids, k the ratio of reaches and g the gain:
+        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`, ordered by A.
+        """
+        followed = now.take(self._pair.partners, 0)
+        followed *= self._gain
+        followed += self._offsets.dot(estimate.linear.T)
+        followed += self._centre + self._shift * estimate.centroid_after
+        return followed
 
     def _distance_task(
         self, extensions: np.ndarray, gaps: np.ndarray, pinching: np.ndarray
@@ -243,8 +247,8 @@ class TeleoperationMap:
         if method.contacts is None:
             return None
         wide = np.minimum(np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST)
-        margins, pinch = method.base_margins.copy(), method.is_pinch_pair
-        margins[pinch] = _CONTACT_MARGIN + wide[method.pinch_of_pair[pinch]]
+        margins = method.base_margins.copy()
+        margins[method.pinch_pairs] = _CONTACT_MARGIN + wide.take(method.pinch_of_pair)
         return margins
 
 
@@ -252,6 +256,3 @@ def smoothstep(x: np.ndarray) -> np.ndarray:
     """Go smoothly from 0 at 0 to 1 at 1."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)
-
-
-_NONE = np.zeros(0)
