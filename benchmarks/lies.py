@@ -11,11 +11,17 @@ from scipy.spatial.transform import Rotation
 from handmap_qp import load_hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.landmark_order import NAMED_ORDERS
+from handmap_qp.trackers.landmark_order import named_orders
 from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.transform import affine
 
 _RATE = 60.0
+_HANDS: tuple[tuple[Side, float | None], ...] = (
+    ("right", None),
+    ("left", None),
+    ("right", 0.17),
+    ("left", 0.21),
+)
 
 
 class Take(NamedTuple):
@@ -80,8 +86,8 @@ def all_lies() -> list[Lie]:
         Lie("wxyz read as xyzw", "wrist", lambda take: rotate(take, 1)),
         Lie("inverse wrist pose", "wrist", _inverse),
         *(
-            Lie(f"order {name.partition(' (')[0]}", "order", _ordered(np.array(order)))
-            for name, order in NAMED_ORDERS.items()
+            Lie(f"order of {name}", "order", _ordered(order))
+            for name, order in named_orders().items()
         ),
         Lie("thumb last", "order", _ordered(_finger_order(4, 0, 1, 2, 3))),
         Lie("little finger first", "order", _ordered(_finger_order(4, 3, 2, 1, 0))),
@@ -110,12 +116,7 @@ def is_visible(lie: Lie, take: Take) -> bool:
 
 def synthetic_takes() -> list[Take]:
     """Return motions of the human model through gestures, of both hands and several sizes."""
-    return [
-        model_take(side, length, seed)
-        for seed, (side, length) in enumerate(
-            [("right", None), ("left", None), ("right", 0.17), ("left", 0.21)]
-        )
-    ]
+    return [model_take(side, length, seed) for seed, (side, length) in enumerate(_HANDS)]
 
 
 def model_take(
@@ -136,7 +137,7 @@ def model_take(
     keys = [_gesture(rng, hand.rest, hand.joint_names) for _ in range(int(duration) + 2)]
     time = np.arange(int(duration * _RATE)) / _RATE
     turns = Rotation.from_rotvec(rng.normal(0.0, 0.8, (int(duration) + 2, 3)))
-    start = Rotation.random(random_state=seed)
+    start = Rotation.from_quat(rng.normal(size=4))
     landmarks, wrists = [], []
     for t in time:
         k, share = int(t), t % 1.0

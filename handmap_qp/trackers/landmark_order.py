@@ -10,27 +10,9 @@ import numpy as np
 
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.trackers.hand_geometry import all_distances, misfits_of_orders, palmar_evidence
+from handmap_qp.trackers.layout import all_layouts
+from handmap_qp.trackers.point_layout import PointLayout
 from handmap_qp.trackers.sample import LANDMARK_COUNT
-
-NAMED_ORDERS: dict[str, tuple[int, ...]] = {
-    "MANO's (wrist; index, middle, little, ring, thumb joints; five tips)": (
-        *(0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20),
-    ),
-    "SMPL-X's (index, middle, little, ring, thumb joints; five tips; wrist last)": (
-        *(20, 12, 13, 14, 15, 0, 1, 2, 16, 3, 4, 5, 17, 9, 10, 11, 18, 6, 7, 8, 19),
-    ),
-    "BigHand2.2M's (wrist; five knuckles; then each finger)": (
-        *(0, 1, 6, 7, 8, 2, 9, 10, 11, 3, 12, 13, 14, 4, 15, 16, 17, 5, 18, 19, 20),
-    ),
-    "InterHand2.6M's (each finger from the tip inwards; wrist last)": (
-        *(20, 3, 2, 1, 0, 7, 6, 5, 4, 11, 10, 9, 8, 15, 14, 13, 12, 19, 18, 17, 16),
-    ),
-    "RHD's (wrist; each finger from the tip inwards)": (
-        *(0, 4, 3, 2, 1, 8, 7, 6, 5, 12, 11, 10, 9, 16, 15, 14, 13, 20, 19, 18, 17),
-    ),
-    "one with the wrist last": (*(20, *range(20)),),
-}
-"""Orders by name: the index at which each landmark of `HumanSample` is found."""
 
 # A misfit that no hand has (`hand_geometry.own_misfit`): at most 1.2 in recordings.
 _NO_HAND = 1.45
@@ -52,6 +34,11 @@ class OrderGuess(NamedTuple):
     name: str
     misfit: float
     best: float
+
+
+def prepare() -> None:
+    """Read the tables of layouts now, so that the first batch of a session does not wait."""
+    _known_orders()
 
 
 def find_order(landmarks: np.ndarray, sign: float, own_evidence: float) -> OrderGuess | None:
@@ -87,12 +74,30 @@ def find_order(landmarks: np.ndarray, sign: float, own_evidence: float) -> Order
 
 
 @cache
+def named_orders() -> dict[str, np.ndarray]:
+    """Return the orders of all layouts with 21 joints, but for our own.
+
+    Returns:
+        By name of the layout, the index at which each of our landmarks is found, shape (21,).
+    """
+    found = {}
+    for layout in all_layouts():
+        if isinstance(layout, PointLayout) and layout.table.count == LANDMARK_COUNT:
+            order = layout.order("right")
+            if (order != np.arange(LANDMARK_COUNT)).any():
+                found[layout.name] = order
+    return found
+
+
+@cache
 def _known_orders() -> tuple[list[str], np.ndarray]:
     """Return names and indices of our own order, of the named ones, and of all finger orders."""
     names, rows = [""], [list(range(LANDMARK_COUNT))]
-    for name, order in NAMED_ORDERS.items():
-        names.append(name)
-        rows.append(list(order))
+    for name, order in named_orders().items():
+        names.append(f"that of the layout {name}")
+        rows.append(order.tolist())
+    names.append("one with the wrist last")
+    rows.append([20, *range(20)])
     for fingers in permutations(range(5)):
         if fingers == (0, 1, 2, 3, 4):
             continue

@@ -18,7 +18,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
-from handmap_qp.trackers.landmark_order import find_order
+from handmap_qp.trackers.landmark_order import find_order, prepare
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.trackers.units import find_length_unit, find_time_unit
@@ -72,6 +72,7 @@ class InputCheck:
 
     def __init__(self, side: Side) -> None:
         check_side(side)
+        prepare()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
         self._landmarks = np.empty((_BATCH, LANDMARK_COUNT, 3))

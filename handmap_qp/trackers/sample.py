@@ -13,6 +13,16 @@ from handmap_qp.transform import as_floats, check_pose
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
+LANDMARK_NAMES: tuple[str, ...] = (
+    "wrist",
+    *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),
+    *(
+        f"{finger}_{joint}"
+        for finger in ("index", "middle", "ring", "little")
+        for joint in ("mcp", "pip", "dip", "tip")
+    ),
+)
+"""Their names, in their order; the set `landmarks` of the human hand has the same ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -73,6 +73,7 @@ def test_real_hands_pass_and_mistakes_in_them_do_not(lies: ModuleType, recording
         recording = read_recording(file)
         assert examine_recording(recording) is None, file
         seen = recording.valid
+        assert recording.wrist is not None
         whole = lies.Take(
             file.stem,
             recording.time[seen],

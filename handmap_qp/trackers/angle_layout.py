@@ -1,0 +1,208 @@
+"""Layouts of joint angles: gloves, and angles of the human model by name.
+
+Angles become landmarks through the human model, as long as the person where lengths are given.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import InvalidInputError, did_you_mean
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.layout import (
+    UNITS,
+    Hands,
+    Layout,
+    LayoutTable,
+    WristTable,
+    sized_human,
+)
+from handmap_qp.transform import transform_points
+
+# No joint of a hand turns farther, so larger numbers are in degrees; and no hand is so straight
+# that all its angles are smaller, so smaller ones are in radians.
+_LARGEST_ANGLE = 3.2  # rad
+_STRAIGHTEST = 3.2  # deg
+_BACKWARDS = np.radians(-35.0)
+
+
+class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One angle.
+
+    Attributes:
+        name: Its name at the tracker.
+        joint: Joint of the human model that it turns.
+        scale: Sign and factor from it to the joint's angle.
+        offset: The joint's angle where it is zero, in the unit of the table.
+        aliases: Further names that it has.
+        default: Its value where a file lacks it; None if it is needed.
+    """
+
+    name: str
+    joint: str
+    scale: float = 1.0
+    offset: float = 0.0
+    aliases: tuple[str, ...] = ()
+    default: float | None = None
+
+
+class AngleTable(LayoutTable, frozen=True, forbid_unknown_fields=True, tag="angles", kw_only=True):
+    """A layout of joint angles.
+
+    Attributes:
+        angles: The angles, in their order.
+        wrist: Axes of a wrist pose that comes from another tracker.
+    """
+
+    angles: tuple[AngleEntry, ...]
+    wrist: WristTable | None = None
+
+
+class AngleLayout(Layout[AngleTable]):
+    """A layout of joint angles.
+
+    Args:
+        table: The table.
+
+    Raises:
+        InvalidInputError: If the table names no joint, or one twice.
+    """
+
+    def __init__(self, table: AngleTable) -> None:
+        self.table = table
+        joints = [entry.joint for entry in table.angles]
+        for joint in joints:
+            if joint not in HUMAN_JOINTS or joints.count(joint) > 1:
+                raise InvalidInputError(
+                    argument="angles",
+                    expected="joints of the human hand, each once",
+                    value=joint,
+                    advice=did_you_mean(joint, HUMAN_JOINTS),
+                )
+            if table.angles[joints.index(joint)].scale == 0.0:
+                raise InvalidInputError(argument=f"{joint}.scale", expected="not 0", value=0.0)
+        if table.unit not in ("deg", "rad"):
+            raise InvalidInputError(argument="unit", expected="deg or rad", value=table.unit)
+        self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
+        self._scales = np.array([entry.scale for entry in table.angles])
+        self._offsets = np.array([entry.offset for entry in table.angles])
+
+    @property
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """One number for every angle."""
+        return ((len(self.table.angles),),)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The names of the angles."""
+        return tuple(entry.name for entry in self.table.angles)
+
+    @property
+    def has_wrist(self) -> bool:
+        """Angles hold no wrist pose."""
+        return False
+
+    @property
+    def wrist_table(self) -> WristTable | None:
+        """How a wrist pose is obtained."""
+        return self.table.wrist
+
+    def aliases(self, index: int) -> tuple[str, ...]:
+        """Return further names of an angle."""
+        return self.table.angles[index].aliases
+
+    def default(self, index: int) -> float | None:
+        """Return the angle that stands for a missing one."""
+        return self.table.angles[index].default
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Describe every angle."""
+        unit = self.table.unit
+        return [
+            {
+                "index": i,
+                "angle": entry.name,
+                "joint of the human model": entry.joint,
+                f"joint [{unit}]": f"{entry.scale:+g} x angle"
+                + (f" {entry.offset:+g}" if entry.offset else ""),
+            }
+            for i, entry in enumerate(self.table.angles)
+        ]
+
+    def postures(self, values: np.ndarray) -> np.ndarray:
+        """Turn angles into those of the human model.
+
+        Args:
+            values: For T samples, shape (T, n).
+
+        Returns:
+            Joint angles in the order of `HUMAN_JOINTS` [rad], shape (T, 20); joints that the
+            tracker does not have are at 0.
+
+        Raises:
+            InvalidInputError: If they are in another unit, or fingers bend backwards.
+        """
+        q = np.zeros((len(values), len(HUMAN_JOINTS)))
+        q[:, self._joints] = UNITS[self.table.unit] * (self._scales * values + self._offsets)
+        self._check(values, q)
+        return q
+
+    def hands(
+        self,
+        values: np.ndarray,
+        side: Side,
+        wrists: np.ndarray | None = None,
+        lengths: HumanLengths | None = None,
+    ) -> Hands:
+        """Turn angles into landmarks by the human model; see `Layout.hands`."""
+        human = sized_human(side, lengths)
+        postures = np.clip(self.postures(values), human.lower_limits, human.upper_limits)
+        landmarks = np.array([human.points(q) for q in postures])
+        if wrists is not None:
+            landmarks = np.array(
+                [
+                    transform_points(wrist, points)
+                    for wrist, points in zip(wrists, landmarks, strict=True)
+                ]
+            )
+        return Hands(landmarks, wrists)
+
+    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+        """Return the angles of a posture; see `Layout.write_posture`."""
+        own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
+        return (own - self._offsets) / self._scales
+
+    def _check(self, values: np.ndarray, q: np.ndarray) -> None:
+        """Reject angles of the other unit, and those of a wrong sign."""
+        largest = float(np.abs(values).max(initial=0.0))
+        if self.table.unit == "rad" and largest > 2.0 * _LARGEST_ANGLE:
+            raise InvalidInputError(
+                argument="values",
+                expected="angles in radians",
+                got=f"{largest:.4g}",
+                advice="these are degrees: convert them, or set `unit: deg` in a table of your own",
+            )
+        if self.table.unit == "deg" and len(values) > 1 and 0.0 < largest < _STRAIGHTEST:
+            raise InvalidInputError(
+                argument="values",
+                expected="angles in degrees",
+                got=f"none above {largest:.3g}",
+                advice="these are radians: convert them, or set `unit: rad` in a table of your own",
+            )
+        bends = [i for i, name in enumerate(HUMAN_JOINTS) if name.endswith("PIP_flexion")]
+        backwards = (q[:, bends] < _BACKWARDS).all(axis=1)
+        if backwards.any():
+            sample = int(np.argmax(backwards))
+            degrees = float(np.degrees(q[sample, bends].mean()))
+            raise InvalidInputError(
+                argument="values",
+                expected="flexion with a positive sign",
+                got=f"middle joints bent backwards by {-degrees:.0f} deg in sample {sample}",
+                advice="turn the sign of the flexion angles",
+            )

@@ -1,0 +1,513 @@
+"""`Layout`: how a tracker lays out one sample of a hand, and the layouts by name or by file.
+
+A layout is a table, a YAML file in `layouts/` or one of the user's own, not code: the order of the
+joints, their unit and axes, how the wrist's pose is obtained, and what the tracker does not give.
+There are three kinds of them: points or poses of joints (`point_layout`), joint angles
+(`angle_layout`) and optical markers (`marker_layout`).
+
+    layout = load_layout("openxr26")
+    sample = layout.read(poses, time=0.0, side="right")     # a HumanSample
+    values = layout.write(sample)                           # the same in the layout's own form
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import InvalidInputError, did_you_mean
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.trackers.landmarks import LandmarkFitter, human_name
+from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.trackers.wrist_axes import axes_convention
+from handmap_qp.transform import check_pose, check_poses, poses_from_quats
+
+Unit = Literal["m", "cm", "mm", "deg", "rad"]
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+QuatOrder = Literal["xyzw", "wxyz"]
+UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "rad": 1.0, "deg": np.pi / 180.0}
+"""Size of a unit in metres or radians."""
+TYPICAL_LENGTH = 0.19
+"""Length of the hand that angles and markers are read with where no person was measured [m]."""
+
+_FOLDER = Path(__file__).with_name("layouts")
+
+
+class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The anatomical directions in a wrist's own axes.
+
+    Attributes:
+        distal: To the fingertips.
+        dorsal: Out of the back of the hand.
+    """
+
+    distal: Axis
+    dorsal: Axis
+
+    def rotation(self, mirror: np.ndarray) -> np.ndarray:
+        """Return the rotation from the wrist's axes to ours, shape (3, 3).
+
+        Args:
+            mirror: Diagonal of the reflection that makes the data right-handed, shape (3,).
+        """
+        return axes_convention(_direction(self.distal) * mirror, _direction(self.dorsal) * mirror)
+
+
+class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How a wrist pose is obtained.
+
+    Attributes:
+        right: Axes of a right wrist.
+        left: Axes of a left wrist; those of the right one if omitted.
+        joint: Joint whose pose it is; None if it comes beside the values (`wrist=`).
+        quaternion: Order of a quaternion that stands for its orientation.
+    """
+
+    right: AxesTable
+    left: AxesTable | None = None
+    joint: str | None = None
+    quaternion: QuatOrder = "xyzw"
+
+    def axes(self, side: Side) -> AxesTable:
+        """Return the axes of a side."""
+        return self.right if side == "right" or self.left is None else self.left
+
+
+class LayoutTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """What the tables of all kinds of layouts say.
+
+    Attributes:
+        name: Short name, by which `--layout` chooses it.
+        title: Device or data set, and its programming interface.
+        sources: Public documents that the facts were taken from.
+        unit: Unit of lengths or angles.
+        axes: Directions of the world's axes, in words.
+        values: What one sample is, in words.
+        missing: What the tracker does not give.
+        mirror: Axis to negate, where the coordinates are left-handed; None where they are not.
+        arrays: Names that a file's array of these values usually has.
+        time: Names that a table's column of time usually has, with the length of its unit [s].
+    """
+
+    name: str
+    title: str
+    sources: tuple[str, ...]
+    unit: Unit
+    axes: str
+    values: str
+    missing: tuple[str, ...] = ()
+    mirror: Literal["x", "y", "z"] | None = None
+    arrays: tuple[str, ...] = ()
+    time: dict[str, float] = msgspec.field(default_factory=dict)
+
+    @property
+    def reflection(self) -> np.ndarray:
+        """Diagonal of the reflection that makes the coordinates right-handed, shape (3,)."""
+        return np.array([-1.0 if axis == self.mirror else 1.0 for axis in "xyz"])
+
+
+Table = TypeVar("Table", bound=LayoutTable, covariant=True)
+
+
+class Hands(NamedTuple):
+    """Samples of one hand as arrays.
+
+    Attributes:
+        landmarks: Landmarks in our order [m], shape (T, 21, 3).
+        wrists: Wrist poses with our axes, shape (T, 4, 4); None if there are none.
+    """
+
+    landmarks: np.ndarray
+    wrists: np.ndarray | None
+
+
+class Layout(abc.ABC, Generic[Table]):
+    """A tracker's form of samples.
+
+    Attributes:
+        name: Short name.
+        title: Device or data set.
+        table: All that the table says.
+    """
+
+    table: Table
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return self.table.name
+
+    @property
+    def title(self) -> str:
+        """Device or data set, and its programming interface."""
+        return self.table.title
+
+    @property
+    @abc.abstractmethod
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes that one sample may have, the usual one first."""
+
+    @property
+    @abc.abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """Names of the numbers of one sample in a table of columns."""
+
+    @property
+    @abc.abstractmethod
+    def has_wrist(self) -> bool:
+        """Whether the values hold a wrist pose."""
+
+    @abc.abstractmethod
+    def rows(self) -> list[dict[str, Any]]:
+        """Describe every entry: index, name and meaning."""
+
+    @abc.abstractmethod
+    def hands(
+        self,
+        values: np.ndarray,
+        side: Side,
+        wrists: np.ndarray | None = None,
+        lengths: HumanLengths | None = None,
+    ) -> Hands:
+        """Turn values into landmarks and wrist poses.
+
+        Args:
+            values: In one of `shapes`, for T samples, finite, shape (T, ...).
+            side: Which hand.
+            wrists: Wrist poses that came beside the values, with our axes, shape (T, 4, 4).
+            lengths: The person's lengths, for angles and markers; typical ones if omitted.
+
+        Raises:
+            InvalidInputError: If the numbers cannot be of this layout.
+        """
+
+    @abc.abstractmethod
+    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+        """Return values of the human hand in a posture.
+
+        Args:
+            human: The human hand; `load_hand("human")`, with any lengths.
+            q: Joint angles in the order of `HUMAN_JOINTS` [rad], shape (20,).
+            wrist: Pose of its wrist, shape (4, 4).
+
+        Returns:
+            Values in the usual one of `shapes`.
+        """
+
+    def write(self, sample: HumanSample) -> np.ndarray:
+        """Return the values of a sample; angles and markers are of the fitted human model.
+
+        Raises:
+            InvalidInputError: If the sample is not valid, or no hand.
+        """
+        if not sample.valid:
+            raise InvalidInputError(argument="sample", expected="a valid sample", got="another")
+        fitter = LandmarkFitter(sample.side)
+        q, wrist, _ = fitter.fit(sample.landmarks)
+        return self.write_posture(fitter.human, q, wrist)
+
+    def read(
+        self,
+        values: npt.ArrayLike | Mapping[str, float],
+        *,
+        time: float,
+        side: Side,
+        wrist: npt.ArrayLike | None = None,
+        valid: bool = True,
+        confidence: float = 1.0,
+        lengths: HumanLengths | None = None,
+    ) -> HumanSample:
+        """Turn one sample into the form that everything behind takes.
+
+        Args:
+            values: In one of `shapes`; with names, a dictionary from `columns` to numbers.
+            time: Instant [s].
+            side: Which hand.
+            wrist: Wrist pose that comes beside the values, in the tracker's own axes: a pose of
+                shape (4, 4), or position and quaternion of shape (7,).
+            valid: Whether the tracker saw the hand.
+            confidence: The tracker's own confidence, from 0 to 1.
+            lengths: The person's lengths, for angles and markers; typical ones if omitted.
+
+        Raises:
+            InvalidInputError: If the values are not of this layout; the message names the layouts
+                that have their shape.
+        """
+        check_side(side)
+        if isinstance(values, Mapping):
+            found = self.find_columns(tuple(values), side)
+            values = np.array([self.default(i) if n is None else values[n] for i, n in found])
+        array = self._checked(np.asarray(values)[None] if np.ndim(values) else values)
+        pose = None if wrist is None else self._own_wrists(np.asarray(wrist)[None], side)
+        is_seen = bool(valid) and bool(np.isfinite(array).all())
+        if not is_seen:
+            return HumanSample(time, side, np.full((21, 3), np.nan), None, False, confidence)
+        landmarks, wrists = self.hands(array, side, pose, lengths)
+        found = None if wrists is None else wrists[0]
+        return HumanSample(time, side, landmarks[0], found, True, confidence)
+
+    def record(
+        self,
+        name: str,
+        time: npt.ArrayLike,
+        values: npt.ArrayLike,
+        side: Side,
+        *,
+        wrists: npt.ArrayLike | None = None,
+        valid: np.ndarray | None = None,
+        lengths: HumanLengths | None = None,
+    ) -> Recording:
+        """Turn the samples of a file into a recording.
+
+        Args:
+            name: Name of the recording.
+            time: Instants [s], shape (T,).
+            values: In one of `shapes`, for every sample; not finite where the hand was not seen.
+            side: Which hand.
+            wrists: Wrist poses beside the values, as of `read`, shape (T, 4, 4) or (T, 7).
+            valid: Samples in which the hand was seen, shape (T,); the finite ones if omitted.
+            lengths: The person's lengths, for angles and markers.
+
+        Raises:
+            InvalidInputError: As of `read` and of `Recording`.
+        """
+        check_side(side)
+        array = self._checked(values)
+        seen = np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        if valid is not None:
+            seen = np.logical_and(seen, valid)
+        landmarks = np.full((len(array), 21, 3), np.nan)
+        poses = None if wrists is None else self._own_wrists(np.asarray(wrists), side, seen)
+        found: np.ndarray | None = None
+        if seen.any():
+            own = self.hands(array[seen], side, None if poses is None else poses[seen], lengths)
+            landmarks[seen] = own.landmarks
+            if own.wrists is not None:
+                found = np.tile(np.eye(4), (len(array), 1, 1))
+                found[seen] = own.wrists
+        times = np.asarray(time, dtype=float)
+        return Recording(name, times, landmarks, seen, side, f"layout {self.name}", wrist=found)
+
+    def find_columns(
+        self, names: tuple[str, ...], side: Side
+    ) -> tuple[tuple[int, str | None], ...]:
+        """Find the numbers of one sample among named ones.
+
+        A name may have more before it, such as `RightFinger`, where it names no other side.
+
+        Args:
+            names: The names at hand.
+            side: Which hand.
+
+        Returns:
+            Index in `columns` and name at hand; None where `default` stands for it.
+
+        Raises:
+            InvalidInputError: If one is missing.
+        """
+        other = "left" if side == "right" else "right"
+        own = [name for name in names if other not in name.lower()]
+        found: list[tuple[int, str | None]] = []
+        for i, column in enumerate(self.columns):
+            wanted = (column, *self.aliases(i))
+            name = next((name for name in wanted if name in names), None)
+            if name is None:
+                name = next((n for n in own if n.lower().endswith(column.lower())), None)
+            if name is None and self.default(i) is None:
+                got = f"none; {did_you_mean(column, own)}".rstrip("; ")
+                raise InvalidInputError(argument="values", expected=f"a column {column}", got=got)
+            found.append((i, name))
+        return tuple(found)
+
+    def aliases(self, index: int) -> tuple[str, ...]:
+        """Return further names of a column."""
+        return ()
+
+    def default(self, index: int) -> float | None:
+        """Return what stands for a column that is missing; None where it is needed."""
+        return None
+
+    def write_wrist(self, wrist: np.ndarray, side: Side) -> np.ndarray | None:
+        """Return a wrist pose in the tracker's own axes and unit, as `read` takes it.
+
+        Args:
+            wrist: The pose with our axes [m], shape (4, 4).
+            side: Which hand.
+
+        Returns:
+            The pose, shape (4, 4); None for a tracker that has none beside its values.
+        """
+        table = self.wrist_table
+        if table is None or self.has_wrist:
+            return None
+        axes = table.axes(side)
+        return from_own_axes(wrist[None], axes, self.table.reflection, self._length)[0]
+
+    @property
+    def wrist_table(self) -> WristTable | None:
+        """How a wrist pose is obtained; None if it cannot be."""
+        return None
+
+    @property
+    def _length(self) -> float:
+        """The unit of lengths [m]."""
+        return 1.0 if self.table.unit in ("deg", "rad") else UNITS[self.table.unit]
+
+    def _checked(self, values: npt.ArrayLike) -> np.ndarray:
+        """Return samples as floats in one of the shapes of this layout."""
+        try:
+            array = np.asarray(values, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError(argument="values", expected="numbers", value=values) from error
+        shape = array.shape[1:]
+        if shape in self.shapes:
+            return array
+        for own in self.shapes:
+            if shape == (int(np.prod(own)),):
+                return array.reshape(len(array), *own)
+        others = [layout.name for layout in all_layouts() if shape in layout.shapes]
+        raise InvalidInputError(
+            argument="values",
+            expected=f"a sample of {self.name}, {' or '.join(map(str, self.shapes))}",
+            got=f"shape {shape}",
+            advice=f"that is the shape of {', '.join(others)}" if others else "",
+        )
+
+    def _own_wrists(
+        self, values: np.ndarray, side: Side, seen: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return poses that came beside the values, with our axes, shape (T, 4, 4)."""
+        table = self.wrist_table
+        if table is None:
+            raise InvalidInputError(
+                argument="wrist", expected=f"none: {self.name} says nothing about its axes"
+            )
+        if values.shape[1:] == (7,):
+            order = [3, 4, 5, 6] if table.quaternion == "wxyz" else [6, 3, 4, 5]
+            values = poses_from_quats(values[:, :3], values[:, order], "wrist")
+        elif seen is None:
+            values = check_pose(values[0], "wrist")[None]
+        else:
+            values = check_poses(values, "wrist", seen)
+        return to_own_axes(values, table.axes(side), self.table.reflection, self._length)
+
+
+def to_own_axes(
+    poses: np.ndarray, axes: AxesTable, reflection: np.ndarray, scale: float
+) -> np.ndarray:
+    """Turn a tracker's wrist poses into poses with our axes (+y distal, +z dorsal).
+
+    Args:
+        poses: In the tracker's unit and world, shape (T, 4, 4).
+        axes: The anatomical directions in the wrist's own axes.
+        reflection: Diagonal that makes the coordinates right-handed, shape (3,).
+        scale: The tracker's unit [m].
+
+    Returns:
+        Poses [m], shape (T, 4, 4).
+    """
+    own = np.array(poses, dtype=float)
+    own[:, :3, :3] = reflection[:, None] * own[:, :3, :3] * reflection
+    own[:, :3, :3] = own[:, :3, :3] @ axes.rotation(reflection).T
+    own[:, :3, 3] *= scale * reflection
+    return own
+
+
+def from_own_axes(
+    poses: np.ndarray, axes: AxesTable, reflection: np.ndarray, scale: float
+) -> np.ndarray:
+    """Undo `to_own_axes`."""
+    theirs = np.array(poses, dtype=float)
+    theirs[:, :3, :3] = theirs[:, :3, :3] @ axes.rotation(reflection)
+    theirs[:, :3, :3] = reflection[:, None] * theirs[:, :3, :3] * reflection
+    theirs[:, :3, 3] *= reflection / scale
+    return theirs
+
+
+@cache
+def typical_human(side: Side) -> Hand:
+    """Return the human hand that angles and markers are read with, its points the landmarks."""
+    return load_hand(human_name(side), points="landmarks", hand_length=TYPICAL_LENGTH)
+
+
+def sized_human(side: Side, lengths: HumanLengths | None) -> Hand:
+    """Return the human hand of a person, or a typical one."""
+    if lengths is None:
+        return typical_human(side)
+    return load_hand(human_name(side), points="landmarks", lengths=lengths)
+
+
+def layout_names() -> tuple[str, ...]:
+    """Return the names of the layouts of the package."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
+
+
+@cache
+def all_layouts() -> tuple[Layout, ...]:
+    """Return all layouts of the package."""
+    return tuple(load_layout(name) for name in layout_names())
+
+
+def load_layout(layout: str | Path | Layout) -> Layout:
+    """Load a layout.
+
+    Args:
+        layout: Name of a layout of the package, path of a table (`.yaml`), or a layout.
+
+    Raises:
+        InvalidInputError: If there is no such layout, or the table is not one.
+    """
+    if isinstance(layout, Layout):
+        return layout
+    if not isinstance(layout, str | Path):
+        raise InvalidInputError(argument="layout", expected="a name or a path", value=layout)
+    names = layout_names()
+    if str(layout) in names:
+        return _load(_FOLDER / f"{layout}.yaml")
+    file = Path(layout)
+    if file.suffix not in (".yaml", ".yml"):
+        raise InvalidInputError(
+            argument="layout",
+            expected=f"one of {', '.join(names)}, or the path of a table (.yaml)",
+            value=str(layout),
+            advice=did_you_mean(str(layout), names).strip(),
+        )
+    return _load(file)
+
+
+def _load(file: Path) -> Layout:
+    # Imported when used: the kinds of layouts build on this module.
+    from handmap_qp.trackers.angle_layout import AngleLayout, AngleTable
+    from handmap_qp.trackers.marker_layout import MarkerLayout, MarkerTable
+    from handmap_qp.trackers.point_layout import PointLayout, PointTable
+
+    try:
+        text = file.read_bytes()
+        table = msgspec.yaml.decode(text, type=PointTable | AngleTable | MarkerTable)
+        if isinstance(table, PointTable):
+            return PointLayout(table)
+        return AngleLayout(table) if isinstance(table, AngleTable) else MarkerLayout(table)
+    except OSError as error:
+        problem = f"{file}: cannot be read: {error.strerror or error}"
+        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
+    except InvalidInputError as error:
+        problem = f"{file}: {error}"
+        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
+    except (ValueError, TypeError) as error:  # yaml's and msgspec's errors
+        problem = f"{file}: {' '.join(str(error).split())}"
+        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
+
+
+def _direction(axis: Axis) -> np.ndarray:
+    return (1.0 if axis[0] == "+" else -1.0) * np.eye(3)["xyz".index(axis[1])]

@@ -1,0 +1,160 @@
+"""Layouts of optical markers: names of markers on the links of the human model, which is fitted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import PointSpec, Side, Vector
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.trackers.layout import TYPICAL_LENGTH, UNITS, Hands, Layout, LayoutTable
+from handmap_qp.transform import rigid_fit, transform_points
+
+# A left hand is fitted as its mirror image: places on links are those of a right hand.
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+_FIT = IkOptions(
+    rest_weight=0.01,
+    damping=0.02,
+    max_iterations=60,
+    step_tolerance=1e-5,
+    wrist_position_weight=0.0,
+    wrist_orientation_weight=0.0,
+)
+
+
+class MarkerEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One marker.
+
+    Attributes:
+        name: Its label.
+        link: Link of the right human hand that carries it.
+        xyz: Its place in the link's axes [m]: x along the bone, y palmar and z radial on fingers;
+            on the palm, y distal and z dorsal.
+    """
+
+    name: str
+    link: str
+    xyz: Vector
+
+
+class MarkerTable(
+    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="markers", kw_only=True
+):
+    """A layout of markers.
+
+    Attributes:
+        markers: The markers, in their order.
+    """
+
+    markers: tuple[MarkerEntry, ...]
+
+
+class MarkerLayout(Layout[MarkerTable]):
+    """A layout of markers.
+
+    Args:
+        table: The table.
+
+    Raises:
+        InvalidInputError: If a marker is on no link, or fewer than three are on the palm.
+    """
+
+    def __init__(self, table: MarkerTable) -> None:
+        self.table = table
+        names = [entry.name for entry in table.markers]
+        if len(set(names)) < len(names):
+            raise InvalidInputError(argument="markers", expected="different names", value=names)
+        self._points = tuple(
+            PointSpec(f"marker {entry.name}", entry.link, entry.xyz) for entry in table.markers
+        )
+        self._on_palm = np.flatnonzero([entry.link == "palm" for entry in table.markers])
+        if len(self._on_palm) < 3:
+            expected, got = "three markers on the palm", f"{len(self._on_palm)}"
+            raise InvalidInputError(argument="markers", expected=expected, got=got)
+
+    @property
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """A position for every marker."""
+        return ((len(self.table.markers), 3),)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """`MARKER_x` and so on."""
+        return tuple(f"{entry.name}_{axis}" for entry in self.table.markers for axis in "xyz")
+
+    @property
+    def has_wrist(self) -> bool:
+        """The wrist's pose is fitted."""
+        return True
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Describe every marker."""
+        return [
+            {
+                "index": i,
+                "marker": entry.name,
+                "link of the human model": entry.link,
+                "place on it [mm]": ", ".join(f"{1e3 * value:g}" for value in entry.xyz),
+            }
+            for i, entry in enumerate(self.table.markers)
+        ]
+
+    def hands(
+        self,
+        values: np.ndarray,
+        side: Side,
+        wrists: np.ndarray | None = None,
+        lengths: HumanLengths | None = None,
+    ) -> Hands:
+        """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
+        mirror = np.ones(3) if side == "right" else _MIRROR
+        human = self._human(lengths)
+        palm = human.points(human.rest)[self._on_palm]
+        landmarks = human.with_points("landmarks")
+        ik = PointIk(human, _FIT)
+        markers = values * (UNITS[self.table.unit] * self.table.reflection * mirror)
+        found, poses = [], []
+        for i, sample in enumerate(markers):
+            if i == 0:
+                wrist = rigid_fit(palm, sample[self._on_palm])
+                ik.place(human.configuration_vector(human.rest, wrist))
+            ik.solve(sample, None, 1.0)
+            pose = ik.configuration.wrist.homogeneous
+            points = landmarks.points(ik.configuration.q[human.q_indices])
+            found.append(transform_points(pose, points) * mirror)
+            poses.append(pose)
+        reflection = np.diag([*mirror, 1.0])
+        return Hands(np.array(found), reflection @ np.array(poses) @ reflection)
+
+    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+        """Return the markers on the human hand; see `Layout.write_posture`.
+
+        Those of a left hand are the mirror image of those of the right one in the same posture.
+        """
+        mirror = np.ones(3) if human.spec.side == "right" else _MIRROR
+        points = self._human(_lengths_of(human)).points(q) * mirror
+        world = transform_points(wrist, points)
+        return world * self.table.reflection / UNITS[self.table.unit]
+
+    def _human(self, lengths: HumanLengths | None) -> Hand:
+        """Return the right human hand with the markers as its reference points."""
+        if lengths is None:
+            return load_hand("human", points=self._points, hand_length=TYPICAL_LENGTH)
+        return load_hand("human", points=self._points, lengths=lengths)
+
+
+def _lengths_of(human: Hand) -> HumanLengths:
+    """Return the lengths of a human hand, as a right one."""
+    landmarks = human.with_points("landmarks").points(np.zeros(len(human.joint_names)))
+    chains = landmarks[1:].reshape(5, 4, 3)
+    if human.spec.side == "left":
+        chains = chains * _MIRROR
+    return HumanLengths(chains[:, 0], np.linalg.norm(np.diff(chains, axis=1), axis=2))

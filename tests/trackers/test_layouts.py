@@ -1,0 +1,302 @@
+"""Every layout gives back the human model's own posture; what is not of a layout is rejected."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from handmap_qp import InvalidInputError, RecordingError, read_recording
+from handmap_qp.hands.human import HUMAN_JOINTS
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.layout import (
+    Layout,
+    all_layouts,
+    layout_names,
+    load_layout,
+    typical_human,
+)
+from handmap_qp.trackers.layout_files import read_with_layout
+from handmap_qp.trackers.plausibility import examine_recording
+from handmap_qp.trackers.point_layout import PointLayout
+from handmap_qp.trackers.wrist_axes import palm_axes
+from handmap_qp.transform import affine, transform_points
+
+SIDES: tuple[Side, ...] = ("right", "left")
+TABLES = Path(__file__).resolve().parents[2] / "handmap_qp" / "trackers" / "layouts"
+
+
+def posture(side: Side, seed: int = 0, bend: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """A posture near rest and a wrist pose."""
+    human, rng = typical_human(side), np.random.default_rng(seed)
+    q = np.clip(bend * human.rest + rng.normal(0, 0.12, 20), human.lower_limits, human.upper_limits)
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    return q, affine(turn, np.array([0.3, 1.1, -0.2]))
+
+
+@cache
+def bending() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """A second of a bending hand at 60 Hz."""
+    shares = np.linspace(0.0, 1.0, 60)
+    return tuple(posture("right", seed=5, bend=0.6 + 0.8 * share) for share in shares)
+
+
+def truth(side: Side, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+    return transform_points(wrist, typical_human(side).points(q))
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("layout", all_layouts(), ids=lambda layout: layout.name)
+def test_a_posture_of_the_model_comes_back(layout: Layout, side: Side) -> None:
+    q, wrist = posture(side)
+    values = layout.write_posture(typical_human(side), q, wrist)
+    assert values.shape == layout.shapes[0]
+    beside = layout.write_wrist(wrist, side)
+    sample = layout.read(values, time=2.0, side=side, wrist=beside)
+    assert (sample.time, sample.side, sample.valid) == (2.0, side, True)
+    expected = wrist
+    if layout.wrist_table is None and not layout.has_wrist:
+        assert sample.wrist is None
+    else:
+        assert sample.wrist is not None
+        np.testing.assert_allclose(sample.wrist, expected, atol=1e-4)
+    # Markers are fitted iteratively; all others are exact.
+    tolerance = 1e-5 if layout.name.startswith("markers") else 1e-12
+    np.testing.assert_allclose(sample.landmarks, truth(side, q, wrist), atol=tolerance)
+
+
+@pytest.mark.parametrize("layout", all_layouts(), ids=lambda layout: layout.name)
+def test_a_sample_comes_back_and_flat_rows_are_read(layout: Layout) -> None:
+    q, wrist = posture("right", seed=1)
+    sample = load_layout("mediapipe21").read(truth("right", q, wrist), time=0.0, side="right")
+    values = layout.write(sample)
+    again = layout.read(
+        values.ravel(), time=0.0, side="right", wrist=layout.write_wrist(wrist, "right")
+    )
+    # Angles and markers go through a fit of a hand of other lengths, and their wrist through a palm
+    # fit: compare shapes, which are distances.
+    is_exact = isinstance(layout, PointLayout)
+    gaps = [
+        np.linalg.norm(points[[4, 8, 12, 16, 20]] - points[0], axis=1)
+        for points in (again.landmarks, sample.landmarks)
+    ]
+    np.testing.assert_allclose(*gaps, atol=1e-9 if is_exact else 0.03)
+
+
+@pytest.mark.parametrize("name", ["openxr26", "unity26", "visionpro27", "webxr25"])
+def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
+    layout = load_layout(name)
+    assert isinstance(layout, PointLayout)
+    q, wrist = posture("left", seed=2)
+    human = typical_human("left")
+    for size in layout.table.poses:
+        table = msgspec.structs.replace(layout.table, poses=(size,))
+        values = PointLayout(table).write_posture(human, q, wrist)
+        sample = layout.read(values, time=0.0, side="left")
+        np.testing.assert_allclose(sample.landmarks, truth("left", q, wrist), atol=1e-12)
+        assert (sample.wrist is None) == (size == 3)
+        if sample.wrist is not None:
+            np.testing.assert_allclose(sample.wrist, wrist, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> None:
+    file = recordings / f"quest3_webxr_{side}.npz"
+    arrays, recording = np.load(file), read_recording(file)
+    poses = arrays["joints_pose"][recording.valid][:, :, [0, 1, 2, 4, 5, 6, 3]]  # to xyzw
+    hands = load_layout("webxr25").hands(poses, side)
+    np.testing.assert_allclose(hands.landmarks, recording.landmarks[recording.valid], atol=1e-9)
+    assert hands.wrists is not None
+    sign = 1.0 if side == "right" else -1.0
+    palms = palm_axes(hands.landmarks, sign)
+    turns = Rotation.from_matrix(palms.transpose(0, 2, 1) @ hands.wrists[:, :3, :3]).magnitude()
+    # The wrist's axes are ours, but for what trackers mean by distal.
+    assert np.degrees(turns).max() < 15.0
+
+
+def test_shape_errors_name_the_layouts_of_that_shape() -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        load_layout("webxr25").read(np.zeros((26, 3)), time=0.0, side="right")
+    assert caught.value.argument == "values"
+    assert "leap26, openxr26, unity26" in str(caught.value)
+    with pytest.raises(InvalidInputError, match="shape"):
+        load_layout("manus").read(np.zeros((19,)), time=0.0, side="right")
+    for values in ("points", None, 3.0, [[1.0, "x"]]):
+        with pytest.raises(InvalidInputError):
+            load_layout("mediapipe21").read(values, time=0.0, side="right")  # type: ignore[arg-type]
+
+
+def test_degrees_radians_and_signs_of_angles_are_found() -> None:
+    q, wrist = posture("right")
+    rows = np.array([q, posture("right", seed=3)[0]])
+    angles, manus = load_layout("angles20"), load_layout("manus")
+    time = [0.0, 0.02]
+    degrees = np.degrees(rows) * (1.0 + np.arange(2)[:, None])
+    with pytest.raises(InvalidInputError, match="these are degrees"):
+        angles.record("a", time, degrees, "right")
+    glove = np.array([manus.write_posture(typical_human("right"), row, wrist) for row in rows])
+    manus.record("a", time, glove, "right")
+    with pytest.raises(InvalidInputError, match="these are radians"):
+        manus.record("a", time, np.radians(glove), "right")
+    with pytest.raises(InvalidInputError, match="turn the sign"):
+        manus.record("a", time, -1.5 * glove, "right")
+
+
+def test_angles_are_found_by_name_with_aliases_prefixes_and_defaults() -> None:
+    manus = load_layout("manus")
+    q, wrist = posture("left", seed=4)
+    q[HUMAN_JOINTS.index("index_MCP_abduction")] = 0.0
+    values = manus.write_posture(typical_human("left"), q, wrist)
+    named: dict[str, Any] = dict(zip(manus.columns, values.tolist(), strict=True))
+    plain = manus.read(named, time=0.0, side="left")
+    del named["IndexMCPSpread"]  # as of a ROS 2 node that leaves it out
+    prefixed = {f"LeftFinger{name}": value for name, value in named.items()}
+    prefixed |= {f"RightFinger{name}": 0.0 for name in named}
+    aliased = {name: value for name, value in named.items() if name != "MiddleMCPSpread"}
+    aliased["Middle_MCP_Spread"] = named["MiddleMCPSpread"]
+    for values in (prefixed, aliased):
+        sample = manus.read(values, time=0.0, side="left")
+        np.testing.assert_allclose(sample.landmarks, plain.landmarks, atol=1e-12)
+    del named["RingPIPStretch"]
+    with pytest.raises(InvalidInputError, match="a column RingPIPStretch"):
+        manus.read(named, time=0.0, side="left")
+
+
+def test_a_table_of_ones_own_is_one_file(tmp_path: Path) -> None:
+    text = (TABLES / "angles20.yaml").read_text(encoding="utf-8")
+    own = tmp_path / "mine.yaml"
+    own.write_text(text.replace("unit: rad", "unit: deg").replace("name: angles20", "name: mine"))
+    q, _ = posture("right")
+    sample = load_layout(own).read(np.degrees(q), time=0.0, side="right")
+    np.testing.assert_allclose(sample.landmarks, truth("right", q, np.eye(4)), atol=1e-12)
+    for old, new, word in (
+        ("unit: rad", "unit: furlong", "unit"),
+        ("kind: angles", "kind: guess", "kind"),
+        ("joint: thumb_TM_flexion", "joint: thumb_TM_flection", "did you mean thumb_TM_flexion"),
+        ("values:", "value:", "value"),
+        ("name: angles20", "name: [", str(own)),
+    ):
+        own.write_text(text.replace(old, new, 1))
+        with pytest.raises(InvalidInputError) as caught:
+            load_layout(own)
+        assert word in str(caught.value)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InvalidInputError, match="did you mean openxr26"):
+        load_layout("openxr")
+    with pytest.raises(InvalidInputError, match="cannot be read"):
+        load_layout(tmp_path / "none.yaml")
+
+
+def test_every_table_has_sources_and_says_what_it_lacks() -> None:
+    assert len(layout_names()) >= 15
+    for layout in all_layouts():
+        assert layout.name in layout_names()
+        assert layout.table.sources
+        assert layout.table.axes
+        assert layout.table.values
+        assert len(layout.rows()) >= 13
+        if not layout.has_wrist:
+            assert any("wrist" in item or "place" in item for item in layout.table.missing)
+
+
+def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
+    """A bending hand in a layout's own form."""
+    human = typical_human("right")
+    values = np.array([layout.write_posture(human, q, wrist) for q, wrist in bending()])
+    arrays = {
+        "time": np.arange(60) / 60.0,
+        layout.table.arrays[0]: values,
+        "handedness": np.array("right"),
+        **changes,
+    }
+    path = folder / "hand.npz"
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    return path
+
+
+@pytest.mark.parametrize("layout", all_layouts(), ids=lambda layout: layout.name)
+def test_files_in_a_layout_are_read_and_plausible(layout: Layout, tmp_path: Path) -> None:
+    if layout.name.startswith("markers"):
+        pytest.skip("sixty fits; test_a_posture_of_the_model_comes_back has them")
+    recording = read_with_layout(file_of(tmp_path, layout), layout)
+    q, wrist = posture("right", seed=5, bend=0.6)
+    expected = truth("right", q, wrist)
+    if not layout.has_wrist and layout.table.unit in ("deg", "rad"):
+        expected = truth("right", q, np.eye(4))
+    if layout.name != "visionpro25":
+        np.testing.assert_allclose(recording.landmarks[0], expected, atol=1e-9)
+    assert examine_recording(recording) is None
+
+
+@pytest.mark.parametrize(
+    ("written", "read", "named"),
+    [
+        ("leap26", "openxr26", "unit"),
+        ("unity26", "openxr26", "unity26"),
+        ("mano21", "mediapipe21", "mano21"),
+        ("interhand21", "bighand21", "interhand21"),
+        ("mediapipe21", "rhd21", "mediapipe21"),
+    ],
+)
+def test_a_file_in_another_layout_is_refused_and_named(
+    written: str, read: str, named: str, tmp_path: Path
+) -> None:
+    layout = load_layout(written)
+    path = file_of(tmp_path, layout)
+    if written == "leap26":  # the same shape only as positions
+        named = "leap26"
+    if written == "unity26":  # palm and wrist exchanged, and left-handed
+        arrays = dict(np.load(path))
+        np.savez(path, **(arrays | {"joints": arrays["joints"][:, :, :3]}))
+    with pytest.raises(RecordingError) as caught:
+        read_with_layout(path, load_layout(read))
+    assert f"--layout {named}" in str(caught.value) or f" or {named}" in str(caught.value)
+
+
+def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
+    manus = load_layout("manus")
+    rows = []
+    for i, share in enumerate(np.linspace(0.0, 1.0, 40)):
+        q, wrist = posture("right", seed=6, bend=0.5 + share)
+        values = manus.write_posture(typical_human("right"), q, wrist)
+        rows.append(f"{i},{1000.0 * i / 60:.6f}," + ",".join(f"{v:.9f}" for v in values))
+    rows[7] = "7,116.666667" + "," * 20  # the glove was silent
+    header = "Frame,Elapsed_Time_In_Milliseconds," + ",".join(manus.columns)
+    path = tmp_path / "glove.csv"
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    recording = read_with_layout(path, manus, "right")
+    assert not recording.valid[7]
+    assert recording.valid.sum() == 39
+    np.testing.assert_allclose(recording.steps, 1.0 / 60.0, atol=1e-6)
+    q, _ = posture("right", seed=6, bend=0.5)
+    np.testing.assert_allclose(recording.landmarks[0], truth("right", q, np.eye(4)), atol=1e-8)
+    with pytest.raises(RecordingError, match="give --side"):
+        read_with_layout(path, manus)
+    path.write_text("\n".join([header, *rows[:3], rows[3].replace(",", ",x", 3)]))
+    with pytest.raises(RecordingError, match="row 5"):
+        read_with_layout(path, manus, "right")
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"time": None}, "has no time"),
+        ({"joints": np.zeros((60, 25, 3))}, "webxr25"),
+        ({"handedness": None}, "--side"),
+        ({"handedness": np.array("both")}, "handedness"),
+        ({"time": np.arange(60) * 16.7}, "milliseconds"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_bad_files_are_one_clear_line(changes: dict[str, Any], word: str, tmp_path: Path) -> None:
+    layout = load_layout("openxr26")
+    path = file_of(tmp_path, layout, **changes)
+    with pytest.raises(RecordingError) as caught:
+        read_with_layout(path, layout)
+    assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
