@@ -47,7 +47,7 @@ COMMANDS: dict[str, _Place] = {
     "demo": _Place(
         "experiments.cli",
         "Demo",
-        "Map a human hand's motion to a three-fingered robot hand; needs no data of your own.",
+        "Map a human hand's motion to a robot hand; needs no data of your own.",
     ),
     "map": _Place("offline.cli", "Map", "Map a recording of a human hand to a robot hand."),
     "calibrate": _Place(
@@ -125,9 +125,9 @@ given. `handmap COMMAND --help` explains a command and its options.
 Examples:
     handmap demo
     handmap hands list
-    handmap map recording.npz --robot allegro_right
+    handmap map demo --robot allegro_right
     handmap compare recording.npz --robot allegro_right
-    handmap view recording.npz --robot allegro_right
+    handmap view demo --robot allegro_right
 """
 
 

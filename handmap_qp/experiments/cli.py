@@ -27,24 +27,39 @@ DEFAULT_METHODS = (
 
 @dataclass(frozen=True)
 class Demo:
-    """Map a human hand's motion to a three-fingered robot hand; needs no data of your own.
+    """Map a human hand's motion to a robot hand; needs no data of your own.
 
-    The wrist follows the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural synergy
-    closes and opens the hand. Writes the robot's trajectory (.npz), a picture of both hands, and
-    plots of errors and joints (.png).
+    With --robot, maps the recording that comes with the package: a hand that opens, makes a fist,
+    points, pinches with every finger, spreads and turns. The picture shows the gestures of both
+    hands. The recording is made from the human model, with the noise of a headset.
+
+    Without, the wrist follows the paper's arc (470 mm by 150 mm, Sec. IV) while the first postural
+    synergy closes and opens the hand, and the three-fingered hand follows.
+
+    Writes the robot's trajectory (.npz), a picture of both hands, and plots (.png).
 
     Examples:
         handmap demo
-        handmap demo --out results/demo
+        handmap demo --robot allegro_right
+        handmap demo --robot my_hand.yaml --out results/demo
+        handmap view demo --robot allegro_right
 
     Attributes:
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
         out: Folder to write to; created if it does not exist.
     """
 
+    robot: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the paper's arc)"),
+    ] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("demo")
 
     def run(self) -> None:
         """Run the demo, and print its errors and files."""
+        if self.robot is not None:
+            self._run_gestures(self.robot)
+            return
         from handmap_qp.experiments.demo import run_demo
 
         with progress("mapping") as advance:
@@ -53,6 +68,17 @@ class Demo:
             "The paper's arc with the first synergy, human hand to three_finger", result.summary()
         )
         for file in result.files:
+            print(f"wrote {file}")
+
+    def _run_gestures(self, name: str) -> None:
+        from handmap_qp.experiments.demo_gestures import run_gestures
+        from handmap_qp.offline.summary import summarise, table_rows
+
+        with progress("mapping") as advance:
+            trajectory, files = run_gestures(name, self.out, advance)
+        title = f"the package's recording to {trajectory.robot.name}"
+        print_table(title, table_rows(summarise(trajectory)))
+        for file in files:
             print(f"wrote {file}")
 
 

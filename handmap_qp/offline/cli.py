@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from handmap_qp.arguments import HandName, MappingArguments, PersonFile
+from handmap_qp.arguments import MappingArguments, PersonFile
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import check_output
 from handmap_qp.tables import print_table, progress
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.hand import Hand
+    from handmap_qp.trackers.recording import Recording
+
+SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -23,23 +29,39 @@ class Map:
     [mm], times [us] and limits. Writes an .npz file with time [s], joint_names, q [rad or m], wrist
     (poses), targets and points [m], point_error [m], valid, versions and more.
 
+    Both hands are in one file or in two; --robots names a left and a right robot hand. `handmap
+    convert --help` lists the forms of files.
+
     Examples:
-        handmap map recording.npz --robot three_finger
+        handmap map demo --robot allegro_right
         handmap map recording.npz --robot my_hand.yaml --preset object --json
         handmap map recording.npz --robot allegro_right --person anna.yaml
+        handmap map left.npz right.npz --robots allegro_left allegro_right
 
     Attributes:
-        recording: Recording of a human hand: an .npz file with handedness, time [s] of shape (T,)
-            and landmarks [m] of shape (T, 21, 3).
+        recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
+            `FILE::NAME` is one recording of several in a file; `demo` comes with the package.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
-        out: File to write.
+        robots: A left and a right robot hand, for recordings of both human hands.
+        out: File to write; with --robots the folder.
         person: File of the person's hand, of `handmap calibrate`.
-        json: Print the summary as one JSON object instead of a table.
+        json: Print the summary as one JSON object instead of a table; with --robots a list.
         arguments: Reference points and options.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
-    robot: HandName
+    recordings: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="RECORDING [RECORDING]", help_behavior_hint="(required)"),
+        ]
+    ]
+    robot: Annotated[
+        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="(or give --robots)")
+    ] = None
+    robots: Annotated[
+        tuple[str, str] | None,
+        tyro.conf.arg(metavar="LEFT RIGHT", help_behavior_hint="(or give --robot)"),
+    ] = None
     out: Annotated[
         Path | None,
         tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"),
@@ -51,19 +73,76 @@ class Map:
     )
 
     def run(self) -> None:
-        """Read, fit and map the recording, write the trajectory, and print a summary."""
+        """Read, measure and map each hand, write the trajectories, and print summaries."""
+        from handmap_qp.offline.summary import speed_note, table_rows
+
+        pairs = self._pairs()
+        files = [self._out(recording, robot) for recording, robot in pairs]
+        summaries = [
+            self._map(recording, robot, file)
+            for (recording, robot), file in zip(pairs, files, strict=True)
+        ]
+        if self.json:
+            print(json.dumps(summaries if self.robots else summaries[0], allow_nan=False))
+            return
+        for summary in summaries:
+            title = f"{summary['recording']} to {summary['robot']}"
+            print_table(title, table_rows(summary))
+            if note := speed_note(summary):
+                print(note)
+            print(f"wrote {summary['out']}")
+
+    def _pairs(self) -> list[tuple[Recording, Hand]]:
+        """Read each recording with its robot."""
+        from handmap_qp.trackers.formats import read_hands
+        from handmap_qp.trackers.recording import read_recording
+
+        if (self.robot is None) == (self.robots is None):
+            raise InvalidInputError(
+                argument="--robot",
+                problem="expected either --robot HAND or --robots LEFT RIGHT",
+                advice="name hands of `handmap hands list`",
+            )
+        if self.robot is not None:
+            if len(self.recordings) != 1:
+                raise InvalidInputError(
+                    argument="RECORDING",
+                    expected="one recording with --robot",
+                    got=f"{len(self.recordings)}",
+                    advice="give --robots LEFT RIGHT for both hands",
+                )
+            robot = self.arguments.load_robot(self.robot)
+            return [(read_recording(self.recordings[0], robot.spec.side), robot)]
+        robots = [self.arguments.load_robot(name) for name in self.robots or ()]
+        for robot, side in zip(robots, SIDES, strict=True):
+            if robot.spec.side != side:
+                got = f"{robot.name}, a {robot.spec.side} one"
+                raise InvalidInputError(
+                    argument="--robots", expected="a left hand, then a right hand", got=got
+                )
+        hands = read_hands(self.recordings)
+        return [(hands[robot.spec.side], robot) for robot in robots]
+
+    def _out(self, recording: Recording, robot: Hand) -> Path:
+        """Check the file to write, before any work is done."""
+        name = Path(f"{recording.name}_{robot.name}.npz")
+        if self.robots is None or self.out is None:
+            return check_output("--out", self.out or name, (".npz",))
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            problem = f"{self.out}: cannot be made a folder: {error.strerror or error}"
+            raise InvalidInputError(argument="--out", problem=problem) from error
+        return check_output("--out", self.out / name, (".npz",))
+
+    def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
+        """Map one hand, write its trajectory, and return the summary."""
         from handmap_qp.mapping.mapper import HandMapper
-        from handmap_qp.offline.summary import speed_note, summarise, table_rows
+        from handmap_qp.offline.summary import summarise
         from handmap_qp.offline.trajectory import map_recording, save_npz
         from handmap_qp.trackers.landmarks import scaled_human
         from handmap_qp.trackers.person import measure_person, read_person
-        from handmap_qp.trackers.recording import read_recording
 
-        recording = read_recording(self.recording)
-        robot = self.arguments.load_robot(self.robot)
-        out = check_output(
-            "--out", self.out or Path(f"{recording.name}_{robot.name}.npz"), (".npz",)
-        )
         person = measure_person(recording) if self.person is None else read_person(self.person)
         human = scaled_human(recording, points=self.arguments.human_points, lengths=person.lengths)
         preset = self.arguments.preset_for(human, robot, person.contact_gap)
@@ -73,14 +152,7 @@ class Map:
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
             trajectory = map_recording(mapper, recording, advance)
         save_npz(out, trajectory.columns)
-        summary = {"recording": recording.name, **summarise(trajectory), "out": str(out)}
-        if self.json:
-            print(json.dumps(summary, allow_nan=False))
-            return
-        print_table(f"{recording.name} to {robot.name}", table_rows(summary))
-        if note := speed_note(summary):
-            print(note)
-        print(f"wrote {out}")
+        return {"recording": recording.name, **summarise(trajectory), "out": str(out)}
 
 
 @dataclass(frozen=True)

@@ -175,8 +175,8 @@ class View:
         from handmap_qp.trackers.recording import read_recording
         from handmap_qp.viewer.replay import Replay
 
-        recording = read_recording(file)
         robot = self.arguments.load_robot(name)
+        recording = read_recording(file, robot.spec.side)
         person = measure_person(recording) if self.person is None else read_person(self.person)
         motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)

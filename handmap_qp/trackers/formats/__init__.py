@@ -113,6 +113,30 @@ def read_recordings(path: Path | str) -> tuple[Recording, ...]:
     return tuple(source.read() for source in list_sources(path))
 
 
+def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
+    """Read a recording of the left and one of the right hand, from one file or from two.
+
+    Args:
+        paths: Files, as of `list_sources`, in any order.
+
+    Returns:
+        The two recordings by side.
+
+    Raises:
+        InvalidInputError: If the files have other recordings than one of each hand.
+        HandmapError: As of `read_recordings`.
+    """
+    sources = [source for path in paths for source in list_sources(path)]
+    sides = [source.entry.side for source in sources]
+    if sorted(sides) != ["left", "right"]:
+        raise InvalidInputError(
+            argument="RECORDING",
+            expected="one recording of the left and one of the right hand",
+            got=", ".join(sides) if len(sides) < 5 else f"{len(sides)} recordings",
+        )
+    return {source.entry.side: source.read() for source in sources}
+
+
 def read_one(path: Path | str, side: Side | None = None) -> Recording:
     """Read one recording of a file; see `read_recording`."""
     sources = list(list_sources(path))

@@ -1,0 +1,79 @@
+"""The recording that comes with the package: its bytes, its gestures, and its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmap_qp import read_recording
+from handmap_qp.cli import main
+from handmap_qp.experiments.demo_recording import GESTURES, HAND_LENGTH, write_demo
+from handmap_qp.hands.spec import Side
+from handmap_qp.offline.poses import find_poses
+from handmap_qp.trackers.formats import DEMO_FILE
+from handmap_qp.trackers.person import measure_person
+
+SIDES: tuple[Side, ...] = ("left", "right")
+
+
+def test_the_command_makes_the_same_bytes(tmp_path: Path) -> None:
+    write_demo(tmp_path / "demo.npz")
+    assert (tmp_path / "demo.npz").read_bytes() == DEMO_FILE.read_bytes()
+    assert DEMO_FILE.stat().st_size < 300_000
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_every_gesture_is_seen_by_the_landmarks_alone(side: Side) -> None:
+    recording = read_recording("demo", side)
+    assert recording.side == side
+    poses = find_poses(recording)
+    assert all(index is not None for index in poses.values()), poses
+    person = measure_person(recording)
+    assert person.hand_length == pytest.approx(0.99 * HAND_LENGTH, abs=2e-3)
+    assert 0.012 <= person.contact_gap < 0.02
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_it_has_the_faults_of_a_tracker(side: Side) -> None:
+    recording = read_recording("demo", side)
+    steps = np.diff(recording.time)
+    assert steps.std() > 1e-3, "jitter"
+    assert (steps > 1.7 / 30.0).sum() == 2, "dropped frames"
+    assert recording.valid.all() == (side == "right")
+    assert recording.wrist is not None
+    assert recording.confidence is not None
+    assert "no person" in recording.source
+    still = recording.time < 0.4
+    assert 2e-4 < recording.landmarks[still].std(axis=0).mean() < 2e-3
+    assert {"open", "fist", "point", "spread", "thumb across"} <= {g.name for g in GESTURES}
+
+
+@pytest.mark.slow
+def test_the_first_lines_run_without_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--robot", "three_finger"]) == 0
+    assert (tmp_path / "demo" / "gestures.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["map", "demo", "--robot", "three_finger"]) == 0
+    assert (tmp_path / "demo_right_three_finger.npz").exists()
+    assert main(["convert", "demo", "demo.csv"]) == 0
+    capsys.readouterr()
+    assert main(["map", "demo", "--robots", "three_finger", "three_finger"]) == 2
+    assert "--robots: expected a left hand, then a right hand" in capsys.readouterr().err
+
+
+def test_two_hands_from_one_file_or_two(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["convert", "demo::left", "l.npz"]) == 0
+    assert main(["map", "l.npz", "--robots", "allegro_left", "allegro_right"]) == 2
+    assert (
+        "one recording of the left and one of the right hand, got left" in capsys.readouterr().err
+    )
+    assert main(["map", "demo", "l.npz", "--robot", "allegro_left"]) == 2
+    assert main(["map", "demo"]) == 2
+    assert "--robot HAND or --robots LEFT RIGHT" in capsys.readouterr().err
