@@ -125,7 +125,8 @@ class Opened(Reply, frozen=True):
 class Command(Reply, frozen=True):
     """A command for the robot's driver.
 
-    It has `q` [rad] in the order of `joint_names`, the pose of the wrist, and diagnostics.
+    It has `q` [rad] in the order of `joint_names`, the pose of the wrist, and diagnostics. `rule`
+    names what is wrong with the sample; its command holds the robot if `status` is `held`.
     """
 
     name: str
@@ -144,6 +145,9 @@ class Command(Reply, frozen=True):
     dt: float = 0.0
     solve_time: float = 0.0
     detail: dict[str, Any] | None = None
+    rule: str = ""
+    consistency: float | None = None
+    confidence: float = 1.0
 
 
 class State(Reply, frozen=True):
@@ -244,9 +248,9 @@ class _Core:
         self._last_command: Command | None = None
         self._released_at = 0  # number of the last request that changed `is_released`
 
-    def _sample(self, kind: str, time: float | None, **data: Any) -> Request:
+    def _sample(self, kind: str, time: float | None, human: Request) -> Request:
         stamp = clock.monotonic() if time is None else time
-        return {"type": kind, "time": stamp} | _given(**data)
+        return {"type": kind, "time": stamp} | human
 
     def _numbered(self, request: Request) -> Request:
         """Add the next number and the session to a request."""
@@ -582,6 +586,8 @@ class Client(_Core):
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
         time: float | None = None,
+        valid: bool | None = None,
+        confidence: float | None = None,
     ) -> Command:
         """Map one sample and wait for its command.
 
@@ -592,13 +598,18 @@ class Client(_Core):
             landmarks: 21 landmarks in MediaPipe's order [m], shape (21, 3).
             points: Reference points [m], in the order of `opened.human_point_names`, shape (n, 3).
             time: Time stamp [s]; the monotonic clock of this machine if omitted.
+            valid: False if the tracker did not see the hand; landmarks may then be omitted.
+            confidence: The tracker's own confidence, from 0 to 1; 0 counts as not seen.
 
         Raises:
             ServiceError: If the server refuses the sample.
             ServiceTimeoutError: If no answer arrives in time.
             ValueError: If `wrist` is not a pose.
         """
-        sample = self._sample("step", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        human = _given(
+            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+        )
+        sample = self._sample("step", time, human)
         return self._call(sample, Command)
 
     def send(
@@ -609,6 +620,8 @@ class Client(_Core):
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
         time: float | None = None,
+        valid: bool | None = None,
+        confidence: float | None = None,
     ) -> None:
         """Send a sample as in `step`, without waiting for its command.
 
@@ -620,7 +633,10 @@ class Client(_Core):
             ServiceTimeoutError: If a lost session cannot be reopened in time.
             ValueError: If `wrist` is not a pose.
         """
-        sample = self._sample("sample", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        human = _given(
+            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+        )
+        sample = self._sample("sample", time, human)
         self._check_open()
         answer = self._receive(self._socket("samples"), 0.0)
         if answer is not None and self._must_reopen_before_sample(self._read(answer, "samples")):
@@ -851,9 +867,14 @@ class AsyncClient(_Core):
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
         time: float | None = None,
+        valid: bool | None = None,
+        confidence: float | None = None,
     ) -> Command:
         """Map one sample and wait for its command; see `Client.step`."""
-        sample = self._sample("step", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        human = _given(
+            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+        )
+        sample = self._sample("step", time, human)
         return await self._call(sample, Command)
 
     async def send(
@@ -864,9 +885,14 @@ class AsyncClient(_Core):
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
         time: float | None = None,
+        valid: bool | None = None,
+        confidence: float | None = None,
     ) -> None:
         """Send a sample as in `step`, without waiting for its command; see `Client.send`."""
-        sample = self._sample("sample", time, q=q, wrist=wrist, landmarks=landmarks, points=points)
+        human = _given(
+            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+        )
+        sample = self._sample("sample", time, human)
         async with self._turn:
             self._check_open()
             answer = await self._receive(self._socket("samples"), 0.0)

@@ -102,11 +102,18 @@ class Sampler:
 
     def __init__(self) -> None:
         self.seq = 1
+        self._landmarks: Any = None
 
     def __call__(
         self, time: float = 0.0, q: Any = None, wrist: Pose | None = HERE, **human: Any
     ) -> Step:
         self.seq += 1
+        if (points := human.get("landmarks")) is not None:
+            if points == self._landmarks:
+                # Landmarks that repeat exactly would be frozen data.
+                (x, y, z), *others = points
+                human = human | {"landmarks": ((x + 1e-9 * self.seq, y, z), *others)}
+            self._landmarks = points
         angles = None if human else tuple(np.asarray(human_q() if q is None else q).tolist())
         pose = None if "landmarks" in human else wrist
         return Step(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _REPORT_PERIOD = 0.2
 """Period of the line that shows the present state [s]."""
 
-_RARE = ("not_in_order", "not_sent_hand_lost", "flags", "refusals", "unanswered", "reopened")
+_RARE = ("not_in_order", "hand_lost", "flags", "refusals", "unanswered", "reopened")
 """Rows of the table that are left out if there is nothing to count."""
 
 

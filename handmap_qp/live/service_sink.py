@@ -89,12 +89,10 @@ class ServiceSink:
     def put(self, sample: HumanSample) -> None:
         """Send a sample, and read what has been commanded meanwhile.
 
-        A sample in which the hand was not seen is not sent, so that the robot holds.
+        A sample in which the hand was not seen is sent as such: the robot holds.
         """
-        if sample.valid:
-            self._send(sample)
-        else:
-            self._lost += 1
+        self._send(sample)
+        self._lost += not sample.valid
         self._read()
 
     def status(self) -> str:
@@ -114,7 +112,7 @@ class ServiceSink:
             "robot": self._robot,
             "session": self.session,
             "sent": self._sent,
-            "not_sent_hand_lost": self._lost,
+            "hand_lost": self._lost,
             "commands": sum(self._statuses.values()),
             "statuses": dict(self._statuses),
             "flags": dict(self._flags),
@@ -153,7 +151,13 @@ class ServiceSink:
 
     def _send(self, sample: HumanSample) -> None:
         try:
-            self._client.send(landmarks=sample.landmarks, wrist=sample.wrist, time=sample.time)
+            self._client.send(
+                landmarks=sample.landmarks if sample.valid else None,
+                wrist=sample.wrist,
+                time=sample.time,
+                valid=bool(sample.valid),
+                confidence=sample.confidence,
+            )
             self._sent += 1
             self._told = time.monotonic()
         except ServiceError as error:

@@ -1,7 +1,8 @@
 """`HandMapper`: the paper's loop (Fig. 3), from a human sample to a robot command.
 
 `_map` is the whole step: the method's targets (eqs. 5-7 for `Homogeneous`), then the QP in place of
-eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured points.
+eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured points, and
+`map_sample` from what a tracker sent: its guard decides which samples the robot follows.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Literal, Unpack
+from typing import Literal, Unpack, get_args
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import HandmapError, InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
@@ -27,12 +29,16 @@ from handmap_qp.mapping.method import (
     Method,
     RobotPosture,
     TargetMap,
+    Targets,
 )
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.options import MappingChanges, MappingOptions
 from handmap_qp.mapping.presets import default_preset, get_preset
+from handmap_qp.mapping.rejoin import Rejoin, RejoinKind
 from handmap_qp.mapping.smoothing import Smoothing, SmoothState, smooth_sample
 from handmap_qp.mapping.step import MapStep, RobotCommand
+from handmap_qp.trackers.guard import StreamGuard, Verdict
+from handmap_qp.trackers.sample import HumanSample
 from handmap_qp.transform import (
     FARTHEST,
     PoseLike,
@@ -41,6 +47,9 @@ from handmap_qp.transform import (
     check_pose,
     inverse_pose,
 )
+
+_SHORTEST_DT = 1e-6
+"""Least time that a step accounts for [s]."""
 
 
 class HandMapper:
@@ -65,6 +74,8 @@ class HandMapper:
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
         joint_tolerance: How far a human joint may be outside its limits before the sample is
             rejected [rad].
+        rejoin: How the robot comes back to the human after `map_sample` held it: `glide` there, or
+            stay where it is with its palm, as after a `clutch`.
         **options: Short form of `method`: single fields of `MappingOptions`, as in
             `HandMapper(human, robot, rigid_from="wrist")`.
 
@@ -90,6 +101,7 @@ class HandMapper:
         dt: float = 1.0 / 60.0,
         quat_order: QuatOrder | None = None,
         joint_tolerance: float = 0.25,
+        rejoin: RejoinKind = "glide",
         **options: Unpack[MappingChanges],
     ) -> None:
         if not human.is_floating:
@@ -115,6 +127,12 @@ class HandMapper:
         self._course: _Course | None = None
         self._smooth: SmoothState | None = None
         self._is_released = False
+        self._rejoin = Rejoin(_check_rejoin(rejoin))
+
+    @property
+    def rejoin(self) -> RejoinKind:
+        """How the robot comes back to the human after a hold."""
+        return self._rejoin.kind
 
     @property
     def robot(self) -> Hand:
@@ -247,6 +265,78 @@ class HandMapper:
         )
         return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
 
+    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
+        """Map one sample of a tracker, if it makes sense; else hold.
+
+        The guard judges the sample by named rules (`trackers.guard.RULES`). The robot holds its
+        posture while samples make no sense, and comes back to the human without a snap (`rejoin`).
+
+        Args:
+            sample: The sample. Its time stamps say how much time has passed.
+            dt: Time that the step may account for [s]; that of the time stamps if omitted.
+
+        Returns:
+            Every stage of the step; of a held one, targets and points are the robot's own.
+
+        Raises:
+            InvalidInputError: If the sample is of the other hand, or cannot be used; the mapper is
+                then as it was before.
+            InvalidOptionsError: If a reference point of the human is not a landmark.
+            DegeneratePointsError: If the sample becomes the reference and its points do not
+                determine the motion.
+        """
+        started = perf_counter()
+        reader, guard = self._landmarks, self._guard
+        before = guard.state
+        verdict = guard.check(sample)
+        if verdict.is_held:
+            return self._held(verdict, sample.confidence, started)
+        try:
+            pose = reader.read(sample.landmarks, sample.wrist)
+            rejoin = self._rejoin.start(pose) if verdict.is_return else self._rejoin
+            pose, rejoin = rejoin.advance(pose, verdict.dt)
+            granted = max(verdict.dt, _SHORTEST_DT) if dt is None else dt
+            step = self._map(pose, granted, (), started)
+        except HandmapError:
+            guard.state = before
+            raise
+        self._rejoin = rejoin
+        return msgspec.structs.replace(
+            step,
+            verdict=verdict,
+            confidence=sample.confidence,
+            is_gliding=rejoin.is_fading,
+        )
+
+    def _held(self, verdict: Verdict, confidence: float, started: float) -> MapStep:
+        """Return a step in which the robot keeps its posture."""
+        ik, robot, seen = self._plan.ik, self.robot, self._rejoin.seen
+        start = self._start
+        if start is None:
+            vector = ik.configuration.q
+        else:
+            # Before the first sample, a floating robot has no place yet.
+            wrist = np.eye(4) if start.wrist is None and robot.is_floating else start.wrist
+            vector = robot.configuration_vector(start.q, wrist)
+        posture = _posture(robot, vector)
+        if seen is None:
+            seen = HumanPose(np.full((len(self.human.reference_points), 3), np.nan), None)
+        return MapStep(
+            RobotCommand(robot.joint_names, posture.q, posture.wrist),
+            seen.points,
+            seen.wrist,
+            Targets(posture.points, posture.wrist),
+            msgspec.structs.replace(ik.hold(), points=posture.points),
+            (),
+            perf_counter() - started,
+            verdict,
+            confidence,
+        )
+
+    @cached_property
+    def _guard(self) -> StreamGuard:
+        return StreamGuard(self.human)
+
     @cached_property
     def _landmarks(self) -> LandmarkReader:
         return LandmarkReader(self.human)
@@ -336,6 +426,7 @@ class HandMapper:
             course = self._course_from(sample, start)
         self._start, self._is_released = start, False
         self._course = self._smooth = None
+        self._rejoin = Rejoin(self._rejoin.kind)
         if course is not None:
             self._begin(course)
 
@@ -347,6 +438,7 @@ class HandMapper:
         """Make the next sample the reference; the robot continues from its present posture."""
         self._is_released = False
         self._course = None
+        self._rejoin = Rejoin(self._rejoin.kind)
 
     def configure(
         self,
@@ -580,6 +672,14 @@ def _check_dt(dt: float) -> float:
     if not (isinstance(dt, int | float) and 0.0 < dt < np.inf):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
+
+
+def _check_rejoin(rejoin: RejoinKind) -> RejoinKind:
+    if rejoin not in get_args(RejoinKind):
+        raise InvalidOptionsError(
+            option="rejoin", expected=f"one of {', '.join(get_args(RejoinKind))}", value=rejoin
+        )
+    return rejoin
 
 
 def _check_tolerance(tolerance: float) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -13,6 +14,10 @@ from handmap_qp.mapping.estimation import MotionEstimate
 from handmap_qp.mapping.method import Targets
 from handmap_qp.mapping.methods.homogeneous import HomogeneousDiagnostics
 from handmap_qp.mapping.transfer import Transfer
+from handmap_qp.trackers.guard import Rule, Verdict
+
+StepStatus = Status | Literal["held", "gliding"]
+"""Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""
 
 
 class RobotCommand(msgspec.Struct, frozen=True, eq=False):
@@ -45,6 +50,10 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         out_of_range: Names of human joints that were outside their limits, within the tolerance,
             and were used.
         duration: Wall time of the step [s].
+        verdict: What the guard said about the sample; None for steps of joint angles or points,
+            which no guard sees.
+        confidence: The tracker's own confidence, from 0 to 1.
+        is_gliding: Whether the robot is still on its way back to the human after a hold.
     """
 
     command: RobotCommand
@@ -54,6 +63,24 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     ik: IkResult
     out_of_range: tuple[str, ...]
     duration: float
+    verdict: Verdict | None = None
+    confidence: float = 1.0
+    is_gliding: bool = False
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the sample was not followed, and the robot held its posture."""
+        return self.verdict is not None and self.verdict.is_held
+
+    @property
+    def rule(self) -> Rule:
+        """Name of what is wrong with the sample (`trackers.guard.RULES`); empty if nothing."""
+        return "" if self.verdict is None else self.verdict.rule
+
+    @property
+    def consistency(self) -> float:
+        """RMS difference of bones and palm from the person's [m]; NaN if it was not measured."""
+        return math.nan if self.verdict is None else self.verdict.consistency
 
     @property
     def diagnostics(self) -> Any:
@@ -130,9 +157,16 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return self.ik.active[self.ik.joint_columns] != 0
 
     @property
-    def status(self) -> Status:
-        """Outcome of the inverse kinematics; see `IkResult.status`."""
-        return self.ik.status
+    def status(self) -> StepStatus:
+        """Outcome of the step.
+
+        `held`: the sample made no sense (see `rule`), and the robot held its posture; `gliding`:
+        the robot is on its way back to the human after a hold. Otherwise the outcome of the inverse
+        kinematics (`IkResult.status`), so `converged` means that the sample made sense too.
+        """
+        if self.ik.end != "released":
+            return "gliding" if self.is_gliding else self.ik.status
+        return "held" if self.is_held else "released"
 
     @property
     def iterations(self) -> int:

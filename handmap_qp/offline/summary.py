@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from handmap_qp.offline.events import count_rules, find_holds
 from handmap_qp.offline.trajectory import Trajectory
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `speed_note` says so."""
 _NAMED_JOINTS = 3
+_NAMED_HOLDS = 5
 
 
 def summarise(trajectory: Trajectory) -> dict[str, Any]:
@@ -20,10 +22,12 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         trajectory: The robot's trajectory.
 
     Returns:
-        Numbers by name, with the unit in the name. Errors and times are taken over the valid
-        samples, `samples_at_limit` over all. `speed_limited_share` is the share of valid samples in
-        which a speed limit held a joint; `speed_limited_joints` has the joints held most often,
-        with share and limit [rad/s or m/s].
+        Numbers by name, with the unit in the name. Errors and times are taken over the samples
+        that the robot followed, `samples_at_limit` over all. `held` counts the others, `rules` how
+        many samples broke each rule, and `events` lists the holds. `consistency_mm_mean` is the
+        mean RMS difference of bones and palm from the person's. `speed_limited_share` is the share
+        of the followed samples in which a speed limit held a joint; `speed_limited_joints` has the
+        joints held most often, with share and limit [rad/s or m/s].
     """
     seen = trajectory.valid
     points = 1e3 * trajectory.point_error[seen]
@@ -32,6 +36,10 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "robot": trajectory.robot.name,
         "samples": len(trajectory.time),
         "held": int((~seen).sum()),
+        "rules": count_rules(trajectory),
+        "events": [event._asdict() for event in find_holds(trajectory)],
+        "consistency_mm_mean": _mean(1e3 * trajectory.consistency),
+        "confidence_mean": float(trajectory.confidence[seen].mean()),
         "step_cpu_us_median": float(np.median(step)),
         "step_cpu_us_p99": float(np.percentile(step, 99)),
         "point_error_mm_mean": float(points.mean()),
@@ -79,6 +87,28 @@ def _slow_joints(trajectory: Trajectory) -> list[dict[str, Any]]:
     ]
 
 
+def _mean(values: np.ndarray) -> float | None:
+    """Return the mean of the values that are not NaN; None if all are."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else None
+
+
+def _millimetres(value: float | None) -> str:
+    return "not measured" if value is None else f"{value:.1f} mm RMS"
+
+
+def _hold_text(events: list[dict[str, Any]]) -> str:
+    """Name the first holds with their times."""
+    if not events:
+        return "none"
+    named = [
+        f"{event['rule']} at {event['start']:.2f} s for {event['duration']:.2f} s"
+        for event in events[:_NAMED_HOLDS]
+    ]
+    more = len(events) - len(named)
+    return "; ".join(named) + (f"; {more} more" if more else "")
+
+
 def table_rows(summary: dict[str, Any]) -> dict[str, str]:
     """Format a summary as table rows.
 
@@ -90,7 +120,9 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
     """
     number = summary
     return {
-        "samples": f"{number['samples']}, {number['held']} without a hand (robot held still)",
+        "samples": f"{number['samples']}, {number['held']} not followed (robot held still)",
+        "holds": _hold_text(number["events"]),
+        "bones and palm off the person's": _millimetres(number["consistency_mm_mean"]),
         "step, CPU time": (
             f"{number['step_cpu_us_median']:.0f} us median, {number['step_cpu_us_p99']:.0f} us p99"
         ),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +16,9 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
+from handmap_qp.trackers.guard import Verdict
 from handmap_qp.trackers.recording import HumanMotion, Recording
+from handmap_qp.trackers.sample import HumanSample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,12 +34,18 @@ class Trajectory:
         points: Positions of the reference points [m], shape (T, m, 3).
         point_error: Distance from each point to its target [m], shape (T, m).
         wrist_error: Distance from the wrist to its target [m], shape (T,).
-        valid: Whether the tracker saw the hand, shape (T,). The robot holds still where it did not.
+        valid: Whether the robot followed the sample, shape (T,). Elsewhere the tracker did not see
+            the hand, or the guard found that the sample makes no sense, and the robot held still.
         at_limit: Whether each joint is at one of its position limits, shape (T, n).
         at_speed_limit: Whether a limit of speed (or of acceleration, where one is set) kept each
             joint from moving farther, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
         step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
+        rule: What is wrong with each sample (`trackers.guard.RULES`), shape (T,); empty where
+            nothing is.
+        consistency: RMS difference of bones and palm from the person's [m], shape (T,); NaN where
+            it was not measured.
+        confidence: The tracker's own confidence, from 0 to 1, shape (T,).
     """
 
     robot: Hand
@@ -52,6 +61,9 @@ class Trajectory:
     at_speed_limit: np.ndarray
     status: np.ndarray
     step_cpu: np.ndarray
+    rule: np.ndarray
+    consistency: np.ndarray
+    confidence: np.ndarray
 
     @property
     def limit_violation(self) -> float:
@@ -79,6 +91,9 @@ class Trajectory:
             "at_limit": self.at_limit,
             "at_speed_limit": self.at_speed_limit,
             "status": self.status,
+            "rule": self.rule,
+            "consistency": self.consistency,
+            "confidence": self.confidence,
             "robot": np.array(self.robot.name),
             "versions": np.array(
                 [
@@ -107,12 +122,13 @@ def map_motion(
     Raises:
         InvalidInputError: If no sample of `motion` is valid, or a sample cannot be mapped.
     """
+    unseen = Verdict("missing", True, False, 0.0, math.nan)
+
+    def map_sample(i: int) -> MapStep | Verdict:
+        return mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
+
     return _map_samples(
-        mapper,
-        motion.time,
-        motion.valid,
-        lambda i: mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i]),
-        progress,
+        mapper, motion.time, lambda i: map_sample(i) if motion.valid[i] else unseen, progress
     )
 
 
@@ -123,9 +139,9 @@ def map_recording(
     *,
     wrist_poses: np.ndarray | None = None,
 ) -> Trajectory:
-    """Map the landmarks of a recording, without joint angles of the human.
+    """Map the landmarks of a recording as a live stream: by `HandMapper.map_sample`.
 
-    The robot holds its last posture in samples that are not valid.
+    The robot holds its last posture in samples that are not valid or make no sense.
 
     Args:
         mapper: The mapper; its human hand must be scaled to the person.
@@ -138,73 +154,111 @@ def map_recording(
         The robot's trajectory, with one entry per sample of `recording`.
 
     Raises:
-        InvalidInputError: If no sample is valid, or a sample cannot be mapped.
+        InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    steps = recording.steps
-    return _map_samples(
-        mapper,
-        recording.time,
-        recording.valid,
-        lambda i: mapper.map_landmarks(
-            recording.landmarks[i], None if wrist_poses is None else wrist_poses[i], dt=steps[i]
-        ),
-        progress,
-    )
+    return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
+
+
+def map_samples(
+    mapper: HandMapper,
+    samples: Sequence[HumanSample],
+    progress: Callable[[int], None] | None = None,
+) -> Trajectory:
+    """Map the samples of a stream, one after the other.
+
+    Args:
+        mapper: The mapper; its human hand must be scaled to the person.
+        samples: The samples, in the order of arrival.
+        progress: Called after each sample with the number of samples done.
+
+    Returns:
+        The robot's trajectory, with one entry per sample.
+
+    Raises:
+        InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
+    """
+    time = np.array([sample.time for sample in samples])
+    return _map_samples(mapper, time, lambda i: mapper.map_sample(samples[i]), progress)
+
+
+def recording_samples(
+    recording: Recording, wrist_poses: np.ndarray | None = None
+) -> list[HumanSample]:
+    """Return the samples of a recording, as a tracker would send them."""
+    return [
+        HumanSample(
+            float(recording.time[i]),
+            recording.side,
+            recording.landmarks[i],
+            None if wrist_poses is None or not recording.valid[i] else wrist_poses[i],
+            bool(recording.valid[i]),
+        )
+        for i in range(len(recording))
+    ]
 
 
 def _map_samples(
     mapper: HandMapper,
     time: np.ndarray,
-    valid: np.ndarray,
-    map_sample: Callable[[int], MapStep],
+    map_sample: Callable[[int], MapStep | Verdict],
     progress: Callable[[int], None] | None,
 ) -> Trajectory:
-    """Map every valid sample, by index, and hold the last posture in the others."""
+    """Map every sample, by index; those that give a verdict alone hold the posture before them."""
     count = len(time)
-    steps: list[MapStep | None] = []
-    step_cpu = np.full(count, np.nan)
+    steps: list[MapStep] = []
+    verdicts: list[Verdict] = []
+    confidence, step_cpu = np.ones(count), np.full(count, np.nan)
+    last: MapStep | None = None
     for i in range(count):
-        if valid[i]:
-            started = thread_time_ns()
-            step = map_sample(i)
-            step_cpu[i] = 1e-9 * (thread_time_ns() - started)
-            steps.append(step)
-        else:
-            steps.append(steps[-1] if steps else None)
+        started = thread_time_ns()
+        result = map_sample(i)
+        verdict = _FOLLOWED if isinstance(result, MapStep) else result
+        if isinstance(result, MapStep):
+            confidence[i], verdict = result.confidence, result.verdict or _FOLLOWED
+            # Before the first sample that is followed, the robot is where that puts it.
+            last = result if last is not None or not result.is_held else None
+            if not verdict.is_held:
+                step_cpu[i] = 1e-9 * (thread_time_ns() - started)
+                steps += [result] * (i - len(steps))
+        verdicts.append(verdict)
+        if last is not None:
+            steps.append(last)
         if progress is not None:
             progress(i + 1)
-    first = next((step for step in steps if step is not None), None)
-    if first is None:
+    if last is None:
         raise InvalidInputError(
             argument="motion", expected="at least one valid sample", got=f"none of {count}"
         )
-    filled = [step or first for step in steps]
-    q = np.array([step.command.q for step in filled])
-    wrist = np.array([step.command.wrist for step in filled])
-    wrist_targets = np.array([step.wrist_target for step in filled])
+    q = np.array([step.command.q for step in steps])
+    wrist = np.array([step.command.wrist for step in steps])
+    wrist_targets = np.array([step.wrist_target for step in steps])
+    is_held = np.array([verdict.is_held for verdict in verdicts])
     at_limit = mapper.robot.at_position_limit(q)
-    still = np.zeros(q.shape[1], dtype=bool)
-    at_bound = np.array(
-        [
-            step.at_bound if step is not None and is_seen else still
-            for step, is_seen in zip(steps, valid, strict=True)
-        ]
-    )
+    at_bound = np.array([step.at_bound for step in steps]) & ~is_held[:, None]
     return Trajectory(
         robot=mapper.robot,
         time=time,
         q=q,
         wrist=wrist,
-        targets=np.array([step.targets for step in filled]),
-        points=np.array([step.points for step in filled]),
-        point_error=np.array([step.point_error for step in filled]),
+        targets=np.array([step.targets for step in steps]),
+        points=np.array([step.points for step in steps]),
+        point_error=np.array([step.point_error for step in steps]),
         wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
-        valid=valid,
+        valid=~is_held,
         at_limit=at_limit,
         at_speed_limit=at_bound & ~at_limit,
-        status=np.array([step.status for step in filled]),
+        status=np.array(
+            ["held" if held else step.status for step, held in zip(steps, is_held, strict=True)]
+        ),
         step_cpu=step_cpu,
+        rule=np.array([verdict.rule for verdict in verdicts]),
+        consistency=np.array([verdict.consistency for verdict in verdicts]),
+        confidence=confidence,
     )
+
+
+_FOLLOWED = Verdict("", False, False, 0.0, math.nan)
+"""Verdict on joint angles, which no guard sees."""
 
 
 def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:

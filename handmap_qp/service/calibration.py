@@ -12,6 +12,7 @@ from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.refusals import with_field_errors
+from handmap_qp.trackers.guard import Rule, StreamGuard
 from handmap_qp.trackers.landmarks import (
     check_length,
     measure_contact_gap,
@@ -19,6 +20,7 @@ from handmap_qp.trackers.landmarks import (
     smallest_gap,
 )
 from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.sample import HumanSample
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""
@@ -40,32 +42,41 @@ class Calibration:
         self._request = request
         self._cache = cache
         self._defer = defer
+        self._guard = StreamGuard(cache.human(request.side, None))
         self._landmarks: list[np.ndarray] = []
         self._work: Future[Hands] | None = None
 
-    def add(self, landmarks: np.ndarray) -> Hands | None:
-        """Take one more sample.
+    def add(self, sample: HumanSample) -> tuple[Rule, Hands | None]:
+        """Take one more sample, unless it makes no sense.
 
         Args:
-            landmarks: Shape (21, 3) [m].
+            sample: The sample.
 
         Returns:
-            The hands, once they are ready.
+            What is wrong with the sample, which is then ignored, empty if nothing; and the hands,
+            once they are ready.
 
         Raises:
             RefusedError: If the landmarks are not a hand in metres; the sample is then ignored. Or
                 if the samples so far cannot be measured; then new ones are collected.
         """
+        verdict = self._guard.check(sample)
+        if verdict.rule in ("missing", "zero"):
+            return verdict.rule, None
+        landmarks = sample.landmarks
         with_field_errors("landmarks", lambda: check_length(landmarks[None]))
+        # The person may be much larger or smaller than the model.
+        if verdict.is_held and verdict.rule != "size":
+            return verdict.rule, None
         if self._work is None:
             self._landmarks.append(landmarks)
             if len(self._landmarks) >= CALIBRATION_SAMPLES:
                 collected, self._landmarks = np.array(self._landmarks), []
                 self._work = self._defer(lambda: self._prepare(collected))
         if self._work is None or not self._work.done():
-            return None
+            return "", None
         work, self._work = self._work, None
-        return work.result()
+        return "", work.result()
 
     def _prepare(self, landmarks: np.ndarray) -> Hands:
         count = len(landmarks)

@@ -7,11 +7,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import RefusedError
+from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Step
 from handmap_qp.service.opening import Hands
-from handmap_qp.trackers.recording import LANDMARK_COUNT
+from handmap_qp.trackers.landmarks import PalmShape
+from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
 
 InputKind = Literal["q", "landmarks", "points"]
 _KINDS: tuple[InputKind, ...] = ("q", "landmarks", "points")
@@ -41,11 +43,14 @@ def check_input(expected: InputKind, sample: Step) -> None:
         is_given = getattr(sample, kind) is not None
         if is_given and kind != expected:
             raise RefusedError("invalid", f"this session was opened for {expected}", field=kind)
-        if not is_given and kind == expected:
+        if not is_given and kind == expected and (sample.valid or kind != "landmarks"):
             raise RefusedError("invalid", "missing; this session was opened for it", field=kind)
+    if not sample.valid and expected != "landmarks":
+        raise RefusedError("invalid", "only landmarks may be invalid", field="valid")
     if expected == "q" and sample.wrist is None:
         raise RefusedError("invalid", "missing; it must come with q", field="wrist")
-    if expected == "landmarks" and len(sample.landmarks or ()) != LANDMARK_COUNT:
+    is_short = sample.landmarks is not None and len(sample.landmarks) != LANDMARK_COUNT
+    if expected == "landmarks" and is_short:
         raise RefusedError(
             "invalid",
             f"expected {LANDMARK_COUNT} points, got {len(sample.landmarks or ())}",
@@ -53,20 +58,21 @@ def check_input(expected: InputKind, sample: Step) -> None:
         )
 
 
-def map_sample(hands: Hands, sample: Step, dt: float) -> MappedSample:
+def map_sample(hands: Hands, sample: Step, side: Side, dt: float) -> MappedSample:
     """Map a sample that `check_input` accepted.
 
     Args:
         hands: The hands of the session.
         sample: The sample.
+        side: The human hand.
         dt: Time that the command may account for [s].
 
     Raises:
         HandmapError: If the sample cannot be used; the mapper is then unchanged.
     """
+    if hands.palm is not None:
+        return _map_landmarks(hands, hands.palm, human_sample(sample, side), dt)
     wrist = to_matrix(sample.wrist)
-    if sample.landmarks is not None:
-        return _map_landmarks(hands, np.array(sample.landmarks), wrist, dt)
     if sample.points is not None:
         return MappedSample(hands.mapper.map_points(sample.points, wrist, dt=dt))
     q = np.array(sample.q, dtype=float)
@@ -75,11 +81,21 @@ def map_sample(hands: Hands, sample: Step, dt: float) -> MappedSample:
     return MappedSample(step, human_q=q)
 
 
-def _map_landmarks(
-    hands: Hands, landmarks: np.ndarray, wrist: np.ndarray | None, dt: float
-) -> MappedSample:
-    """Map landmarks as they were measured."""
-    if hands.palm is not None:
-        hands.palm.check(landmarks)
-    step = hands.mapper.map_landmarks(landmarks, wrist, dt=dt)
-    return MappedSample(step, landmarks=landmarks)
+def human_sample(sample: Step, side: Side) -> HumanSample:
+    """Convert a sample of landmarks that `check_input` accepted."""
+    landmarks = _UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
+    return HumanSample(
+        sample.time, side, landmarks, to_matrix(sample.wrist), sample.valid, sample.confidence
+    )
+
+
+def _map_landmarks(hands: Hands, palm: PalmShape, sample: HumanSample, dt: float) -> MappedSample:
+    """Map landmarks as they were measured, or hold where they make no sense."""
+    step = hands.mapper.map_sample(sample, dt=dt)
+    if step.rule == "size":
+        # Other units than metres are a mistake of the client, which must know.
+        palm.check(sample.landmarks)
+    return MappedSample(step, landmarks=sample.landmarks)
+
+
+_UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)

@@ -174,7 +174,10 @@ class Step(Request, frozen=True):
     q: Annotated[
         Numbers | None, _doc("Joint angles in the order of `human_joint_names` [rad].")
     ] = None
-    landmarks: Annotated[Points | None, _doc("21 landmarks in MediaPipe's order [m].")] = None
+    landmarks: Annotated[
+        Points | None,
+        _doc("21 landmarks in MediaPipe's order [m]; may be omitted if `valid` is false."),
+    ] = None
     points: Annotated[
         Points | None, _doc("Reference points in the order of `human_point_names` [m].")
     ] = None
@@ -185,6 +188,12 @@ class Step(Request, frozen=True):
             "otherwise; with `points`, required by teleoperation and rigid_from=wrist."
         ),
     ] = None
+    valid: Annotated[
+        bool, _doc("Whether the tracker saw the hand; only with `landmarks`. If not, it holds.")
+    ] = True
+    confidence: Annotated[
+        float, _doc("The tracker's own confidence; 0 counts as not seen.", ge=0, le=1)
+    ] = 1.0
 
 
 class Sample(Step, frozen=True):
@@ -337,7 +346,7 @@ class Command(Reply, frozen=True):
     status: Annotated[
         str,
         _doc(
-            "converged, limited, unreachable, unsettled, failed, released, "
+            "converged, limited, unreachable, unsettled, failed, released, held, gliding, "
             "hold, returning or calibrating."
         ),
     ]
@@ -366,6 +375,14 @@ class Command(Reply, frozen=True):
     detail: Annotated[
         Detail | None, _doc("Every stage of the mapping, if `has_detail` is set.")
     ] = None
+    rule: Annotated[
+        str, _doc("What is wrong with the sample: one of the rules in the list; empty if nothing.")
+    ] = ""
+    consistency: Annotated[
+        float | None,
+        _doc("RMS difference of bones and palm from the person's [m]; null if not measured."),
+    ] = None
+    confidence: Annotated[float, _doc("Confidence of the sample, as the client sent it.")] = 1.0
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):

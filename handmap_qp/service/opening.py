@@ -19,6 +19,7 @@ from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, possible_presets
+from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.service.choosing import read_choice
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
@@ -85,8 +86,11 @@ def prepare_hands(
         # Reject reference points that are no landmarks now, not at the first sample.
         with_field_errors("human_points", lambda: LandmarkReader(human))
     choice = read_choice(request, human, robot, contact_gap)
+    rejoin: RejoinKind = "clutch" if request.resume == "clutch" else "glide"
     mapper = with_option_errors(
-        robot, choice, lambda: HandMapper(human, robot, choice.method, ik=choice.ik)
+        robot,
+        choice,
+        lambda: HandMapper(human, robot, choice.method, ik=choice.ik, rejoin=rejoin),
     )
     pair = None
     if "teleoperation" in possible_presets(human, robot):

@@ -28,6 +28,7 @@ from handmap_qp.service.messages import (
     Reply,
     Request,
 )
+from handmap_qp.trackers.guard import RULES
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",
@@ -40,7 +41,7 @@ FLAGS = {
     "resumed": "the first command after a hold",
     "released": "the robot is released and holds until `clutch`, whatever `status` says",
 }
-"""Flags of a command."""
+"""Flags of a command, besides the rule that a sample broke."""
 
 CODES = {
     "invalid": "a field is missing, unknown, of another type or unusable; `field` names it",
@@ -103,6 +104,10 @@ def schema_text() -> str:
         *(_options_table(kind) for kind in (MappingOptions, Teleoperation, IkOptions)),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
+        "## Rules for landmarks",
+        "A sample that breaks a rule does not move the robot: `status` is `held`, and `rule` and "
+        "`flags` have the name. Afterwards, `gliding` leads back to the human.",
+        "\n".join(f"- `{rule}`: {text}" for rule, text in RULES.items()),
         "## Codes of an error",
         "\n".join(f"- `{code}`: {text}" for code, text in CODES.items()),
     ]

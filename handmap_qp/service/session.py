@@ -10,6 +10,7 @@ robot's posture before the next sample, which is then the reference.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from dataclasses import asdict
@@ -19,6 +20,7 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.mapping.stages import residual_norms
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.calibration import Calibration
 from handmap_qp.service.choosing import read_choice, with_changes
 from handmap_qp.service.convert import (
@@ -28,7 +30,7 @@ from handmap_qp.service.convert import (
     to_pose,
     to_row,
 )
-from handmap_qp.service.inputs import MappedSample, check_input, map_sample
+from handmap_qp.service.inputs import MappedSample, check_input, human_sample, map_sample
 from handmap_qp.service.messages import (
     About,
     Command,
@@ -211,7 +213,7 @@ class Session:
                 return self._calibrate(self._calibration, sample, now)
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
-            mapped = map_sample(self._hands, sample, self._dt)
+            mapped = map_sample(self._hands, sample, self.request.side, self._dt)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error
@@ -219,13 +221,23 @@ class Session:
             # Unexpected exception: hold, and restart the mapper from the last command.
             self._mapper_state = MapperState.STALE
             raise
+        if mapped.step.is_held:
+            return self._held(sample, mapped.step, now, flags)
         flags = self._accept(sample, now) + flags
+        if mapped.step.rule:
+            flags.append(mapped.step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(mapped)
         if mapped.step.is_clamped:
             flags.append("stretch_clamped")
         self.counts["steps"] += 1
         return self._command(now, mapped.step.status, flags, **self._diagnostics(mapped))
+
+    def _held(self, sample: Step, step: MapStep, now: float, flags: list[str]) -> Command:
+        """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
+        self._stamp, self._seq = sample.time, sample.seq
+        self.counts["held"] += 1
+        return self._command(now, step.status, [*flags, step.rule], **_trust(step))
 
     def tick(self, now: float) -> Command | None:
         """Let time pass.
@@ -315,10 +327,15 @@ class Session:
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
-        hands = calibration.add(np.array(sample.landmarks))
-        flags = self._accept(sample, now)
+        rule, hands = calibration.add(human_sample(sample, self.request.side))
         self._dt, _ = self._clock.grant(sample.time, now)
-        command = self._command(now, "calibrating", flags)
+        if rule:
+            self._stamp, self._seq = sample.time, sample.seq
+            self.counts["held"] += 1
+            flags: list[str] = [rule]
+        else:
+            flags = self._accept(sample, now)
+        command = self._command(now, "calibrating", flags, rule=rule, confidence=sample.confidence)
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self._wanted)
@@ -391,6 +408,7 @@ class Session:
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": to_detail(*mapped) if self._has_detail else None,
+            **_trust(step),
         }
 
     def _command(self, now: float, status: str, flags: list[str], **diagnostics: Any) -> Command:
@@ -409,6 +427,12 @@ class Session:
             dt=self._dt,
             **diagnostics,
         )
+
+
+def _trust(step: MapStep) -> dict[str, Any]:
+    """Return the fields of a command that say how much a sample is to be trusted."""
+    consistency = None if math.isnan(step.consistency) else step.consistency
+    return {"rule": step.rule, "consistency": consistency, "confidence": step.confidence}
 
 
 def _new_epoch() -> int:

@@ -7,6 +7,7 @@ robots), with joint limits, starting from the sample before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import msgspec
@@ -65,6 +66,20 @@ class PalmShape:
         posture = np.clip(0.0, human.lower_limits, human.upper_limits)
         self.points = human.with_points("landmarks").points(posture)[PALM]
         self._size = float(_palm_sizes(self.points))
+
+    def size_of(self, landmarks: np.ndarray) -> float:
+        """Return the RMS distance of the palm's landmarks from their centre [m].
+
+        Args:
+            landmarks: Of one sample [m], shape (21, 3).
+        """
+        offsets = landmarks[PALM]
+        offsets = offsets - offsets.mean(axis=0)
+        return math.sqrt(float(np.einsum("ij,ij->", offsets, offsets)) / len(PALM))
+
+    def fits_size(self, size: float) -> bool:
+        """Tell whether `size_of` gave the size of a hand about as large as this one [m]."""
+        return _PALM_RATIOS[0] * self._size <= size <= _PALM_RATIOS[1] * self._size
 
     def fits(self, landmarks: np.ndarray) -> np.ndarray:
         """Tell whether landmarks belong to a hand about as large as this one.

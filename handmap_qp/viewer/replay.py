@@ -13,6 +13,7 @@ from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.mapping.smoothing import Smoothing
 from handmap_qp.mapping.stages import motion_stages
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.offline.trajectory import recording_samples
 from handmap_qp.trackers.recording import HumanMotion, Recording
 
 
@@ -36,7 +37,7 @@ class ViewSample:
             (n,).
         status: How the inverse kinematics ended.
         duration: Wall time of the mapping step [s].
-        is_seen: Whether the tracker saw the hand; if not, the previous sample is held.
+        is_seen: Whether the robot followed the sample; if not, the previous one is held.
     """
 
     time: float
@@ -149,27 +150,21 @@ class Replay:
         return bool(earlier) and self.switches[max(earlier)]
 
     def _map(self, mapper: HandMapper) -> tuple[ViewSample, ...]:
-        motion, landmarks = self._motion, self._recording.landmarks
-        # Until the hand is first seen, show the reference.
-        first = int(np.argmax(motion.valid))
-        step = mapper.map_landmarks(landmarks[first], dt=motion.dt[first])
-        mapper.reset()
-        samples = []
-        for i in range(len(motion.time)):
+        motion, steps = self._motion, []
+        for i, sample in enumerate(recording_samples(self._recording)):
             if i in self.switches:
                 (mapper.release if self.switches[i] else mapper.clutch)()
-            if motion.valid[i]:
-                step = mapper.map_landmarks(landmarks[i], dt=motion.dt[i])
-            samples.append(
-                view_sample(
-                    float(self.time[i]),
-                    motion.q[i],
-                    motion.wrist[i],
-                    step,
-                    is_seen=bool(motion.valid[i]),
-                )
+            steps.append(mapper.map_sample(sample))
+        # Until the hand is first seen, show the reference.
+        followed = [not step.is_held for step in steps]
+        first = followed.index(True) if any(followed) else 0
+        steps[:first] = [steps[first]] * first
+        return tuple(
+            view_sample(float(time), q, wrist, step, is_seen=is_followed)
+            for time, q, wrist, step, is_followed in zip(
+                self.time, motion.q, motion.wrist, steps, followed, strict=True
             )
-        return tuple(samples)
+        )
 
 
 def view_sample(
@@ -187,7 +182,7 @@ def view_sample(
         human_q: Joint angles of the human, to draw it [rad], shape (n_human,).
         human_wrist: Its wrist pose, shape (4, 4).
         step: Result of the step.
-        is_seen: Whether the tracker saw the hand.
+        is_seen: Whether the robot followed the sample.
 
     Returns:
         The sample.

@@ -44,7 +44,7 @@ def test_replay_leads_the_service(recording: Path, capsys: pytest.CaptureFixture
         table = capsys.readouterr().out
         assert "three_finger" in table
         assert "calibrating: " in table
-        faults = ["--faults", "zero@0", "--speed", "5"]
+        faults = ["--faults", "noise@0:1", "--speed", "5"]
         assert cli.main([*command, "three_finger", *faults]) == 2
         refused = capsys.readouterr()
         assert "refused every sample" in refused.err

@@ -16,9 +16,10 @@ HUMAN = load_hand("human", points="landmarks")
 
 
 def closing(count: int = 40) -> Recording:
-    """Record a hand that closes within half the recording, then keeps still; one gap."""
+    """Record a hand that closes within half the recording, then hardly moves; one gap."""
     closed = HUMAN.rest + 0.5 * (HUMAN.upper_limits - HUMAN.rest)
-    shares = np.minimum(np.arange(count) / (count / 2), 1.0)
+    # Landmarks that repeat exactly would be frozen data.
+    shares = np.minimum(np.arange(count) / (count / 2), 1.0 + 1e-9 * np.arange(count))
     landmarks = [HUMAN.points(HUMAN.rest + share * (closed - HUMAN.rest)) for share in shares]
     valid = np.ones(count, dtype=bool)
     valid[10:13] = False

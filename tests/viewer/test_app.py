@@ -95,14 +95,16 @@ def test_replay_gives_the_commands_of_map_recording(preset: str) -> None:
     )
     targets = [sample.targets for sample in replay.samples if sample.targets is not None]
     np.testing.assert_allclose(targets, expected.targets, atol=1e-12)
-    np.testing.assert_array_equal([sample.is_seen for sample in replay.samples], motion.valid)
+    np.testing.assert_array_equal([sample.is_seen for sample in replay.samples], expected.valid)
+    assert not expected.valid[~motion.valid].any()
     assert replay.robot.reference_points == mapper.robot.reference_points
 
 
 def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     valid = np.arange(COUNT) >= 7
     motion = replace(closing_motion(), valid=valid)
-    replay = replay_of(motion)
+    recording = replace(closing_recording(), valid=valid)
+    replay = Replay(recording, motion, motion.human, load_hand("three_finger"), PAPER)
     for sample in replay.samples[:7]:
         np.testing.assert_allclose(sample.robot_q, replay.samples[7].robot_q, atol=1e-12)
     assert [sample.is_seen for sample in replay.samples] == valid.tolist()

@@ -1,0 +1,90 @@
+"""`SampleClock`: what the time stamps of a stream say about a sample.
+
+Stamps jitter, repeat, arrive in disorder, and jump when the tracker's clock is set. Everything else
+that looks at the stream counts in the time that this clock gives, and never in samples.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+TimeRule = Literal["", "duplicate", "disorder", "gap", "clock_jump"]
+"""What is unusual about a time stamp; empty if nothing is."""
+
+LONGEST_STEP = 0.1
+"""Longest time that one sample accounts for [s]."""
+GAP = 0.25
+"""A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
+_SET_BACK = 1.0
+"""A stamp earlier by more than this is of a clock that was set back, not of a late sample [s]."""
+_SET_FORWARD = 10.0
+"""A stamp later by more than this is of a clock that was set forward [s]."""
+_LATE_SAMPLES = 5
+"""Late samples in a row that increase among themselves: the clock was set back a little."""
+_SHARE = 0.05
+"""Share of a new interval in the usual period."""
+_SHORTEST = 0.5
+"""Least interval that speeds are computed from, over the usual period: stamps jitter."""
+
+
+class Tick(NamedTuple):
+    """What a time stamp says.
+
+    Attributes:
+        rule: What is unusual about it. Samples of `duplicate` and `disorder` bring nothing new.
+        elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
+        dt: Time that this sample accounts for [s], from 0 to `LONGEST_STEP`.
+    """
+
+    rule: TimeRule
+    elapsed: float
+    dt: float
+
+
+class SampleClock(NamedTuple):
+    """State of the clock after a sample; `advance` returns the next one.
+
+    Attributes:
+        stamp: Stamp of the last sample that counted [s]; None before the first.
+        period: Usual time between samples [s].
+        late_stamp: Stamp of the last late sample [s].
+        late_count: Late samples in a row.
+    """
+
+    stamp: float | None = None
+    period: float = 1.0 / 60.0
+    late_stamp: float = 0.0
+    late_count: int = 0
+
+    def advance(self, stamp: float) -> tuple[Tick, SampleClock]:
+        """Judge the time stamp of a sample.
+
+        Args:
+            stamp: Time stamp [s]; only differences of it have a meaning.
+
+        Returns:
+            What it says, and the clock after it.
+        """
+        period = self.period
+        if self.stamp is None:
+            return Tick("", period, period), self._replace(stamp=stamp)
+        step = stamp - self.stamp
+        if step == 0.0:
+            return Tick("duplicate", 0.0, 0.0), self
+        if -_SET_BACK <= step < 0.0:
+            is_next = self.late_count > 0 and stamp > self.late_stamp
+            count = self.late_count + 1 if is_next else 1
+            if count < _LATE_SAMPLES:
+                late = self._replace(late_stamp=stamp, late_count=count)
+                return Tick("disorder", 0.0, 0.0), late
+        if step < 0.0 or step > _SET_FORWARD:
+            return Tick("clock_jump", period, period), SampleClock(stamp, period)
+        if step > GAP:
+            return Tick("gap", step, LONGEST_STEP), SampleClock(stamp, period)
+        usual = period + _SHARE * (step - period)
+        return Tick("", step, min(step, LONGEST_STEP)), SampleClock(stamp, usual)
+
+    @property
+    def shortest(self) -> float:
+        """Least time that speeds are computed over [s]: jitter of stamps is not speed."""
+        return _SHORTEST * self.period

@@ -1,0 +1,449 @@
+"""`StreamGuard`: which samples of a tracker make sense, by named rules.
+
+Trackers lose the hand, find it elsewhere, confuse palm and back, repeat old data and report zeros.
+The guard compares every sample with the person's hand and with the sample before, and says whether
+the robot may follow it. It counts in the time of the stamps. A sample that it rejects never moves
+the robot; `mapping.rejoin` leads back to the hand afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.trackers.clock import SampleClock, Tick
+from handmap_qp.trackers.landmarks import PALM, PalmShape
+from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.transform import determinant, nearest_rotation, svd3
+
+Rule = Literal[
+    "",
+    "missing",
+    "zero",
+    "size",
+    "outlier",
+    "jump",
+    "flip",
+    "frozen",
+    "gap",
+    "settling",
+    "duplicate",
+    "disorder",
+    "clock_jump",
+]
+"""Name of what is wrong with a sample; empty if nothing is."""
+
+RULES: dict[Rule, str] = {
+    "missing": "the tracker did not see the hand, or its confidence is 0",
+    "zero": "landmarks lie in one place or at the origin, as trackers send when they see no hand",
+    "size": "the palm is less than half or more than twice as large as the person's",
+    "outlier": "one landmark left its place on the hand: lengths of bones changed at once",
+    "jump": "the hand moved faster, or from one speed to another, than hands do",
+    "flip": "the hand turned over or became its mirror image from one sample to the next",
+    "frozen": "the landmarks have repeated exactly for 0.25 s",
+    "gap": "no sample for more than 0.25 s, and the hand is elsewhere",
+    "settling": "the samples make sense again, but not yet for long enough",
+    "duplicate": "the time stamp is the same as that of the sample before",
+    "disorder": "the time stamp is earlier than that of the sample before",
+    "clock_jump": "the tracker's clock was set; the hand is where it was and is followed",
+}
+"""The rules, in words."""
+
+FROZEN_AFTER = 0.25
+"""Landmarks that repeat exactly for longer are frozen [s]."""
+SETTLING = 0.1
+"""Time that samples must make sense before they are followed again, after a fault [s]."""
+_LONG_SETTLING = 0.5
+"""The same after a flip or an outlier, which can last [s]."""
+_BRIEF = 0.1
+"""Holds up to this end at once when the hand is where it can have moved to meanwhile [s]."""
+_FLIP = math.radians(60.0)
+"""A turn by more than this between two samples is a flip."""
+_ZERO_SIZE = 0.001
+"""A hand whose palm has a smaller RMS radius is no hand but a point [m]."""
+_MIRROR = 1e-4
+"""Smallest part of the squared landmark spread that must speak for a mirror image [m^2]."""
+
+_STARTS = np.array([0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19, 5, 9, 13])
+_ENDS = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 9, 13, 17])
+"""Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
+
+
+class Limits(NamedTuple):
+    """Bounds of one measure of motion.
+
+    Attributes:
+        acceleration: Change of speed between two samples that is always believed [m/s^2, rad/s^2].
+        speed: Speed that is never believed [m/s, rad/s].
+        usual: First guess of the tracker's usual change of speed.
+    """
+
+    acceleration: float
+    speed: float
+    usual: float
+
+
+PALM_LIMITS = Limits(60.0, 6.0, 8.0)
+"""Translation of the palm. Recordings of free motion reach 1.5 m/s."""
+TURN_LIMITS = Limits(600.0, 40.0, 80.0)
+"""Rotation of the palm. Recordings reach 22 rad/s."""
+FINGER_LIMITS = Limits(150.0, 6.0, 12.0)
+"""Landmarks in palm axes. Recordings reach 3.8 m/s."""
+_BONE_STEP, _BONE_USUAL = 0.008, 0.0015
+"""Change of a length that is always believed, and the first guess of the usual one [m]."""
+_EXCESS = 12.0
+"""A change of speed is a jump if it is this many times the tracker's usual one."""
+_BONE_EXCESS = 15.0
+_ALONE = 3.0
+"""A landmark that leaves its place alone is this many times as fast as the next one."""
+_RATE = 0.05
+"""Share by which an estimate of a usual change moves with each sample.
+
+It falls no lower than where it has an effect, so that it rises within half a second when noise
+begins.
+"""
+
+
+class Verdict(NamedTuple):
+    """What the guard says about one sample.
+
+    Attributes:
+        rule: What is wrong with it; empty if nothing is.
+        is_held: The robot must hold: the sample is not to be followed.
+        is_return: The first sample to follow after a hold.
+        dt: Time that the sample accounts for [s].
+        consistency: RMS difference of the distances that cannot change (bones, and neighbours in
+            the palm) from the person's [m]; NaN if there are no landmarks.
+    """
+
+    rule: Rule
+    is_held: bool
+    is_return: bool
+    dt: float
+    consistency: float
+
+
+class _Track(NamedTuple):
+    """A sample and the motion that led to it; velocities are zero for a first sample.
+
+    Attributes:
+        time: Its instant, in the time of the clock [s].
+        points: Landmarks from the palm's centre [m], shape (21, 3).
+        centre: Centre of the palm [m], shape (3,).
+        velocity: Of the centre [m/s], shape (3,).
+        turning: Angular velocity of the palm [rad/s], shape (3,).
+        bending: Velocities of the landmarks in palm axes [m/s], shape (21, 3).
+        dt: Time between this sample and the one before [s]; 0 for a first one.
+        lengths: The distances that cannot change [m], shape (23,).
+    """
+
+    time: float
+    points: np.ndarray
+    centre: np.ndarray
+    velocity: np.ndarray
+    turning: np.ndarray
+    bending: np.ndarray
+    dt: float
+    lengths: np.ndarray
+
+
+class _Usual(NamedTuple):
+    """Running medians of the changes between samples: of palm, turn, fingers and lengths."""
+
+    palm: float = PALM_LIMITS.usual
+    turn: float = TURN_LIMITS.usual
+    fingers: float = FINGER_LIMITS.usual
+    lengths: float = _BONE_USUAL
+
+
+class _Change(NamedTuple):
+    """Motion from a track to a sample.
+
+    Attributes:
+        track: The sample with the motion that led to it.
+        palm: Change of the palm's velocity [m/s^2].
+        turn: Change of its angular velocity [rad/s^2].
+        fingers: Largest change of a landmark's velocity in palm axes [m/s^2].
+        lengths: Largest change of a distance that cannot change [m].
+        is_turned: The hand turned by more than 60 degrees, or became its mirror image.
+        is_alone: One landmark changed its velocity far more than all others.
+        is_too_fast: A speed is above what hands reach.
+    """
+
+    track: _Track
+    palm: float
+    turn: float
+    fingers: float
+    lengths: float
+    is_turned: bool
+    is_alone: bool
+    is_too_fast: bool
+
+
+class GuardState(NamedTuple):
+    """What the guard remembers; replaced as a whole.
+
+    Attributes:
+        clock: The clock of the stream.
+        now: Time of the stream [s]: the sum of the time steps.
+        good: The last sample that was followed.
+        last: The last sample that could be a hand's.
+        usual: How much samples usually change.
+        cause: The rule that began the present hold; empty if there is none.
+        held_since: Time of its begin [s].
+        steady_since: Time since which samples make sense [s].
+        same_since: Time since which the landmarks are exactly the same [s].
+    """
+
+    clock: SampleClock = SampleClock()
+    now: float = 0.0
+    good: _Track | None = None
+    last: _Track | None = None
+    usual: _Usual = _Usual()
+    cause: Rule = ""
+    held_since: float = 0.0
+    steady_since: float = 0.0
+    same_since: float = 0.0
+
+
+class StreamGuard:
+    """Judges the samples of one hand, one after the other.
+
+    Args:
+        human: The human hand, scaled to the person.
+
+    Attributes:
+        state: What it remembers. Put a former one back to forget the samples since then.
+
+    Raises:
+        HandError: If the hand has no landmarks.
+    """
+
+    def __init__(self, human: Hand) -> None:
+        self.state = GuardState()
+        self._side = human.side
+        self._palm = PalmShape(human)
+        points = human.with_points("landmarks").points(human.rest)
+        self._lengths = _lengths(points)
+
+    def check(self, sample: HumanSample) -> Verdict:
+        """Judge the next sample of the stream.
+
+        Args:
+            sample: The sample.
+
+        Returns:
+            Whether the robot may follow it, and what is wrong with it.
+
+        Raises:
+            InvalidInputError: If it is of the other hand.
+        """
+        if sample.side != self._side:
+            raise InvalidInputError(
+                argument="side",
+                expected=f"samples of a {self._side} hand",
+                value=sample.side,
+                got=f"one of a {sample.side} hand",
+            )
+        state = self.state
+        tick, clock = state.clock.advance(sample.time)
+        now = state.now + tick.elapsed
+        state = state._replace(clock=clock, now=now)
+        if tick.rule in ("duplicate", "disorder"):
+            self.state = state
+            return Verdict(tick.rule, True, False, tick.dt, math.nan)
+        unusable = self._unusable(sample)
+        if unusable:
+            self.state = _holding(state, unusable)
+            return Verdict(unusable, True, False, tick.dt, math.nan)
+        verdict, self.state = self._follow(sample.landmarks, state, tick)
+        return verdict
+
+    def _unusable(self, sample: HumanSample) -> Rule:
+        """Return what makes a sample unusable by itself."""
+        if not sample.valid or sample.confidence == 0.0:
+            return "missing"
+        landmarks = sample.landmarks
+        size = self._palm.size_of(landmarks)
+        # One landmark may be the origin of the tracker's world.
+        if size < _ZERO_SIZE or np.count_nonzero(landmarks.any(axis=1)) < len(landmarks) - 1:
+            return "zero"
+        return "" if self._palm.fits_size(size) else "size"
+
+    def _follow(
+        self, landmarks: np.ndarray, state: GuardState, tick: Tick
+    ) -> tuple[Verdict, GuardState]:
+        """Judge landmarks that could be a hand's by how they follow the ones before."""
+        centre = landmarks[PALM].mean(axis=0)
+        points, lengths = landmarks - centre, _lengths(landmarks)
+        off = lengths - self._lengths
+        consistency = math.sqrt(off.dot(off) / len(off))
+        fresh = _first(state.now, points, centre, lengths)
+        last = state.last
+        if last is None:
+            is_return = state.cause != ""
+            state = state._replace(good=fresh, last=fresh, cause="", same_since=state.now)
+            return Verdict("", False, is_return, tick.dt, consistency), state
+        is_same = bool((last.points == points).all() and (last.centre == centre).all())
+        state = state if is_same else state._replace(same_since=state.now)
+        if is_same and state.now - state.same_since >= FROZEN_AFTER:
+            return Verdict("frozen", True, False, tick.dt, consistency), _holding(state, "frozen")
+        change = _change(last, fresh, max(state.now - last.time, state.clock.shortest))
+        rule = _named(change, state.usual)
+        if tick.rule == "gap" and _named(_change(last, fresh, state.clock.period), state.usual):
+            rule = "gap"
+        state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
+        if rule:
+            state = _holding(state._replace(last=fresh), rule)
+        if not state.cause:
+            state = state._replace(good=change.track)
+            return Verdict(_info(tick), False, False, tick.dt, consistency), state
+        if self._has_returned(fresh, rule, state):
+            state = state._replace(good=state.last, cause="")
+            return Verdict(_info(tick), False, True, tick.dt, consistency), state
+        return Verdict(rule or "settling", True, False, tick.dt, consistency), state
+
+    def _has_returned(self, fresh: _Track, rule: Rule, state: GuardState) -> bool:
+        """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
+        good, now = state.good, state.now
+        if good is None:
+            return not rule
+        since_good = max(now - good.time, state.clock.shortest)
+        if since_good <= _BRIEF:
+            near = _change(good, fresh, since_good)
+            return not _named(near, state.usual)
+        if rule:
+            return False
+        is_doubtful = state.cause in ("flip", "outlier") and _is_other(good, fresh, state.usual)
+        return now - state.steady_since >= (_LONG_SETTLING if is_doubtful else SETTLING)
+
+
+def _holding(state: GuardState, rule: Rule) -> GuardState:
+    """Begin a hold, or go on with it; samples must make sense again from now on."""
+    if state.cause:
+        return state._replace(steady_since=state.now)
+    return state._replace(cause=rule, held_since=state.now, steady_since=state.now)
+
+
+def _info(tick: Tick) -> Rule:
+    return "clock_jump" if tick.rule == "clock_jump" else ""
+
+
+def _first(now: float, points: np.ndarray, centre: np.ndarray, lengths: np.ndarray) -> _Track:
+    return _Track(now, points, centre, _STILL, _STILL, _UNBENT, 0.0, lengths)
+
+
+def _change(track: _Track, sample: _Track, dt: float) -> _Change:
+    """Measure the motion from a track to a sample, dt [s] later."""
+    # Kabsch: the rotation that takes the palm before to the palm now.
+    rotation = nearest_rotation(sample.points[PALM].T.dot(track.points[PALM]))
+    angle, turn = _angle(rotation)
+    velocity = (sample.centre - track.centre) / dt
+    turning = turn / dt
+    bending = (sample.points.dot(rotation) - track.points) / dt
+    if track.dt > 0.0:
+        span = 0.5 * (dt + track.dt)
+        palm = _length(velocity - track.velocity) / span
+        turned = _length(turning - track.turning) / span
+        slips = bending - track.bending
+    else:
+        # No motion is known before: speeds decide.
+        palm = turned = 0.0
+        span, slips = dt, np.zeros_like(bending)
+    by_landmark = np.einsum("ij,ij->i", slips, slips)
+    order = np.partition(by_landmark, -2)
+    fingers, next_most = math.sqrt(order[-1]) / span, math.sqrt(order[-2]) / span
+    fastest = math.sqrt(np.einsum("ij,ij->i", bending, bending).max())
+    is_too_fast = (
+        _length(velocity) > PALM_LIMITS.speed
+        or angle / dt > TURN_LIMITS.speed
+        or fastest > FINGER_LIMITS.speed
+    )
+    moved = sample._replace(
+        velocity=velocity, turning=turning, bending=bending.dot(rotation.T), dt=dt
+    )
+    return _Change(
+        moved,
+        palm,
+        turned,
+        fingers,
+        float(np.abs(sample.lengths - track.lengths).max()),
+        is_turned=angle > _FLIP or _is_mirrored(track.points, sample.points),
+        is_alone=fingers > _ALONE * next_most,
+        is_too_fast=is_too_fast,
+    )
+
+
+def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
+    """Tell whether a reflection lays one hand better on the other than any rotation does."""
+    covariance = points.T.dot(before)
+    return determinant(covariance) < 0.0 and bool(svd3(covariance)[1][2] > _MIRROR)
+
+
+def _is_other(before: _Track, sample: _Track, usual: _Usual) -> bool:
+    """Tell whether a sample shows the hand turned, mirrored or of other lengths than before."""
+    change = _change(before, sample, 1.0)
+    return change.is_turned or _is_stretched(change, usual)
+
+
+def _is_stretched(change: _Change, usual: _Usual) -> bool:
+    return change.lengths > max(_BONE_STEP, _BONE_EXCESS * usual.lengths)
+
+
+def _named(change: _Change, usual: _Usual) -> Rule:
+    """Name a change that no hand makes; empty if hands do."""
+    if change.is_turned:
+        return "flip"
+    if _is_stretched(change, usual):
+        return "outlier"
+    is_sudden = (
+        change.palm > max(PALM_LIMITS.acceleration, _EXCESS * usual.palm)
+        or change.turn > max(TURN_LIMITS.acceleration, _EXCESS * usual.turn)
+        or change.fingers > max(FINGER_LIMITS.acceleration, _EXCESS * usual.fingers)
+    )
+    if not (is_sudden or change.is_too_fast):
+        return ""
+    return "outlier" if change.is_alone else "jump"
+
+
+def _learnt(usual: _Usual, change: _Change, before: _Track) -> _Usual:
+    """Move the running medians by a fixed share: a single fault hardly counts."""
+    lengths = _median(usual.lengths, change.lengths, _BONE_STEP / _BONE_EXCESS)
+    if before.dt <= 0.0:
+        return usual._replace(lengths=lengths)
+    return _Usual(
+        _median(usual.palm, change.palm, PALM_LIMITS.acceleration / _EXCESS),
+        _median(usual.turn, change.turn, TURN_LIMITS.acceleration / _EXCESS),
+        _median(usual.fingers, change.fingers, FINGER_LIMITS.acceleration / _EXCESS),
+        lengths,
+    )
+
+
+def _median(estimate: float, value: float, least: float) -> float:
+    return max(least, estimate * (1.0 + _RATE if value > estimate else 1.0 - _RATE))
+
+
+def _lengths(points: np.ndarray) -> np.ndarray:
+    spans = points[_ENDS] - points[_STARTS]
+    return np.sqrt(np.einsum("ij,ij->i", spans, spans))
+
+
+def _angle(rotation: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the angle of a rotation, and its rotation vector; only the angle near 180 degrees."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    angle = math.acos(min(1.0, max(-1.0, 0.5 * (a + e + i - 1.0))))
+    sine = math.sin(angle)
+    scale = 0.5 * (angle / sine if sine > 1e-6 else 1.0)
+    return angle, scale * np.array([h - f, c - g, d - b])
+
+
+def _length(vector: np.ndarray) -> float:
+    return math.sqrt(vector.dot(vector))
+
+
+_STILL = np.zeros(3)
+_UNBENT = np.zeros((21, 3))

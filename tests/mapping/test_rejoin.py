@@ -1,0 +1,161 @@
+"""`map_sample`: the robot holds where samples make no sense, and never snaps on the way back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, load_hand
+from handmap_qp.mapping.rejoin import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.trackers.injection import inject, parse_faults
+from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.transform import affine
+
+RATE = 60.0
+HUMAN = load_hand("human", points="landmarks")
+ROBOT = load_hand("three_finger")
+
+
+def still(count: int = 180, shift: float = 0.0, turn: float = 0.0) -> list[HumanSample]:
+    """Return a hand that trembles; in the second half displaced and turned."""
+    samples = []
+    for i in range(count):
+        share = 1.0 if i >= count // 2 else 0.0
+        q = HUMAN.rest + share * 0.3 * (HUMAN.upper_limits - HUMAN.rest)
+        wrist = affine(pin.exp3(np.array([0.0, share * turn, 0.0])), np.array([0.1, 0.2, 0.3]))
+        wrist[0, 3] += share * shift + 1e-7 * (i % 2)
+        samples.append(HumanSample(i / RATE, "right", HUMAN.points(q, wrist)))
+    return samples
+
+
+def mapped(
+    samples: list[HumanSample], rejoin: RejoinKind = "glide", method: Any = "teleoperation"
+) -> list[MapStep]:
+    mapper = HandMapper(HUMAN, ROBOT, method, rejoin=rejoin)
+    return [mapper.map_sample(sample) for sample in samples]
+
+
+def lost_between(shift: float = 0.0, turn: float = 0.0) -> list[HumanSample]:
+    """Return a hand that is not seen for 0.5 s, and is elsewhere then."""
+    return list(inject(still(240, shift, turn), parse_faults("dropout@1.75+0.5")))
+
+
+@pytest.mark.parametrize("rejoin", ["glide", "clutch"])
+@pytest.mark.parametrize("method", ["teleoperation", "object", "paper"])
+def test_the_robot_holds_and_comes_back_at_a_limited_speed(rejoin: RejoinKind, method: str) -> None:
+    steps = mapped(lost_between(0.15, 1.0), rejoin, method)
+    status = [step.status for step in steps]
+    held = [i for i, each in enumerate(status) if each == "held"]
+    assert held == list(range(held[0], held[-1] + 1))
+    assert held[0] == round(1.75 * RATE)
+    for i in held:
+        np.testing.assert_array_equal(steps[i].command.q, steps[held[0] - 1].command.q)
+        np.testing.assert_array_equal(steps[i].command.wrist, steps[held[0] - 1].command.wrist)
+        assert steps[i].rule in ("missing", "settling")
+    assert status[held[-1] + 1] == "gliding"
+    after = steps[held[-1] :]
+    for before, step in pairwise(after):
+        travel = step.command.wrist[:3, 3] - before.command.wrist[:3, 3]
+        turned = pin.log3(before.command.wrist[:3, :3].T @ step.command.wrist[:3, :3])
+        # The wrist may lag a little behind its target: 1.5 times what fading adds.
+        assert np.linalg.norm(travel) * RATE < 1.5 * (PALM_SPEED + 0.1 * TURN_SPEED)
+        assert np.linalg.norm(turned) * RATE < 1.5 * TURN_SPEED
+        points = step.human_points - before.human_points
+        assert np.linalg.norm(points, axis=1).max() * RATE < FINGER_SPEED + PALM_SPEED + 0.4
+    assert status[-1] != "gliding" or rejoin == "clutch"
+
+
+def test_gliding_ends_at_the_human_and_a_clutch_stays_where_it_is() -> None:
+    samples = lost_between(0.15, 1.0)
+    glided = mapped(samples)[-1]
+    np.testing.assert_allclose(glided.human_points, samples[-1].landmarks, atol=1e-12)
+    clutched = mapped(samples, "clutch")
+    held = next(step for step in clutched if step.is_held)
+    np.testing.assert_allclose(
+        clutched[-1].command.wrist[:3, 3], held.command.wrist[:3, 3], atol=2e-3
+    )
+    # The fingers show what the human's show, wherever the palm is.
+    assert clutched[-1].human_wrist is not None
+    assert glided.human_wrist is not None
+    for step in (clutched[-1], glided):
+        wrist = step.human_wrist
+        assert wrist is not None
+        in_wrist = (step.human_points - wrist[:3, 3]) @ wrist[:3, :3]
+        actual = samples[-1].landmarks - samples[-1].landmarks[0]
+        distances = np.linalg.norm(actual[:, None] - actual, axis=2)
+        np.testing.assert_allclose(
+            np.linalg.norm(in_wrist[:, None] - in_wrist, axis=2), distances, atol=1e-9
+        )
+
+
+def test_a_second_hold_during_the_glide_goes_on_from_there() -> None:
+    samples = list(inject(still(300, 0.2), parse_faults("dropout@2.2+0.5,dropout@3.0+0.3")))
+    steps = mapped(samples)
+    assert any(step.status == "gliding" for step in steps[round(2.9 * RATE) : round(3.0 * RATE)])
+    travel = np.diff([step.command.wrist[0, 3] for step in steps])
+    assert np.abs(travel).max() * RATE < 1.5 * PALM_SPEED
+    np.testing.assert_allclose(steps[-1].human_points, samples[-1].landmarks, atol=1e-12)
+
+
+def test_without_faults_samples_are_mapped_as_landmarks() -> None:
+    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
+    samples = still(200)[:60]
+    for i, (sample, step) in enumerate(zip(samples, mapped(samples), strict=True)):
+        expected = mapper.map_landmarks(sample.landmarks, dt=1.0 / RATE)
+        np.testing.assert_allclose(step.command.q, expected.command.q, atol=1e-9)
+        assert (step.status, step.rule, step.is_held) == (expected.status, "", False), i
+        assert step.consistency < 1e-9
+
+
+def test_before_the_hand_is_seen_the_robot_rests_and_nothing_is_taken_for_the_reference() -> None:
+    samples = still(60)
+    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
+    for sample in samples[:5]:
+        step = mapper.map_sample(replace(sample, valid=False))
+        assert (step.status, step.rule) == ("held", "missing")
+        np.testing.assert_array_equal(step.command.q, ROBOT.rest)
+        assert np.isnan(step.human_points).all()
+    seen = mapper.map_sample(samples[5])
+    fresh = HandMapper(HUMAN, ROBOT, "teleoperation").map_sample(samples[5])
+    np.testing.assert_allclose(seen.command.wrist, fresh.command.wrist, atol=1e-9)
+    assert not seen.is_held
+
+
+def test_a_step_that_fails_leaves_guard_and_mapper_as_they_were() -> None:
+    samples = still(60)
+    mapper, calm = (HandMapper(HUMAN, ROBOT, "teleoperation") for _ in range(2))
+    for sample in samples[:10]:
+        mapper.map_sample(sample)
+        calm.map_sample(sample)
+    with pytest.raises(InvalidInputError, match="dt"):
+        mapper.map_sample(samples[10], dt=-1.0)
+    with pytest.raises(InvalidInputError, match="side"):
+        mapper.map_sample(replace(samples[10], side="left"))
+    for sample in samples[10:20]:
+        np.testing.assert_array_equal(
+            mapper.map_sample(sample).command.q, calm.map_sample(sample).command.q
+        )
+
+
+def test_confidence_and_rule_travel_in_the_step() -> None:
+    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
+    samples = still(10)
+    assert mapper.map_sample(replace(samples[0], confidence=0.6)).confidence == 0.6
+    step = mapper.map_sample(replace(samples[1], confidence=0.0))
+    assert (step.confidence, step.rule, step.status) == (0.0, "missing", "held")
+    # Joint angles are judged by their limits alone.
+    assert mapper.map_landmarks(samples[2].landmarks).verdict is None
+
+
+def test_another_way_back_is_an_error() -> None:
+    with pytest.raises(
+        InvalidOptionsError, match="rejoin: expected one of glide, clutch"
+    ) as caught:
+        HandMapper(HUMAN, ROBOT, rejoin="leap")  # type: ignore[arg-type]
+    assert caught.value.option == "rejoin"

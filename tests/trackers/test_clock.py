@@ -1,0 +1,90 @@
+"""Time stamps: what is unusual is named, and time granted never exceeds the time that passed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handmap_qp.trackers.clock import GAP, LONGEST_STEP, SampleClock, Tick
+
+PERIOD = 0.01
+
+
+def run(stamps: list[float]) -> list[Tick]:
+    clock, ticks = SampleClock(), []
+    for stamp in stamps:
+        tick, clock = clock.advance(stamp)
+        ticks.append(tick)
+    return ticks
+
+
+def regular(count: int, start: float = 0.0) -> list[float]:
+    return [start + i * PERIOD for i in range(count)]
+
+
+@given(
+    start=st.floats(-1e9, 1e9),
+    steps=st.lists(st.floats(1e-4, GAP - 1e-3), min_size=1, max_size=40),
+)
+def test_increasing_stamps_are_ordinary_and_their_time_is_granted(
+    start: float, steps: list[float]
+) -> None:
+    stamps = start + np.cumsum([0.0, *steps])
+    ticks = run(stamps.tolist())
+    assert {tick.rule for tick in ticks} == {""}
+    differences = np.diff(stamps)
+    np.testing.assert_array_equal([tick.elapsed for tick in ticks[1:]], differences)
+    granted = np.minimum(differences, LONGEST_STEP)
+    np.testing.assert_array_equal([tick.dt for tick in ticks[1:]], granted)
+
+
+@given(stamps=st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=40))
+def test_no_stamp_grants_more_than_the_longest_step_or_less_than_nothing(
+    stamps: list[float],
+) -> None:
+    for tick in run(stamps)[1:]:
+        assert 0.0 <= tick.dt <= LONGEST_STEP
+        assert math.isfinite(tick.elapsed)
+
+
+def test_a_repeated_stamp_is_a_duplicate_and_takes_no_time() -> None:
+    ticks = run([0.0, 0.01, 0.01, 0.02])
+    assert [tick.rule for tick in ticks] == ["", "", "duplicate", ""]
+    assert sum(tick.dt for tick in ticks[1:]) == pytest.approx(0.02)
+
+
+def test_late_samples_are_out_of_order_and_the_others_keep_their_time() -> None:
+    ticks = run([0.0, 0.01, 0.03, 0.02, 0.04, 0.035, 0.05])
+    assert [tick.rule for tick in ticks] == ["", "", "", "disorder", "", "disorder", ""]
+    assert sum(tick.dt for tick in ticks[1:]) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("shift", [-3600.0, -1.5, 11.0, 3600.0])
+def test_a_clock_that_is_set_far_costs_no_sample(shift: float) -> None:
+    ticks = run([*regular(20), *regular(20, shift + 20 * PERIOD)])
+    assert [tick.rule for tick in ticks[20:]] == ["clock_jump", *[""] * 19]
+    # The usual period stands in for the jump.
+    assert ticks[20].dt < 0.02
+    assert ticks[21].dt == pytest.approx(PERIOD)
+
+
+def test_a_clock_that_is_set_back_a_little_is_believed_after_five_samples() -> None:
+    ticks = run([*regular(20), *regular(20, -0.5)])
+    assert [tick.rule for tick in ticks[20:26]] == [*["disorder"] * 4, "clock_jump", ""]
+
+
+def test_a_pause_is_a_gap_whose_time_is_not_granted() -> None:
+    tick = run([0.0, 0.01, 0.01 + 2.0])[2]
+    assert (tick.rule, tick.dt) == ("gap", LONGEST_STEP)
+    assert tick.elapsed == pytest.approx(2.0)
+
+
+def test_jitter_does_not_shorten_the_time_that_speeds_are_computed_over() -> None:
+    clock = SampleClock()
+    for stamp in regular(200):
+        _, clock = clock.advance(stamp)
+    assert clock.shortest == pytest.approx(0.5 * PERIOD, rel=0.05)
