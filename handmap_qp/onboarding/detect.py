@@ -7,6 +7,7 @@ answer has its evidence and its confidence.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,12 +20,17 @@ from handmap_qp.hands.spec import HandSpec, Mount, PalmSpec, PointSpec, Side, Wr
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
 from handmap_qp.onboarding.flexion import FingerFlexion, FingertipKinematics, find_flexion
+from handmap_qp.onboarding.middle_joints import middle_joint
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.onboarding.structure import Chain, Structure, find_structure
 from handmap_qp.transform import transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE, _REST_MOST = 0.4, 0.75
+# A middle joint's point is its link's origin if that is this near to the finger's plane [m].
+_OFF_AXIS = 0.0015
+# A joint this near to the palm is one of its wrist [m].
+_WRIST_REACH = 0.25
 # Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
 _PALM_RATIO = (0.4, 1.4)
 
@@ -104,7 +110,10 @@ def detect_text(
     """Find a hand in a URDF's text; `urdf` is its file, the rest is as in `detect`."""
     robot = Robot(text, urdf, root=root)
     structure = find_structure(robot)
+    left_out: tuple[str, ...] = ()
     if root is None and (structure.above or structure.palm != robot.root):
+        if base is None:
+            left_out = _wrist_note(robot, structure)
         robot = Robot(text, urdf, root=structure.palm)
         structure = find_structure(robot)
     flexion = find_flexion(robot, structure)
@@ -116,11 +125,18 @@ def detect_text(
     )
     if thumb is not None and given is None:
         raise HandError(f"no finger has a link or joint {thumb!r}", file=urdf, value=thumb)
-    anatomy = find_anatomy(flexion, names, (robot.name, urdf.stem, structure.palm), side, given)
+    hints = (robot.name, urdf.stem, structure.palm)
+    anatomy = find_anatomy(flexion, names, hints, side, given)
+    fingers = [i for i, finger in enumerate(anatomy.fingers) if finger != "thumb"]
+    if (flexion.ways[fingers].sum(axis=0) @ anatomy.dorsal) > 0.0:
+        # The side turned the palm over: joints with symmetric ranges flex the other way.
+        flexion = find_flexion(robot, structure, palmar=-anatomy.dorsal)
     if name is None:
-        name = robot.name if robot.is_whole else f"{robot.name}_{anatomy.side}"
+        name = robot.name
+        if not robot.is_whole and anatomy.side not in re.split(r"[^a-z]+", name.lower()):
+            name = f"{name}_{anatomy.side}"
     spec, clues = _describe(robot, structure, flexion, anatomy, name)
-    notes = (*structure.notes, *robot.notes)
+    notes = (*left_out, *structure.notes, *robot.notes)
     chains = {
         finger: (*dict.fromkeys([*map(robot.drivers, chain.joints), *chain.joints]),)
         for finger, chain in _in_order(anatomy, structure.chains)
@@ -129,6 +145,24 @@ def detect_text(
         spec, more = _on_arm(text, urdf, spec, base)
         notes = (*notes, *more)
     return Detection(spec, clues, notes, chains)
+
+
+def _wrist_note(robot: Robot, structure: Structure) -> tuple[str, ...]:
+    """Name the actuated wrist joints that are left out, and the option that keeps them."""
+    robot.place(robot.zero)
+    near = [
+        (joint, link)
+        for joint, link in robot.chain(structure.palm, robot.root)
+        if joint in robot.active
+        and np.linalg.norm(robot.pose_in(link, structure.palm)[:3, 3]) < _WRIST_REACH
+    ]
+    if not near:
+        return ()
+    joints = ", ".join(joint for joint, _ in near)
+    base = robot.parent[near[0][1]][1]
+    return (
+        f"wrist joints are left out, and the wrist floats: {joints}; keep them with --base {base}",
+    )
 
 
 def _describe(
@@ -172,9 +206,15 @@ def _describe(
         limits={joint: limit for joint, limit in robot.assumed.items() if joint in joints},
         mimic=dict(robot.dropped_rules),
     )
+    sure = {clue.what: clue.confidence for clue in anatomy.clues}
     palm_clue = Clue("palm", structure.palm, structure.how, structure.confidence)
     tip_clues = [
-        Clue(f"{finger}_tip", chain.tip.link, chain.tip.how, chain.tip.confidence)
+        Clue(
+            f"{finger}_tip",
+            chain.tip.link,
+            chain.tip.how,
+            min(chain.tip.confidence, max(sure["thumb" if finger == "thumb" else "fingers"], 0.3)),
+        )
         for finger, chain in _in_order(anatomy, structure.chains)
     ]
     moved = FingertipKinematics(robot, structure).tips(q_rest) - flexion.tips_open
@@ -184,7 +224,7 @@ def _describe(
         "half open",
         f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad per "
         "joint; other joints near zero, or at mid-range on the thumb",
-        0.9 if share > 0.5 else 0.6,
+        min(0.9 if share > 0.5 else 0.6, sure["dorsal"]),
     )
     return spec, (palm_clue, *anatomy.clues, origin_clue, *tip_clues, rest_clue)
 
@@ -236,41 +276,26 @@ def _inside(value: float, robot: Robot, joint: str) -> float:
 def _points(
     robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy
 ) -> tuple[tuple[PointSpec, ...], tuple[str, ...]]:
-    """Return fingertips, and for each finger the joint nearest to its middle, if any."""
+    """Return fingertips, and the PIP joint of each finger and the IP joint of the thumb, if any."""
     tips, middles = [], []
     for finger, chain in _in_order(anatomy, structure.chains):
         # An additional finger has no human counterpart: pair it with the little finger.
-        partner = f"{finger}_tip" if not finger.startswith("finger") else "little_tip"
+        is_extra = finger.startswith("finger")
+        partner = "little_tip" if is_extra else f"{finger}_tip"
         tip = PointSpec(
             f"{finger}_tip", chain.tip.link, _vector(chain.tip.xyz, 4), finger, 1.0, partner
         )
         tips.append(tip if partner != tip.name else msgspec.structs.replace(tip, partner=None))
-        link = _middle_link(robot, chain)
-        if link is not None:
+        i = structure.chains.index(chain)
+        middle = middle_joint(robot, structure, flexion, i, is_thumb=finger == "thumb")
+        if middle is not None:
             name = f"{finger}_ip" if finger == "thumb" else f"{finger}_pip"
-            middle = PointSpec(
-                name,
-                link,
-                (0.0, 0.0, 0.0),
-                finger,
-                1.0,
-                None if not finger.startswith("finger") else "little_pip",
+            link, place = middle
+            xyz = _vector(place, 4) if np.linalg.norm(place) > _OFF_AXIS else (0.0, 0.0, 0.0)
+            middles.append(
+                PointSpec(name, link, xyz, finger, 1.0, "little_pip" if is_extra else None)
             )
-            middles.append(middle)
     return (*tips, *middles), tuple(point.name for point in tips)
-
-
-def _middle_link(robot: Robot, chain: Chain) -> str | None:
-    """Return the link whose joint is nearest to the finger's middle; None if none is near."""
-    robot.place(robot.zero)
-    places = [robot.pose(link)[:3, 3] for link in chain.links]
-    places.append(transform_points(robot.pose(chain.tip.link), chain.tip.xyz))
-    ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
-    if ways[-1] < 1e-6 or all(robot.kinds[joint] == "prismatic" for joint in chain.joints):
-        return None
-    shares = ways[:-1] / ways[-1]
-    nearest = int(np.argmin(np.abs(shares - 0.55)))
-    return chain.links[nearest] if 0.2 < shares[nearest] < 0.85 else None
 
 
 def _palm_origin(
@@ -297,6 +322,7 @@ def _palm_origin(
         how = (
             f"{how}; moved to {1e3 * back:.0f} mm behind the knuckles, as in a person's proportions"
         )
+    confidence = min(confidence, next(c.confidence for c in anatomy.clues if c.what == "distal"))
     origin = knuckles - back * anatomy.distal
     return origin, Clue("palm origin", f"{1e3 * back:.0f} mm behind the knuckles", how, confidence)
 

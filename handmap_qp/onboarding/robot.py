@@ -22,7 +22,7 @@ from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_m
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf.check import check_tree
 from handmap_qp.hands.urdf.compose import prepare_urdf
-from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf
+from handmap_qp.hands.urdf.elements import axis_of, get_numbers, origin_of, parse_urdf
 from handmap_qp.hands.urdf.files import find_mesh
 from handmap_qp.hands.urdf.tree import MOVABLE, cut_subtree, edges, link_names, root_links
 from handmap_qp.transform import transform_points
@@ -34,6 +34,8 @@ _ASSUMED_RANGE = {
     "prismatic": (0.0, 0.04),
 }
 _ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
+# Most names in one note.
+_MOST_NAMES = 12
 # Most surface points kept of one mesh.
 _MOST_POINTS = 3000
 
@@ -55,6 +57,8 @@ class Robot:
         parent: Parent joint of each link, and that joint's parent link.
         children: Child joints of each link, each with its child link.
         kinds: Type of each joint: `revolute`, `prismatic` or `fixed`.
+        axes: Axis of each movable joint in its child link's frame, a unit vector.
+        balls: Centres of each link's spheres, in its frame [m], shape (k, 3).
         rules: Resolved mimic rules.
         active: The n joints that are neither fixed nor mimic joints, in the order of the file.
         lower: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
@@ -63,7 +67,6 @@ class Robot:
         assumed: Limits that the URDF lacks, by joint.
         dropped_rules: Mimic rules whose leader is not in this part of the robot; these joints are
             treated as independent.
-        notes: Assumptions, one sentence each.
 
     Raises:
         HandError: If the URDF cannot be used, in one line.
@@ -87,7 +90,7 @@ class Robot:
             if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
                 raise HandError(f"no movable joint hangs from the link {root!r}", value=root)
             self.name = robot.get("name", "") or file.stem
-            self.notes: list[str] = []
+            self._remarks: dict[str, list[str]] = {}
             self.endless = {
                 joint.get("name", "")
                 for joint in robot.iterfind("joint")
@@ -111,7 +114,23 @@ class Robot:
         for joint, parent, child in edges(robot):
             self.parent[child] = (joint.get("name", ""), parent)
             self.children[parent].append((joint.get("name", ""), child))
-        followers = {rule.follower for rule in self.rules}
+        self.axes = {
+            joint.get("name", ""): axis_of(joint)
+            for joint in robot.iterfind("joint")
+            if joint.get("type") in MOVABLE
+        }
+        self.balls = {
+            link.get("name", ""): np.array(
+                [
+                    origin_of(shape)[:3, 3]
+                    for shape in (*link.iterfind("visual"), *link.iterfind("collision"))
+                    if shape.find("geometry/sphere") is not None
+                ]
+            ).reshape(-1, 3)
+            for link in robot.iterfind("link")
+        }
+        self._rule_of = {rule.follower: rule for rule in self.rules}
+        followers = set(self._rule_of)
         self.active = [
             name for name, kind in self.kinds.items() if kind in MOVABLE and name not in followers
         ]
@@ -125,7 +144,8 @@ class Robot:
             raise HandError(
                 f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", file=self.file
             ) from error
-        self.notes += tighten_model(self.model, self.rules)
+        for note in tighten_model(self.model, self.rules):
+            self._remark("", note)
         names = list(self.model.names)[1:]
         columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in names]
         self._matrix, self._offset = expansion_matrix(names, self.active, self.rules)
@@ -141,6 +161,21 @@ class Robot:
             link: self.model.getFrameId(link, pin.FrameType.BODY) for link in self.links
         }
         self.place(self.zero)
+
+    @property
+    def notes(self) -> list[str]:
+        """Assumptions, one sentence each; those about several joints in one."""
+        found = []
+        for what, subjects in self._remarks.items():
+            shown = ", ".join(subjects[:_MOST_NAMES])
+            if len(subjects) > _MOST_NAMES:
+                shown += f" and {len(subjects) - _MOST_NAMES} more"
+            each = f"{shown}: each" if len(subjects) > 1 else shown
+            found.append(f"{each} {what}".strip())
+        return found
+
+    def _remark(self, subject: str, what: str) -> None:
+        self._remarks.setdefault(what, []).append(subject)
 
     # -- structure
 
@@ -185,7 +220,13 @@ class Robot:
 
     def drivers(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
-        return next((rule.leader for rule in self.rules if rule.follower == joint), joint)
+        rule = self._rule_of.get(joint)
+        return joint if rule is None else rule.leader
+
+    def gear(self, joint: str) -> float:
+        """Return a joint's motion per motion of the active joint that moves it."""
+        rule = self._rule_of.get(joint)
+        return 1.0 if rule is None else rule.multiplier
 
     # -- kinematics
 
@@ -221,9 +262,9 @@ class Robot:
                     io.BytesIO(self.urdf_text.encode()), build_scene_graph=False, load_meshes=False
                 ).robot
         except Exception as error:
-            self.notes.append(
-                "the links' shapes cannot be read and are ignored "
-                f"({type(error).__name__}: {error})"
+            self._remark(
+                "the links' shapes",
+                f"cannot be read and are ignored ({type(error).__name__}: {error})",
             )
             return {}
         surfaces = {}
@@ -270,7 +311,7 @@ class Robot:
                     solid = mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
             # Mesh readers raise many types; the end of a finger can be found without its mesh.
             except Exception:
-                self.notes.append(f"the mesh {geometry.mesh.filename} cannot be read")
+                self._remark(f"the mesh {geometry.mesh.filename}", "cannot be read")
                 return None
             points = np.array(solid.vertices)
             points = points[:: max(1, len(points) // _MOST_POINTS)]
@@ -293,9 +334,10 @@ class Robot:
                 continue
             leader = joints.get(mimic.get("joint"))
             if leader is None or leader.get("type") not in MOVABLE:
-                self.notes.append(
-                    f"{name} mimics {mimic.get('joint')}, which does not move here: "
-                    "treated as an independent joint"
+                self._remark(
+                    name,
+                    f"mimics {mimic.get('joint')}, which does not move here: "
+                    "treated as an independent joint",
                 )
                 joint.remove(mimic)
                 dropped[name] = None
@@ -311,7 +353,6 @@ class Robot:
             ):
                 speeds.setdefault(joint.get("type", ""), []).append(speed)
         assumed = {}
-        assumptions: list[tuple[str, str]] = []
         for joint in robot.iterfind("joint"):
             name, kind, limit = joint.get("name", ""), joint.get("type", ""), joint.find("limit")
             if kind not in MOVABLE or joint.find("mimic") is not None:
@@ -329,23 +370,23 @@ class Robot:
                 or not (math.isfinite(lower) and math.isfinite(upper))
             ):
                 changes["lower"], changes["upper"] = _ASSUMED_RANGE[kind]
-                what = "continuous" if kind == "continuous" else "no limits in the URDF"
-                assumptions.append(
-                    (name, f"{what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed")
+                what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
+                self._remark(
+                    name, f"{what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed"
                 )
             elif lower > upper:
                 changes["lower"], changes["upper"] = upper, lower
-                assumptions.append((name, f"limits swapped: [{upper:.4g}, {lower:.4g}] is assumed"))
+                self._remark(name, f"has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed")
             speed = 0.0 if limit is None else _number(limit, "velocity")
             if not (math.isfinite(speed) and speed > 0.0):
                 changes["velocity"] = (
                     float(np.median(speeds[kind])) if kind in speeds else _ASSUMED_SPEED[kind]
                 )
-                speed_text = f"{changes['velocity']:.4g} is assumed"
-                assumptions.append((name, f"no speed limit in the URDF: {speed_text}"))
+                self._remark(
+                    name, f"has no speed limit in the URDF: {changes['velocity']:.4g} is assumed"
+                )
             if changes:
                 assumed[name] = LimitSpec(**changes)
-        self.notes += _grouped(assumptions)
         return assumed
 
     def _immovable(self, robot: ET.Element) -> dict[str, float]:
@@ -360,16 +401,8 @@ class Robot:
             )
             if is_set and limit is not None and _number(limit, "lower") == _number(limit, "upper"):
                 still[name] = _number(limit, "lower")
-                self.notes.append(f"{name} has equal limits: it is locked")
+                self._remark(name, "has equal limits: it is locked")
         return still
-
-
-def _grouped(assumptions: list[tuple[str, str]]) -> list[str]:
-    """Return one note for each assumption, with the names of all joints that it is made for."""
-    names: dict[str, list[str]] = {}
-    for name, assumption in assumptions:
-        names.setdefault(assumption, []).append(name)
-    return [f"{text} ({', '.join(joints)})" for text, joints in names.items()]
 
 
 def _number(element: ET.Element, key: str) -> float:

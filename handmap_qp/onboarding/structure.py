@@ -22,8 +22,17 @@ LONGEST_FINGER = 0.3
 _LEAST_TRAVEL = 0.004
 # An end frame closer than this to the last joint is not a fingertip [m].
 _LEAST_TIP = 0.005
+# An end frame is the fingertip up to this far inside the end of the surface, and up to this far
+# beyond it [m].
+_INSIDE, _IN_THE_AIR = 0.005, 0.012
+# An end frame this near to the centre of a ball is its centre, and the largest such ball [m].
+_AT_CENTRE, _LARGEST_BALL = 0.001, 0.015
 # A chain whose end stays within this of a point on another finger is part of a linkage [m].
 _LINKAGE_SLACK = 0.004
+
+
+# Fingers of one hand start within this distance of each other [m].
+_APART = 0.16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +133,7 @@ def find_structure(robot: Robot) -> Structure:
     kept = _drop_linkages(robot, _drop_forks(kept, notes), notes)
     if not kept:
         raise HandError("no branch of the palm moves its end", file=robot.file, value=palm)
+    _check_one_hand(robot, palm, kept)
     link = _common_link(robot, palm, kept)
     return Structure(
         palm=link,
@@ -133,6 +143,34 @@ def find_structure(robot: Robot) -> Structure:
         how=f"the only link from which {len(kept)} chains of at most {LONGEST_FINGER:g} m branch",
         confidence=0.95 if len(kept) > 2 else 0.85,
         notes=tuple(notes),
+    )
+
+
+def _check_one_hand(robot: Robot, palm: str, chains: list[Chain]) -> None:
+    """Reject two hands on one base: two groups of fingers, far apart.
+
+    Raises:
+        HandError: If there are two; the message names their links for `root`.
+    """
+    robot.place(robot.zero)
+    roots = np.array([robot.pose_in(chain.links[0], palm)[:3, 3] for chain in chains])
+    near = np.linalg.norm(roots[:, None] - roots[None], axis=2) < _APART
+    group = {0}
+    for _ in chains:
+        group |= {j for i in group for j in np.flatnonzero(near[i]).tolist()}
+    rest = set(range(len(chains))) - group
+    if len(group) < 2 or len(rest) < 2:
+        return
+    links = [_common_link(robot, palm, [chains[i] for i in sorted(part)]) for part in (group, rest)]
+    if links[0] != links[1]:
+        advice = "choose one with --root"
+    else:
+        advice = "keep the links of one hand in the URDF, because both start at the same link"
+    raise HandError(
+        f"there are two hands on one base: {len(group)} fingers from {links[0]!r} and {len(rest)} "
+        f"from {links[1]!r}; {advice}",
+        file=robot.file,
+        value=links,
     )
 
 
@@ -246,7 +284,7 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
     if ends:
         far = max(ends, key=lambda link: float(np.linalg.norm(robot.pose_in(link, leaf)[:3, 3])))
         distance = float(np.linalg.norm(robot.pose_in(far, leaf)[:3, 3]))
-        if distance > max(_LEAST_TIP, 0.5 * size):
+        if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, far, cloud):
             return Tip(
                 far,
                 np.zeros(3),
@@ -260,6 +298,8 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
             along = cloud @ (middle / np.linalg.norm(middle))
             outermost = cloud[along > 0.85 * along.max()]
             middle = 0.5 * (outermost.min(axis=0) + outermost.max(axis=0))
+        way = middle / np.linalg.norm(middle)
+        middle = middle + ((cloud @ way).max() - middle @ way) * way
         return Tip(
             leaf,
             middle,
@@ -277,6 +317,28 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
             0.3,
         )
     return Tip(leaf, np.zeros(3), f"{leaf} has no surface and no end frame: its origin", 0.1)
+
+
+def _is_at_end(robot: Robot, leaf: str, end: str, cloud: np.ndarray) -> bool:
+    """Return whether an end frame is at the end of its body's surface, or there is none.
+
+    The centre of a ball is the end of a round fingertip.
+    """
+    if not len(cloud):
+        return True
+    place = robot.pose_in(end, leaf)[:3, 3]
+    length = float(np.linalg.norm(place))
+    beyond = float((cloud @ (place / length)).max()) - length
+    if -_IN_THE_AIR < beyond < _INSIDE:
+        return True
+    balls = np.concatenate(
+        [
+            transform_points(robot.pose_in(link, leaf), robot.balls[link])
+            for link in robot.body_links(leaf)
+        ]
+    )
+    at_centre = bool((np.linalg.norm(balls - place, axis=1) < _AT_CENTRE).any())
+    return at_centre and 0.0 < beyond < _LARGEST_BALL
 
 
 def tip_track(robot: Robot, chain: Chain, frame: str, samples: int = 5) -> np.ndarray:

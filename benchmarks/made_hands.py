@@ -1,0 +1,228 @@
+"""Robot hands of random anatomy with known palm, side and fingers, as URDFs.
+
+Base frames are rotated at random. Fingers have an abduction joint before, behind or without the
+knuckle, two to five flexing joints, and joint origins anywhere along their axes. Ranges are
+one-sided or symmetric. Names are anatomical or absent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from handmap_qp.transform import rpy_from_rotation
+
+FINGERS = ("index", "middle", "ring", "little")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadeHand:
+    """A URDF and the truth about it.
+
+    Attributes:
+        urdf: The text.
+        distal: Direction of the straight fingers, in the frame of the link `palm_link`, shape (3,).
+        dorsal: Direction out of the back of the hand there, shape (3,).
+        side: `right` or `left`.
+        tips: Link of each fingertip by anatomical name.
+        palm: Name of the palm's link.
+        has_names: Whether links and joints have anatomical names.
+        is_one_sided: Whether the ranges show where fingers flex.
+    """
+
+    urdf: str
+    distal: np.ndarray
+    dorsal: np.ndarray
+    side: Literal["right", "left"]
+    tips: dict[str, str]
+    palm: str
+    has_names: bool
+    is_one_sided: bool
+
+
+@dataclass(slots=True)
+class _Finger:
+    name: str
+    base: np.ndarray
+    direction: np.ndarray
+    axis: np.ndarray
+    lengths: list[float]
+    abducts: str
+    opposes: bool
+
+
+def make_hand(generator: np.random.Generator) -> MadeHand:
+    """Make a hand.
+
+    In the hand's own axes x points across to the right side seen from the back, y distal, and z
+    dorsal; the thumb of a right hand is at -x.
+    """
+    side: Literal["right", "left"] = "right" if generator.random() < 0.5 else "left"
+    has_names = bool(generator.random() < 0.5)
+    is_one_sided = bool(generator.random() < 0.75)
+    radial = -1.0 if side == "right" else 1.0
+    size = generator.uniform(0.7, 1.8)
+    count = int(generator.integers(2, 5))
+    kind = str(generator.choice(["none", "before", "behind"]))
+    flexing = int(generator.integers(2, 5))
+    fingers = [_thumb(generator, radial, size)]
+    for i in range(count):
+        place = radial * (0.5 * (count - 1) - i) * generator.uniform(0.018, 0.024)
+        splay = radial * (0.5 * (count - 1) - i) * generator.uniform(0.0, 0.08)
+        fingers.append(
+            _Finger(
+                FINGERS[i],
+                size * np.array([place, generator.uniform(0.085, 0.095), 0.0]),
+                np.array([np.sin(splay), np.cos(splay), 0.0]),
+                np.array([-np.cos(splay), np.sin(splay), 0.0]),
+                [size * generator.uniform(0.07, 0.1) / flexing] * flexing,
+                kind,
+                False,
+            )
+        )
+    turn = np.linalg.qr(generator.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    prefix = f"{side}_" if has_names else ""
+    writer = _Writer(generator, turn, prefix, has_names, is_one_sided)
+    for finger in fingers:
+        writer.add(finger)
+    return MadeHand(
+        writer.text(),
+        turn @ np.array([0.0, 1.0, 0.0]),
+        turn @ np.array([0.0, 0.0, 1.0]),
+        side,
+        writer.tips,
+        writer.palm,
+        has_names,
+        is_one_sided,
+    )
+
+
+def _thumb(generator: np.random.Generator, radial: float, size: float) -> _Finger:
+    """A thumb at the radial side, that points radially and distally, and opposes."""
+    direction = np.array([radial * generator.uniform(0.6, 1.0), generator.uniform(0.5, 0.9), -0.2])
+    direction /= np.linalg.norm(direction)
+    # It bends across the palm and towards the palmar side.
+    towards = np.array([-radial, 0.2, -0.8])
+    axis = np.cross(direction, towards)
+    return _Finger(
+        "thumb",
+        size * np.array([radial * generator.uniform(0.02, 0.035), 0.03, -0.005]),
+        direction,
+        axis / np.linalg.norm(axis),
+        [size * length for length in (0.035, 0.03, 0.025)],
+        "none",
+        True,
+    )
+
+
+class _Writer:
+    """Writes fingers, given in the hand's axes, as links and joints with rotated frames."""
+
+    def __init__(
+        self,
+        generator: np.random.Generator,
+        turn: np.ndarray,
+        prefix: str,
+        has_names: bool,
+        is_one_sided: bool,
+    ) -> None:
+        self._generator, self._turn = generator, turn
+        self._prefix, self._has_names = prefix, has_names
+        self._is_one_sided = is_one_sided
+        self._numbers = iter(generator.permutation(1000).tolist())
+        self.palm = f"{prefix}palm" if has_names else "n1000"
+        self._parts = [f'<link name="{self.palm}"/>']
+        self.tips: dict[str, str] = {}
+
+    def add(self, finger: _Finger) -> None:
+        """Add a finger: joints from the palm outwards, and a frame at its tip."""
+        lateral = np.cross(finger.direction, finger.axis)
+        joints: list[tuple[np.ndarray, str]] = [(finger.axis, "flex")] * len(finger.lengths)
+        places = [
+            finger.base + sum(finger.lengths[:k], 0.0) * finger.direction
+            for k in range(len(finger.lengths))
+        ]
+        tip = finger.base + sum(finger.lengths) * finger.direction
+        if finger.opposes:
+            joints.insert(0, (finger.direction * 0.3 + lateral * 0.95, "oppose"))
+            places.insert(0, finger.base)
+        if finger.abducts != "none":
+            at = 0 if finger.abducts == "before" else 1
+            joints.insert(at, (lateral, "abduct"))
+            places.insert(at, finger.base + (0.15 * finger.lengths[0] * finger.direction) * at)
+        parent, frame, origin = self.palm, self._turn, np.zeros(3)
+        for k, ((axis, kind), place) in enumerate(zip(joints, places, strict=True)):
+            axis = axis / np.linalg.norm(axis)
+            # The origin of a joint is anywhere on its axis.
+            place = place + self._generator.uniform(-0.01, 0.01) * axis
+            parent, frame, origin = self._joint(
+                finger.name, k, kind, axis, place, parent, frame, origin, len(finger.lengths)
+            )
+        self.tips[finger.name] = self._name(finger.name, "tip")
+        xyz = frame @ (tip - origin)
+        self._fixed(parent, self.tips[finger.name], xyz)
+
+    def _joint(
+        self,
+        finger: str,
+        k: int,
+        kind: str,
+        axis: np.ndarray,
+        place: np.ndarray,
+        parent: str,
+        frame: np.ndarray,
+        origin: np.ndarray,
+        flexing: int,
+    ) -> tuple[str, np.ndarray, np.ndarray]:
+        """Add one joint; `frame` turns the hand's axes into the parent link's."""
+        turned = np.linalg.qr(self._generator.normal(size=(3, 3)))[0]
+        turned *= np.sign(np.linalg.det(turned))
+        child = self._name(finger, f"link_{k}")
+        rotation = frame @ turned.T
+        xyz = frame @ (place - origin)
+        sense = 1.0 if self._generator.random() < 0.5 else -1.0
+        own = sense * (turned @ axis)
+        lower, upper = self._range(kind, flexing)
+        if sense < 0.0:
+            lower, upper = -upper, -lower
+        text = " ".join(f"{value:.9f}" for value in xyz)
+        angles = " ".join(f"{value:.9f}" for value in rpy_from_rotation(rotation))
+        about = " ".join(f"{value:.9f}" for value in own)
+        name = self._name(finger, f"joint_{k}")
+        self._parts.append(
+            f'<link name="{child}"/><joint name="{name}" type="revolute">'
+            f'<parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{text}" rpy="{angles}"/><axis xyz="{about}"/>'
+            f'<limit lower="{lower:.4f}" upper="{upper:.4f}" effort="1" velocity="5"/></joint>'
+        )
+        return child, turned, place
+
+    def _range(self, kind: str, flexing: int) -> tuple[float, float]:
+        """Return limits, positive towards the palm."""
+        if kind == "abduct":
+            side = self._generator.uniform(0.3, 1.05)
+            return -side, side
+        if kind == "oppose":
+            return 0.0, 1.4
+        bend = min(1.9, 4.5 / flexing)
+        return (-0.2 / flexing, bend) if self._is_one_sided else (-bend, bend)
+
+    def _fixed(self, parent: str, child: str, xyz: np.ndarray) -> None:
+        text = " ".join(f"{value:.9f}" for value in xyz)
+        name = f"fix_{child}"
+        self._parts.append(
+            f'<link name="{child}"/><joint name="{name}" type="fixed"><parent link="{parent}"/>'
+            f'<child link="{child}"/><origin xyz="{text}"/></joint>'
+        )
+
+    def _name(self, finger: str, part: str) -> str:
+        if self._has_names:
+            return f"{self._prefix}{'pinky' if finger == 'little' else finger}_{part}"
+        return f"n{next(self._numbers)}"
+
+    def text(self) -> str:
+        """Return the URDF."""
+        return f'<robot name="{self._prefix or "n"}hand">{"".join(self._parts)}</robot>'
