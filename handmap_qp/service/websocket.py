@@ -35,6 +35,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import MOST_SESSIONS, Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log, report
+from handmap_qp.service.pages import page_response
 from handmap_qp.service.sessions import Sessions
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
@@ -147,7 +148,12 @@ class WebSocketTransport:
                     await self._server.wait_closed()
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return None to accept a handshake, or the response that rejects it."""
+        """Return None to accept a handshake, or the response that rejects it.
+
+        A request that is no handshake gets the page for headsets.
+        """
+        if (page := page_response(request)) is not None:
+            return page
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
             return connection.respond(
                 http.HTTPStatus.SERVICE_UNAVAILABLE, "all connections are taken\n"

@@ -1,0 +1,224 @@
+// The page: its state in words, one card for each hand, and the way of a sample from the headset
+// to the service.
+
+import { HandSession, Service } from "./service.js";
+import { Scene } from "./scene.js";
+import { Tracking } from "./tracking.js";
+
+const LAYOUT = "webxr";
+const SIDES = ["left", "right"];
+const RATE_WINDOW = 1000; // time that rates are counted over [ms]
+const SILENCE = 1000; // time without an answer after which the service counts as silent [ms]
+const REFRESH = 100; // period of the page's text and drawings [ms]
+// Joints of WebXR: the wrist, four of the thumb, five of each finger.
+const BONES = [[1, 4], [5, 9], [10, 14], [15, 19], [20, 24]];
+const COLOURS = {
+  off: [0.55, 0.6, 0.66], waiting: [0.9, 0.68, 0.25], streaming: [0.3, 0.76, 0.5],
+  error: [0.95, 0.45, 0.45],
+};
+
+const find = (selector, root = document) => root.querySelector(selector);
+const search = new URLSearchParams(location.search);
+const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+const service = new Service(`${scheme}//${location.host}/`);
+const cards = SIDES.map((side) => makeCard(side));
+const tracking = new Tracking(new Scene(() => cards.map(describeInHeadset)));
+let modes = null;
+let failure = "";
+
+function makeCard(side) {
+  const root = find("#hand").content.firstElementChild.cloneNode(true);
+  const session = new HandSession(service, side, LAYOUT);
+  const card = { side, root, session, joints: null, seen: false, sent: [] };
+  card.select = find("select", root);
+  root.id = side;
+  find("h2", root).textContent = side === "left" ? "Left hand" : "Right hand";
+  card.select.onchange = () => choose(card);
+  find(".hold", root).onclick = () => session.hold();
+  find(".engage", root).onclick = () => session.engage();
+  find("#hands").append(root);
+  service.sessions.push(session);
+  return card;
+}
+
+/** Offer the service's robots; choose those of the page's address, or the usual ones. */
+function offerRobots() {
+  for (const card of cards) {
+    const { select, side } = card;
+    const known = Array.from(select.options, (option) => option.value).slice(1);
+    if (known.join() === service.robots.join()) continue;
+    const wanted = select.value || (search.get(side) ?? `allegro_${side}`);
+    select.replaceChildren(new Option("none", ""), ...service.robots.map((name) => new Option(name)));
+    select.value = service.robots.includes(wanted) ? wanted : "";
+    choose(card);
+  }
+}
+
+/** Lead the chosen robot while the headset tracks. */
+function choose({ select, session }) {
+  const robot = tracking.session ? select.value : "";
+  if (robot !== session.robot) session.lead(robot);
+}
+
+function takeFrame({ time, hands }) {
+  for (const card of cards) {
+    card.joints = hands[card.side] ?? null;
+    if (!card.joints) continue;
+    card.seen = true;
+    if (card.session.send(card.joints, time)) card.sent.push(time);
+  }
+}
+
+/** State of a hand: off, waiting, streaming or error, and what to say about it. */
+function stateOf(card) {
+  const { session } = card;
+  if (!card.select.value) return ["off", "no robot chosen"];
+  if (!tracking.session) return ["off", "not started"];
+  if (!service.isConnected) return ["error", "not connected: the robot holds"];
+  if (session.error) return ["error", session.error];
+  if (!session.isOpen) return ["waiting", `opening ${session.robot}`];
+  if (!card.joints) {
+    return ["waiting", card.seen ? "hand lost: the robot holds" : "waiting for the hand"];
+  }
+  if (performance.now() - session.heard > SILENCE) return ["error", "the service does not answer"];
+  if (session.isReleased) return ["waiting", "streaming; the robot is held until Engage"];
+  return ["streaming", "streaming"];
+}
+
+function rateOf(card) {
+  const now = performance.now();
+  card.sent = card.sent.filter((time) => now - time < RATE_WINDOW);
+  return Math.round((1000 * card.sent.length) / RATE_WINDOW);
+}
+
+function describeInHeadset(card) {
+  const [state, words] = stateOf(card);
+  const { last, robot } = card.session;
+  const title = card.side === "left" ? "Left" : "Right";
+  const status = last ? `: ${last.status}` : "";
+  return {
+    side: card.side, colour: COLOURS[state],
+    text: [`${title}: ${words}, ${rateOf(card)} Hz`, robot ? `${robot}${status}` : ""],
+  };
+}
+
+/** State of the whole: its kind, a line, and what the user can do. */
+function overallState() {
+  if (!service.isConnected) {
+    const advice = service.attempts > 1
+      ? "Is handmap serve --web running? If it requires a token, enter it below." : "";
+    return ["error", "Not connected to the service", advice];
+  }
+  if (!window.isSecureContext) {
+    return ["error", "This address cannot use a headset",
+      "WebXR needs https:// or http://localhost. Serve with --web-certificate, or forward the port: "
+      + `adb reverse tcp:${location.port} tcp:${location.port}, then open http://localhost:${location.port}`];
+  }
+  if (modes && !modes.vr && !modes.ar) {
+    return ["error", "This browser offers no headset",
+      "Open this page in the headset's own browser, and allow hand tracking."];
+  }
+  if (!tracking.session) return ["off", "Ready", "Choose a robot for each hand, then start."];
+  const states = cards.map((card) => stateOf(card)[0]);
+  if (states.includes("error")) return ["error", "Not all is well", "See the hands below."];
+  if (states.includes("streaming")) return ["streaming", "Streaming", "Stop ends the session."];
+  return ["waiting", "Waiting for hands", "Put down controllers, and hold your hands in view."];
+}
+
+function refresh() {
+  const [state, line, advice] = overallState();
+  find("#overview").dataset.state = state;
+  find("#state").textContent = line;
+  find("#advice").textContent = advice;
+  find("#message").textContent = failure;
+  find("#service").textContent = service.isConnected
+    ? `${service.address}, version ${service.version}` : `${service.address}, not connected`;
+  find("#token-field").hidden = service.isConnected;
+  find("#start-vr").disabled = !modes?.vr || Boolean(tracking.session) || !service.isConnected;
+  find("#start-ar").hidden = !modes?.ar;
+  find("#start-ar").disabled = Boolean(tracking.session) || !service.isConnected;
+  find("#stop").disabled = !tracking.session;
+  cards.forEach(refreshCard);
+}
+
+function refreshCard(card) {
+  const { root, session } = card;
+  const [state, words] = stateOf(card);
+  const { last } = session;
+  root.dataset.state = state;
+  find(".state", root).textContent = words;
+  const skipped = session.skipped ? `, ${session.skipped} skipped` : "";
+  find(".sent", root).textContent = tracking.session ? `${rateOf(card)} Hz${skipped}` : "-";
+  find(".robot", root).textContent = last?.status ?? "-";
+  find(".flags", root).textContent = last?.flags.join(", ") || "-";
+  find(".delay", root).textContent = session.delay === null ? "-" : `${session.delay.toFixed(0)} ms`;
+  find(".hold", root).disabled = !session.isOpen || session.isReleased;
+  find(".engage", root).disabled = !session.isOpen;
+  drawHand(find("canvas", root), card.joints);
+}
+
+/** Draw the bones of a hand as seen from where its palm is largest: from above the wrist's side. */
+function drawHand(canvas, joints) {
+  const context = canvas.getContext("2d");
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  if (!joints) return;
+  const middle = [0, 1].map((axis) => joints.reduce((sum, point) => sum + point[axis], 0) / joints.length);
+  const scale = canvas.height / 0.26; // [px/m]
+  const place = ([x, y]) => [
+    canvas.width / 2 + scale * (x - middle[0]), canvas.height / 2 - scale * (y - middle[1]),
+  ];
+  context.strokeStyle = context.fillStyle = getComputedStyle(canvas).color;
+  context.lineWidth = 5;
+  context.lineCap = context.lineJoin = "round";
+  for (const [first, last] of BONES) {
+    context.beginPath();
+    context.moveTo(...place(joints[0]));
+    for (let i = first; i <= last; i += 1) context.lineTo(...place(joints[i]));
+    context.stroke();
+  }
+  for (const joint of joints) {
+    context.beginPath();
+    context.arc(...place(joint), 6, 0, 2 * Math.PI);
+    context.fill();
+  }
+}
+
+async function start(mode) {
+  failure = "";
+  for (const card of cards) card.seen = false;
+  try {
+    await tracking.start(mode);
+    cards.forEach(choose);
+  } catch (error) {
+    failure = error.name === "NotSupportedError"
+      ? "The headset does not offer hand tracking to this browser: allow it in the settings."
+      : `The headset did not start: ${error.message}`;
+  }
+  refresh();
+}
+
+find("#start-vr").onclick = () => start("vr");
+find("#start-ar").onclick = () => start("ar");
+find("#stop").onclick = () => tracking.stop();
+find("#token").onchange = (event) => {
+  service.token = event.target.value.trim();
+  service.connect();
+};
+tracking.addEventListener("frame", (event) => takeFrame(event.detail));
+tracking.addEventListener("end", () => {
+  for (const card of cards) card.joints = null;
+  cards.forEach(choose);
+  refresh();
+});
+service.addEventListener("change", () => {
+  if (service.isConnected) offerRobots();
+  refresh();
+});
+addEventListener("pagehide", () => service.sessions.forEach((session) => session.lead("")));
+service.token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+service.connect();
+Tracking.modes().then((offered) => {
+  modes = offered;
+  refresh();
+});
+setInterval(refresh, REFRESH);

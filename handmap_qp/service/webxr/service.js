@@ -1,0 +1,185 @@
+// Connection to the mapping service, and one session for each hand: the messages of
+// service/messages.md as JSON over the WebSocket of the page's own address.
+
+const PROTOCOL = 1;
+const SUBPROTOCOL = "handmap.v1";
+const RETRY = 1000; // time until a lost connection is tried again [ms]
+const MOST_WAITING = 32768; // bytes that wait to be sent, above which samples are skipped
+const METACARPALS = [5, 10, 15, 20]; // joints of WebXR that MediaPipe does not have
+const REMEMBERED = 1024; // requests whose sender is remembered
+
+/** 24 random characters: the secret of a session. */
+function makeSecret() {
+  const bytes = crypto.getRandomValues(new Uint8Array(18));
+  return btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_");
+}
+
+/** A session: one human hand that leads one robot hand. */
+export class HandSession {
+  constructor(service, side, layout) {
+    this.service = service;
+    this.side = side;
+    this.layout = layout;
+    this.name = `webxr-${side}`;
+    this.forget("");
+  }
+
+  forget(robot) {
+    this.robot = robot;
+    this.secret = "";
+    this.isOpen = false;
+    this.isReleased = false;
+    this.last = null; // the newest command, before the first one the posture of the opened session
+    this.heard = performance.now(); // time of the newest reply [ms]
+    this.delay = null; // from the time stamp of a sample to its command [ms]
+    this.error = "";
+    this.skipped = 0;
+  }
+
+  /** Open the session for a robot, or end it where there is none. */
+  lead(robot) {
+    if (this.isOpen) this.ask({ type: "close" });
+    this.forget(robot);
+    if (robot) this.open(false);
+  }
+
+  /** Open the session; with `restore`, go on where its robot is. */
+  open(restore) {
+    this.secret = makeSecret();
+    this.isRestoring = restore;
+    const start = restore ? {
+      restore, is_released: this.isReleased, robot_q: this.last?.q, robot_wrist: this.last?.wrist,
+    } : {};
+    this.ask({
+      type: "open", name: this.name, robot: this.robot, side: this.side, input: "landmarks",
+      has_detail: true, is_shared: true, ...start,
+    });
+  }
+
+  ask(request) {
+    return this.service.ask({ session: this.secret, ...request }, this);
+  }
+
+  /** Send joint positions [m] with their time stamp [ms]; return whether they are on their way. */
+  send(joints, time) {
+    if (!this.isOpen) return false;
+    if (this.service.waiting > MOST_WAITING) {
+      this.skipped += 1;
+      return false;
+    }
+    const given = joints.filter((_, index) => !METACARPALS.includes(index));
+    const landmarks = given.map((point) => point.map((value) => Math.round(value * 1e5) / 1e5));
+    return this.ask({ type: "sample", time: time / 1000, landmarks });
+  }
+
+  hold() {
+    this.ask({ type: "release" });
+  }
+
+  engage() {
+    this.ask({ type: "clutch" });
+  }
+
+  receive(reply) {
+    this.heard = performance.now();
+    if (reply.type === "opened") {
+      this.isOpen = true;
+      this.error = "";
+      this.last ??= { q: reply.q, wrist: null, status: "waiting", flags: [] };
+      this.service.ask({ type: "subscribe", name: this.name }, this);
+    } else if (reply.type === "command") {
+      this.last = reply;
+      this.isReleased = reply.flags.includes("released");
+      if (reply.flags.includes("watchdog")) return;
+      this.delay = this.heard - reply.time * 1000;
+      this.error = "";
+    } else if (reply.type === "error") {
+      this.receiveError(reply);
+    }
+  }
+
+  receiveError({ code, field, message }) {
+    if (code === "no_session" && this.isOpen) {
+      this.isOpen = false;
+      this.open(true);
+    } else if (field === "name" && !this.isOpen && !this.isRestoring && code === "invalid") {
+      this.open(true); // the session of this page before it was loaded again
+    } else {
+      if (code === "taken") this.isOpen = false;
+      this.error = [field, message].filter(Boolean).join(": ");
+    }
+  }
+}
+
+/** The WebSocket, connected again whenever it is lost. */
+export class Service extends EventTarget {
+  constructor(address) {
+    super();
+    this.address = address;
+    this.token = "";
+    this.robots = [];
+    this.version = "";
+    this.sessions = [];
+    this.isConnected = false;
+    this.attempts = 0;
+    this.seq = 0;
+    this.senders = new Array(REMEMBERED).fill(null);
+  }
+
+  get waiting() {
+    return this.socket ? this.socket.bufferedAmount : 0;
+  }
+
+  connect() {
+    clearTimeout(this.retry);
+    const offered = this.token ? [SUBPROTOCOL, `bearer.${this.token}`] : [SUBPROTOCOL];
+    let socket;
+    try {
+      socket = new WebSocket(this.address, offered);
+    } catch { // a token with characters that no subprotocol may have
+      this.attempts += 1;
+      this.changed();
+      return;
+    }
+    if (this.socket) this.socket.onclose = this.socket.onmessage = null, this.socket.close();
+    this.socket = socket;
+    socket.onopen = () => this.ask({ type: "status" }, null);
+    socket.onmessage = (event) => this.receive(JSON.parse(event.data));
+    socket.onclose = () => {
+      this.isConnected = false;
+      this.attempts += 1;
+      for (const session of this.sessions) session.isOpen = false;
+      this.retry = setTimeout(() => this.connect(), RETRY);
+      this.changed();
+    };
+  }
+
+  /** Send a request; true if it could be sent. */
+  ask(request, sender) {
+    if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return false;
+    this.seq += 1;
+    this.senders[this.seq % REMEMBERED] = sender;
+    this.socket.send(JSON.stringify({ protocol: PROTOCOL, seq: this.seq, ...request }));
+    return true;
+  }
+
+  receive(reply) {
+    if (reply.type === "command") {
+      this.sessions.find((session) => session.name === reply.name)?.receive(reply);
+    } else if (reply.type === "state") {
+      this.robots = reply.robots;
+      this.version = reply.version;
+      this.isConnected = true;
+      this.attempts = 0;
+      // A lost connection leaves the session behind: go on where its robot is.
+      for (const session of this.sessions) if (session.robot) session.open(true);
+    } else {
+      this.senders[reply.seq % REMEMBERED]?.receive(reply);
+    }
+    if (reply.type !== "command") this.changed();
+  }
+
+  changed() {
+    this.dispatchEvent(new Event("change"));
+  }
+}

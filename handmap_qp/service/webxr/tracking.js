@@ -1,0 +1,67 @@
+// The hands of a headset: an immersive session of WebXR with hand tracking.
+
+/** Positions of a hand's joints in the order of WebXR [m], or null if one is not tracked. */
+function jointPositions(frame, hand, space) {
+  const positions = [];
+  for (const joint of hand.values()) {
+    const pose = frame.getJointPose(joint, space);
+    if (!pose) return null;
+    const { x, y, z } = pose.transform.position;
+    positions.push([x, y, z]);
+  }
+  return positions;
+}
+
+export class Tracking extends EventTarget {
+  constructor(scene) {
+    super();
+    this.scene = scene; // draws in the headset
+    this.session = null;
+  }
+
+  /** Which of immersive-vr and immersive-ar this browser offers. */
+  static async modes() {
+    const modes = { vr: false, ar: false };
+    for (const mode of navigator.xr ? ["vr", "ar"] : []) {
+      modes[mode] = await navigator.xr.isSessionSupported(`immersive-${mode}`).catch(() => false);
+    }
+    return modes;
+  }
+
+  async start(mode) {
+    const session = await navigator.xr.requestSession(`immersive-${mode}`, {
+      requiredFeatures: ["hand-tracking"], optionalFeatures: ["local-floor"],
+    });
+    try {
+      this.scene.prepare(session);
+      this.space = await session.requestReferenceSpace("local-floor")
+        .catch(() => session.requestReferenceSpace("local"));
+    } catch (error) {
+      await session.end();
+      throw error;
+    }
+    this.session = session;
+    session.addEventListener("end", () => {
+      this.session = null;
+      this.dispatchEvent(new Event("end"));
+    });
+    session.requestAnimationFrame((time, frame) => this.step(time, frame));
+  }
+
+  stop() {
+    this.session?.end();
+  }
+
+  step(time, frame) {
+    const { session } = frame;
+    if (session !== this.session) return;
+    session.requestAnimationFrame((next, nextFrame) => this.step(next, nextFrame));
+    const hands = {};
+    for (const source of session.inputSources) {
+      if (source.hand) hands[source.handedness] = jointPositions(frame, source.hand, this.space);
+    }
+    // Events are dispatched at once, so the frame is still active.
+    this.dispatchEvent(new CustomEvent("frame", { detail: { time, hands } }));
+    this.scene.draw(frame, this.space, hands);
+  }
+}

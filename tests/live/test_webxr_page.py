@@ -1,0 +1,246 @@
+"""The page for headsets in Chromium, with an emulated headset: from its hands to the robot."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import Browser, find_chromium
+from live_cases import moving_hand
+from patience import wait_until
+from service_tools import address_of, client_of, in_loop, serving
+
+from handmap_qp.live.service_source import ServiceSource
+from handmap_qp.service.server import Server
+from handmap_qp.service.session import Session
+from handmap_qp.service.websocket import WebSettings
+
+pytestmark = pytest.mark.slow
+EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")
+TOKEN = "a-token-of-the-tests"
+RATE = 30.0
+METACARPALS = (5, 10, 15, 20)
+"""Indices of the joints that MediaPipe does not have."""
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving(web=WebSettings(port=0, token=TOKEN)) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium; HANDMAP_CHROMIUM names one")
+    with Browser(program, size=(1100, 1000)) as browser:
+        browser.call("Page.addScriptToEvaluateOnNewDocument", source=EMULATION)
+        yield browser
+
+
+def webxr_joints(side: str) -> np.ndarray:
+    """Return the 25 joints of a moving hand for each sample [m], shape (T, 25, 3)."""
+    recording = moving_hand(40, side)
+    landmarks = recording.landmarks[recording.valid]
+    joints = np.empty((len(landmarks), 25, 3))
+    joints[:, METACARPALS] = landmarks[:, :1]
+    joints[:, [i for i in range(25) if i not in METACARPALS]] = landmarks
+    return np.round(joints, 5)
+
+
+def open_page(browser: Browser, server: Server, *, more: str = "", token: str = TOKEN) -> None:
+    """Load the page with an emulated headset, changed by `more` before the page's own script."""
+    browser.open("about:blank")
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)["identifier"]
+    words = f"?right=allegro_right&left=three_finger#token={token}"
+    browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}")
+    browser.wait_for("document.querySelector('#left .state')?.textContent")
+    browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
+
+
+def text(browser: Browser, selector: str) -> str:
+    return browser.evaluate(f"document.querySelector({json.dumps(selector)}).textContent")
+
+
+def click(browser: Browser, selector: str) -> None:
+    """Click in the middle of an element, as a user does."""
+    browser.wait_for(f"!document.querySelector({json.dumps(selector)}).disabled")
+    x, y = browser.evaluate(
+        f"(() => {{ const element = document.querySelector({json.dumps(selector)});"
+        "element.scrollIntoView({block: 'center'});"
+        "const box = element.getBoundingClientRect();"
+        "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+    )
+    browser.click(x, y)
+
+
+def wait_for_text(browser: Browser, selector: str, part: str) -> None:
+    query = f"document.querySelector({json.dumps(selector)}).textContent"
+    browser.wait_for(f"{query}.includes({json.dumps(part)})")
+
+
+def show_hands(browser: Browser, *sides: str) -> None:
+    """Let the emulated headset see moving hands."""
+    joints = {side: webxr_joints(side).tolist() for side in sides}
+    browser.evaluate(
+        f"clearInterval(window.motion); window.joints = {json.dumps(joints)}; window.sample = 0;"
+        "emulated.hands = {};"
+        "window.motion = setInterval(() => { sample += 1; for (const side in joints)"
+        " emulated.hands[side] = joints[side][sample % joints[side].length]; }, 30); 0"
+    )
+
+
+def sessions(server: Server) -> dict[str, Session]:
+    entries = in_loop(server, lambda: list(server.dispatcher.sessions.entries.values()))
+    return {entry.session.name: entry.session for entry in entries}
+
+
+def start(browser: Browser, server: Server, **choices: Any) -> None:
+    open_page(browser, server, **choices)
+    browser.evaluate(f"emulated.rate = {RATE}; 0")
+    wait_for_text(browser, "#state", "Ready")
+    click(browser, "#start-vr")
+    wait_for_text(browser, "#state", "Waiting for hands")
+
+
+def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
+    start(browser, server)
+    request = browser.evaluate("emulated.requests")[0]
+    assert request["mode"] == "immersive-vr"
+    assert request["wanted"]["requiredFeatures"] == ["hand-tracking"]
+    wait_for_text(browser, "#right .state", "waiting for the hand")
+    show_hands(browser, "right", "left")
+    for side in ("right", "left"):
+        wait_for_text(browser, f"#{side} .state", "streaming")
+    wait_for_text(browser, "#state", "Streaming")
+    robots = {name: each.robot.name for name, each in sessions(server).items()}
+    assert robots == {"webxr-right": "allegro_right", "webxr-left": "three_finger"}
+    sides = {name: each.request.side for name, each in sessions(server).items()}
+    assert sides == {"webxr-right": "right", "webxr-left": "left"}
+    with client_of(server) as watcher:
+        watcher.watch("webxr-right")
+        before = np.array(watcher.status().q)
+        wait_until(lambda: bool(np.abs(np.array(watcher.status().q) - before).max() > 0.05))
+    browser.wait_for("parseInt(document.querySelector('#right .sent').textContent) > 15")
+    assert int(text(browser, "#right .sent").split()[0]) <= 1.2 * RATE
+    followed = ("converged", "limited", "unsettled", "unreachable")
+    wait_until(lambda: text(browser, "#right .robot") in followed)  # after the calibration
+    assert text(browser, "#right .delay").endswith(" ms")
+    assert _is_drawn(browser, "#right canvas")
+    # Landmarks at the service are the headset's joints in the order of MediaPipe.
+    expected = webxr_joints("right")
+    expected = np.delete(expected, METACARPALS, axis=1)
+    for sample in itertools.islice(ServiceSource(address_of(server), session="webxr-right"), 5):
+        assert np.abs(expected - sample.landmarks).max(axis=(1, 2)).min() < 1e-9
+    # Losing one hand holds its robot, and the other one goes on.
+    browser.evaluate("delete joints.left; delete emulated.hands.left; 0")
+    wait_for_text(browser, "#left .state", "hand lost: the robot holds")
+    wait_for_text(browser, "#left .robot", "hold")
+    assert text(browser, "#right .state") == "streaming"
+    # The buttons hold and engage.
+    click(browser, "#right .hold")
+    wait_for_text(browser, "#right .state", "held until Engage")
+    wait_until(lambda: sessions(server)["webxr-right"].mode == "released")
+    click(browser, "#right .engage")
+    browser.wait_for("document.querySelector('#right .state').textContent === 'streaming'")
+    click(browser, "#stop")
+    wait_for_text(browser, "#state", "Ready")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
+
+
+def _is_drawn(browser: Browser, selector: str) -> bool:
+    return browser.evaluate(
+        f"(() => {{ const canvas = document.querySelector({json.dumps(selector)});"
+        "const { data } = canvas.getContext('2d')"
+        ".getImageData(0, 0, canvas.width, canvas.height);"
+        "return data.some((value) => value > 0); })()"
+    )
+
+
+def test_the_headset_shows_hands_and_panel(browser: Browser, server: Server) -> None:
+    start(browser, server)
+    browser.evaluate("emulated.eye = [0.05, 0.15, 0.5]; 0")
+    show_hands(browser, "right")
+    wait_for_text(browser, "#right .state", "streaming")
+    # Frames are drawn without keeping them: read one inside the frame that drew it.
+    pixels = browser.evaluate(
+        "new Promise((resolve) => { emulated.afterFrame = () => {"
+        "const { gl } = emulated; const { width, height } = gl.canvas;"
+        "const data = new Uint8Array(4 * width * height);"
+        "gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, data);"
+        "let green = 0, panel = 0;"
+        "for (let i = 0; i < data.length; i += 4) {"
+        " if (data[i + 1] > 150 && data[i] < 120) green += 1;"
+        " if (data[i] === 27 && data[i + 1] === 33) panel += 1; }"
+        "resolve([green, panel]); }; })"
+    )
+    assert pixels[0] > 500
+    assert pixels[1] > 5000
+
+
+def test_a_lost_connection_is_taken_up_again(browser: Browser, server: Server) -> None:
+    start(browser, server)
+    show_hands(browser, "right")
+    wait_for_text(browser, "#right .state", "streaming")
+    wait_until(lambda: sessions(server)["webxr-right"].mode == "following")
+    first = sessions(server)["webxr-right"]
+
+    def cut() -> None:
+        for publish in server.dispatcher.sessions.publish:
+            transport = getattr(publish, "__self__", None)
+            for outbox in getattr(transport, "_connections", ()):
+                outbox._connection.transport.abort()
+
+    in_loop(server, cut)
+    wait_for_text(browser, "#right .state", "not connected: the robot holds")
+    wait_for_text(browser, "#right .state", "streaming")
+    second = wait_until(lambda: sessions(server).get("webxr-right"))
+    assert second is not first
+    assert second._epoch == first._epoch  # it goes on where the robot was
+    click(browser, "#stop")
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        ("emulated.isSupported = false;", "This browser offers no headset"),
+        (
+            "Object.defineProperty(window, 'isSecureContext', {value: false});",
+            "This address cannot use a headset",
+        ),
+    ],
+)
+def test_the_page_says_why_it_cannot_start(
+    browser: Browser, server: Server, more: str, line: str
+) -> None:
+    open_page(browser, server, more=more)
+    wait_for_text(browser, "#state", line)
+    assert text(browser, "#advice")
+
+
+def test_a_headset_without_hand_tracking_is_named(browser: Browser, server: Server) -> None:
+    open_page(browser, server, more="emulated.hasHands = false;")
+    wait_for_text(browser, "#state", "Ready")
+    click(browser, "#start-vr")
+    wait_for_text(browser, "#message", "hand tracking")
+
+
+def test_a_missing_token_can_be_entered(browser: Browser, server: Server) -> None:
+    open_page(browser, server, token="wrong")
+    wait_for_text(browser, "#state", "Not connected")
+    wait_for_text(browser, "#advice", "token")
+    browser.evaluate(
+        "(() => { const field = document.querySelector('#token');"
+        f"field.value = ' {TOKEN} '; field.dispatchEvent(new Event('change')); }})()"
+    )
+    wait_for_text(browser, "#state", "Ready")
+    loaded = browser.evaluate("performance.getEntriesByType('resource').map((e) => e.name)")
+    assert loaded
+    assert all(f"127.0.0.1:{server.ports['web']}/" in name for name in loaded)

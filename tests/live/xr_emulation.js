@@ -1,0 +1,109 @@
+// A headset in a browser that has none: navigator.xr with hand tracking, as far as the page needs
+// it. `emulated` controls it: `hands` holds positions of 25 joints by side, `rate` is in Hz.
+"use strict";
+window.emulated = { hands: {}, rate: 72, isSupported: true, hasHands: true, frames: 0, requests: [] };
+
+class EmulatedLayer {
+  constructor(session, gl) {
+    this.gl = gl;
+    this.framebuffer = null;
+    gl.canvas.width = 960;
+    gl.canvas.height = 540;
+    emulated.gl = gl;
+  }
+
+  getViewport() {
+    return { x: 0, y: 0, width: 960, height: 540 };
+  }
+}
+
+class EmulatedFrame {
+  constructor(session) {
+    this.session = session;
+    this.isActive = true;
+  }
+
+  getJointPose({ side, index }) {
+    if (!this.isActive) throw new DOMException("the frame is over", "InvalidStateError");
+    const joint = emulated.hands[side]?.[index];
+    return joint && { transform: { position: { x: joint[0], y: joint[1], z: joint[2] } } };
+  }
+
+  getViewerPose() {
+    const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+    const view = emulated.eye ?? [0, 0, 0];
+    const matrix = [...identity];
+    const inverse = [...identity];
+    for (const axis of [0, 1, 2]) {
+      matrix[12 + axis] = view[axis];
+      inverse[12 + axis] = -view[axis];
+    }
+    const scale = 1.2;
+    const projectionMatrix = new Float32Array(
+      [(scale * 540) / 960, 0, 0, 0, 0, scale, 0, 0, 0, 0, -1, -1, 0, 0, -0.02, 0],
+    );
+    const transform = { matrix, inverse: { matrix: new Float32Array(inverse) } };
+    return { transform, views: [{ projectionMatrix, transform }] };
+  }
+}
+
+class EmulatedSession extends EventTarget {
+  constructor(mode) {
+    super();
+    this.environmentBlendMode = mode === "immersive-ar" ? "alpha-blend" : "opaque";
+    this.renderState = {};
+    this.callbacks = [];
+    this.isOver = false;
+    const tick = () => {
+      if (this.isOver) return;
+      setTimeout(tick, 1000 / emulated.rate);
+      const frame = new EmulatedFrame(this);
+      for (const callback of this.callbacks.splice(0)) callback(performance.now(), frame);
+      frame.isActive = false;
+      emulated.afterFrame?.();
+      emulated.afterFrame = null;
+      emulated.frames += 1;
+    };
+    setTimeout(tick);
+  }
+
+  get inputSources() {
+    return Object.keys(emulated.hands).map((side) => ({
+      handedness: side,
+      hand: new Map(Array.from({ length: 25 }, (_, index) => [`joint-${index}`, { side, index }])),
+    }));
+  }
+
+  updateRenderState(state) {
+    Object.assign(this.renderState, state);
+  }
+
+  async requestReferenceSpace(kind) {
+    if (kind === "local-floor") throw new DOMException("not offered", "NotSupportedError");
+    return { kind };
+  }
+
+  requestAnimationFrame(callback) {
+    this.callbacks.push(callback);
+  }
+
+  async end() {
+    this.isOver = true;
+    this.dispatchEvent(new Event("end"));
+  }
+}
+
+window.XRWebGLLayer = EmulatedLayer;
+Object.defineProperty(navigator, "xr", {
+  value: {
+    async isSessionSupported(mode) {
+      return emulated.isSupported && mode === "immersive-vr";
+    },
+    async requestSession(mode, wanted) {
+      emulated.requests.push({ mode, wanted });
+      if (!navigator.userActivation.isActive) throw new DOMException("no click", "SecurityError");
+      if (!emulated.hasHands) throw new DOMException("no hands", "NotSupportedError");
+      return new EmulatedSession(mode);
+    },
+  },
+});
