@@ -96,7 +96,8 @@ class Target:
                 sample, or the file cannot be written.
         """
         summary = _lead(source, self._sinks(source), is_json=self.json)
-        if summary.get("refusals") and not summary["commands"]:
+        # A sample without a hand is answered too.
+        if summary.get("refusals") and summary["commands"] <= summary["hand_lost"]:
             raise InvalidInputError(
                 problem=f"the service refused every sample: {next(iter(summary['refusals']))}"
             )
