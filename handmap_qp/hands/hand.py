@@ -215,14 +215,15 @@ class Hand:
         return vector
 
     def write_configuration(
-        self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray
+        self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray | None = None
     ) -> None:
         """Write a configuration into an array of the caller's, for use sample by sample.
 
         Args:
             vector: Where to write, shape (model.nq,).
             q: Joint angles [rad or m], shape (n,); values are not checked.
-            wrist_pose: Wrist in the world, shape (4, 4), not checked; ignored by a fixed hand.
+            wrist_pose: Wrist in the world, shape (4, 4), not checked; ignored by a fixed hand. The
+                wrist stays as the array has it if omitted.
 
         Raises:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
@@ -232,7 +233,7 @@ class Hand:
             if self.expansion is not None:
                 matrix, offset = self._expansion
                 vector[self._follower_q] = matrix[len(q) :] @ q + offset[len(q) :]
-            if self.is_floating:
+            if self.is_floating and wrist_pose is not None:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:
             raise InvalidInputError(

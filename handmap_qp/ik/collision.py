@@ -22,6 +22,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.distances import ShapeDistances
+from handmap_qp.transform import shortest_solution
 
 
 class CollisionLimit:
@@ -130,11 +131,11 @@ class CollisionLimit:
         G, h = self.rows(configuration, margins)
         witness = np.minimum(np.maximum(0.0, lower), upper)
         excess = G.dot(witness) - h
-        is_near = excess > 0.0
-        if not is_near.any():
+        near = (excess > 0.0).nonzero()[0]
+        if not len(near):
             return G, h
-        parting = np.linalg.lstsq(G[is_near], -excess[is_near], rcond=1e-6)[0]
-        parted = np.minimum(np.maximum(witness + parting, lower), upper)
-        if (G[~is_near] @ parted <= h[~is_near]).all():
-            witness = parted
-        return G, np.maximum(h, G @ witness)
+        parting = shortest_solution(G.take(near, 0), -excess.take(near), 1e-6)
+        parted = G.dot(np.minimum(np.maximum(witness + parting, lower), upper))
+        does_harm = parted > h
+        does_harm[near] = False
+        return G, np.maximum(h, G.dot(witness) if does_harm.any() else parted)

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.placements import placement_views
+from handmap_qp.hands.placements import homogeneous, placement_views
 
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
 _TOLERANCE = 1e-9
@@ -55,11 +55,13 @@ class ShapeDistances:
             shape.geometry.computeLocalAABB()
         self._first = np.array([pair.first for pair in pairs], dtype=int)
         self._second = np.array([pair.second for pair in pairs], dtype=int)
-        self._centres = np.array([shape.geometry.aabb_center for shape in shapes]).reshape(-1, 3)
+        centres = np.array([shape.geometry.aabb_center for shape in shapes]).reshape(-1, 3)
+        self._centres = homogeneous(centres)
         radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         self._reaches = np.square(radii[self._first] + radii[self._second] + horizon)
         self._placed = placement_views(self._data.oMg)
-        self._distances, self._normals, self._points = _result_views(model, geometry, self._data)
+        self._results = _result_views(model, geometry, self._data)
+        self._distances = self._results[:, 0]
         self._is_active = np.ones(len(pairs), dtype=bool)
 
     def measure(self, configuration: Configuration) -> NearPairs:
@@ -72,13 +74,13 @@ class ShapeDistances:
         self._activate(self._may_be_near())
         pin.computeDistances(self._geometry, self._data)
         pairs = (self._is_active & (self._distances <= self._horizon)).nonzero()[0]
-        normals, points = self._normals[pairs], self._points[pairs]
-        wrenches = np.empty((len(pairs), 6))
-        wrenches[:, :3] = normals
-        # np.cross takes ten times as long.
-        wrenches[:, 3:] = points.take(_NEXT, 1) * normals.take(_LAST, 1)
-        wrenches[:, 3:] -= points.take(_LAST, 1) * normals.take(_NEXT, 1)
-        return NearPairs(pairs, self._distances[pairs], wrenches)
+        results = self._results[pairs]
+        wrenches = results[:, 1:].copy()
+        # np.cross takes three times as long.
+        moments = results.take(_POINT_NEXT, 1) * results.take(_NORMAL_LAST, 1)
+        moments -= results.take(_POINT_LAST, 1) * results.take(_NORMAL_NEXT, 1)
+        wrenches[:, 3:] = moments
+        return NearPairs(pairs, results[:, 0], wrenches)
 
     def measure_all(self, configuration: Configuration) -> np.ndarray:
         """Return the signed distances of all pairs [m], shape (k,).
@@ -93,8 +95,7 @@ class ShapeDistances:
 
     def _may_be_near(self) -> np.ndarray:
         """Return whether the bounding balls of each pair are within the horizon, shape (k,)."""
-        rotations, translations = self._placed
-        centres = np.einsum("ijk,ik->ij", rotations, self._centres) + translations
+        centres = self._placed.points(self._centres)
         offsets = centres.take(self._first, 0) - centres.take(self._second, 0)
         return np.square(offsets).dot(_ONES) <= self._reaches
 
@@ -111,11 +112,11 @@ class ShapeDistances:
 
 def _result_views(
     model: pin.Model, geometry: pin.GeometryModel, data: pin.GeometryData
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """View all distances, normals and first nearest points as arrays that follow every measurement.
+) -> np.ndarray:
+    """View all results as an array that follows every measurement.
 
     Returns:
-        Read-only views, shapes (k,), (k, 3) and (k, 3).
+        Distance, normal and first nearest point of every pair, shape (k, 7), read-only.
     """
     # Checked on data of its own: GJK would start from the results of the check.
     trial = geometry.createData()
@@ -127,8 +128,7 @@ def _result_views(
     ]
     if not np.array_equal(_view_results(trial), np.array(read).reshape(-1, 7)):
         raise RuntimeError("coal's distance, normal and nearest point do not lie side by side")
-    rows = _view_results(data)
-    return rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+    return _view_results(data)
 
 
 def _view_results(data: pin.GeometryData) -> np.ndarray:
@@ -148,5 +148,7 @@ def _view_results(data: pin.GeometryData) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(block, (len(starts), 7), (stride, 8), writeable=False)
 
 
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+# Columns of the results, in the order of the factors of p x n.
+_NORMAL_NEXT, _NORMAL_LAST = np.array([2, 3, 1]), np.array([3, 1, 2])
+_POINT_NEXT, _POINT_LAST = np.array([5, 6, 4]), np.array([6, 4, 5])
 _ONES = np.ones(3)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.configuration import CROSS, Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import moved_by
+from handmap_qp.hands.placements import homogeneous, moved_by
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.transform import as_floats, lengths
 
@@ -69,7 +69,8 @@ class AttachedPoints:
 
     def __init__(self, hand: Hand, places: Sequence[tuple[int, np.ndarray]]) -> None:
         self._joints = np.array([joint for joint, _ in places], dtype=int)
-        self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
+        offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
+        self._offsets = homogeneous(offsets)
         self._moved = np.array([moved_by(hand.model, joint) for joint in self._joints.tolist()])
         self._moved = self._moved.reshape(-1, 1, hand.model.nv)
         self._rows = np.tile(np.eye(3, 6), (len(self._joints), 1, 1))
@@ -85,10 +86,7 @@ class AttachedPoints:
 
     def positions(self, hand: Configuration) -> np.ndarray:
         """Return the points in the world [m], shape (n, 3)."""
-        rotations, translations = hand.joints
-        turned = np.einsum("ijk,ik->ij", rotations[self._joints], self._offsets)
-        turned += translations[self._joints]
-        return turned
+        return hand.joints.points(self._offsets, self._joints)
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
@@ -170,12 +168,12 @@ class PointDistances:
         directions[apart <= _SHORTEST] = _UP
         jacobians = self._ends.jacobians(hand, positions)
         levers = jacobians[:count] - jacobians[count:]
-        levers *= self._weights[:, None, None]
-        rows = np.matmul(directions[:, None], levers)[:, 0]
-        residual = self._weights * (apart - self._distances)
+        weights = self._weights
+        rows = np.matmul((weights[:, None] * directions)[:, None], levers)[:, 0]
+        residual = weights * (apart - self._distances)
         # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
-        return TaskRows(residual, rows, (self._damping * np.abs(residual)).dot(columns))
+        return TaskRows(residual, rows, (self._damping * weights * np.abs(residual)).dot(columns))
 
 
 _UP = np.array([0.0, 0.0, 1.0])

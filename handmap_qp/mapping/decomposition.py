@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -35,8 +36,7 @@ class Decomposition:
     stretches: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PolarFactors:
+class PolarFactors(msgspec.Struct, frozen=True, eq=False):
     """Left polar decomposition `A = U R` with the eigenvectors of U.
 
     Attributes:

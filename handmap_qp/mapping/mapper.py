@@ -122,7 +122,8 @@ class HandMapper:
         solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self._plan = _Plan(chosen, bound, solver, tuple(tasks), smoothing)
         self._human = human.configuration()
-        self._human_vector = np.zeros(human.model.nq)
+        # The wrist stays at the origin; points move with it afterwards.
+        self._human_vector = human.configuration_vector(human.rest)
         self._start: _Start | None = _Start(robot.rest, None)
         self._course: _Course | None = None
         self._smooth: SmoothState | None = None
@@ -530,9 +531,9 @@ class HandMapper:
 
     def _human_sample(self, angles: np.ndarray, wrist: np.ndarray) -> HumanPose:
         """Compute the human's reference points in its world (eq. 4)."""
-        self.human.write_configuration(self._human_vector, angles, wrist)
+        self.human.write_configuration(self._human_vector, angles)
         self._human.place_frames(self._human_vector)
-        return HumanPose(self._human.points.copy(), wrist)
+        return HumanPose(self._human.points.dot(wrist[:3, :3].T) + wrist[:3, 3], wrist)
 
     def _check_joints(self, human_q: npt.ArrayLike) -> tuple[np.ndarray, tuple[str, ...]]:
         """Return joint angles as an array, and the names of those outside their limits."""
