@@ -21,12 +21,9 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from eigenpy import (  # type: ignore[attr-defined]
-    ColPivHhJacobiSVD,
-    ComputationInfo,
-    DecompositionOptions,
-    NoPrecondJacobiSVD,
-)
+from eigenpy import ColPivHhJacobiSVD as PivotedSvd  # type: ignore[attr-defined]
+from eigenpy import ComputationInfo, DecompositionOptions  # type: ignore[attr-defined]
+from eigenpy import NoPrecondJacobiSVD as SquareSvd  # type: ignore[attr-defined]
 
 from handmap_qp.errors import InvalidInputError, describe_value
 
@@ -157,7 +154,7 @@ def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if matrix.shape != (3, 3):
             raise ValueError(f"shape {matrix.shape}")
         # Eigen's takes a third of the time of numpy's on so small a matrix.
-        found = NoPrecondJacobiSVD(matrix, _FULL)
+        found = SquareSvd(matrix, _FULL)
     except _ARRAY_ERRORS as error:
         raise _mismatch("matrix", "numbers of shape (3, 3)") from error
     if found.info() != ComputationInfo.Success:
@@ -178,7 +175,7 @@ def shortest_solution(matrix: np.ndarray, values: np.ndarray, tolerance: float) 
     Returns:
         x, shape (n,).
     """
-    found = ColPivHhJacobiSVD(matrix, _THIN)
+    found = PivotedSvd(matrix, _THIN)
     found.setThreshold(tolerance)
     return found.solve(values)
 

@@ -306,7 +306,7 @@ class _FingerLinks:
         configuration = robot.configuration()
         configuration.place_frames(robot.configuration_vector(q))
         palm = inverse_pose(configuration.wrist.homogeneous @ robot.wrist_to_palm)
-        rotations, origins = configuration.joints
+        rotations, origins, _ = configuration.joints
         points = [
             rotations[joint].dot(offset) + origins[joint]
             for joint, offset in (chain.tip, chain.knuckle)
