@@ -169,7 +169,7 @@ LOADING: dict[str, tuple[Callable[[], Any], str]] = {
         "vector, q and wrist_pose",
     ),
     "wrist": (
-        lambda: HAND.write_configuration(np.zeros(HAND.model.nq), HAND.rest, None),  # type: ignore[arg-type]
+        lambda: HAND.write_configuration(np.zeros(HAND.model.nq), HAND.rest, np.eye(3)),  # type: ignore[arg-type]
         "vector, q and wrist_pose",
     ),
 }

@@ -16,7 +16,7 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.hands.placements import moved_by, placement_views
+from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, named_pairs
 
 HANDS = [name for name in hand_names() if not name.endswith("_left")]
@@ -124,15 +124,22 @@ def test_named_pairs_are_those_of_the_description() -> None:
 def test_views_follow_every_placement() -> None:
     robot, rng = hand("hey5"), np.random.default_rng(1)
     data = robot.model.createData()
-    rotations, translations = placement_views(data.oMi)
+    views = placement_views(data.oMi)
+    rotations, translations, _ = views
+    offsets = rng.normal(size=(robot.model.njoints, 3))
     for _ in range(3):
         q = rng.uniform(robot.lower_limits, robot.upper_limits)
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
         for i in range(robot.model.njoints):
             np.testing.assert_array_equal(rotations[i], data.oMi[i].rotation)
             np.testing.assert_array_equal(translations[i], data.oMi[i].translation)
-    assert not rotations.flags.writeable
-    assert not translations.flags.writeable
+        placed = [pose.act(offset) for pose, offset in zip(data.oMi, offsets, strict=True)]
+        np.testing.assert_allclose(views.points(homogeneous(offsets)), placed, atol=1e-15)
+        some = views.points(homogeneous(offsets[:2]), np.array([5, 0]))
+        expected = [data.oMi[5].act(offsets[0]), data.oMi[0].act(offsets[1])]
+        np.testing.assert_allclose(some, expected, atol=1e-15)
+    for view in views:
+        assert not view.flags.writeable
 
 
 def test_moved_by_marks_the_columns_that_change_a_placement() -> None:
