@@ -5,6 +5,7 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,13 +14,16 @@ import tyro
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import Choice, PresetName, default_preset, preset_choice
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
+from handmap_qp.trackers.recording import Recording, mirrored, read_recording
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
@@ -28,10 +32,124 @@ PersonFile = Annotated[
     tyro.conf.arg(metavar="PERSON.yaml", help_behavior_hint="(default: measured in the recording)"),
 ]
 """File of a person's hand, of `handmap calibrate`."""
+_HANDED = 3  # fingers with human names; a robot with fewer is neither a left nor a right hand
 PointSet = Annotated[
     str | None, tyro.conf.arg(metavar="SET", help_behavior_hint="(default: the hand's own)")
 ]
 """Name of a set of reference points."""
+
+
+@dataclass(frozen=True)
+class InputArguments:
+    """How a recording is to be read.
+
+    Attributes:
+        layout: Layout of the file's values where they are not 21 landmarks: a name of
+            `handmap layouts`, or the path of a table of your own. Reads .npz and .csv.
+        side: Which hand the recording is of, where the file does not say.
+    """
+
+    layout: Annotated[
+        str | None, tyro.conf.arg(metavar="LAYOUT", help_behavior_hint="(default: the file's own)")
+    ] = None
+    side: Annotated[
+        Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
+    ] = None
+
+    def read(self, path: Path, wanted: Side | None = None) -> Recording:
+        """Read a recording, and reject it if it cannot be what it says.
+
+        Args:
+            path: The file.
+            wanted: Which hand to take of a file with both.
+
+        Raises:
+            RecordingError: If it cannot be read.
+            InvalidInputError: If it is in another order, of the other hand, in other units or the
+                like (`handmap_qp.trackers.plausibility`).
+        """
+        from handmap_qp.trackers.layout import load_layout
+        from handmap_qp.trackers.layout_files import read_with_layout
+        from handmap_qp.trackers.plausibility import check_recording
+
+        if self.layout is not None:
+            return read_with_layout(path, load_layout(self.layout), self.side)
+        if self.side is not None and self.side != wanted:
+            wanted = self.side
+        recording = read_recording(path, wanted)
+        if self.side is not None and recording.side != self.side:
+            raise InvalidInputError(
+                argument="--side",
+                problem=f"{path} says that it is of a {recording.side} hand",
+                advice="leave --side out, or correct the file",
+            )
+        check_recording(recording, name=str(path))
+        return recording
+
+    def read_both(self, paths: Sequence[Path]) -> dict[Side, Recording]:
+        """Read a recording of the left and one of the right hand, from one file or from two.
+
+        Args:
+            paths: One file with both hands, or two files; with a layout the left hand's first.
+
+        Raises:
+            HandmapError: As of `read`.
+        """
+        from handmap_qp.trackers.formats import read_hands
+        from handmap_qp.trackers.layout import load_layout
+        from handmap_qp.trackers.layout_files import read_with_layout
+        from handmap_qp.trackers.plausibility import check_recording
+
+        if self.side is not None:
+            raise InvalidInputError(argument="--side", problem="has no effect on both hands")
+        sides: tuple[Side, Side] = ("left", "right")
+        if self.layout is None:
+            hands = read_hands(paths)
+            for recording in hands.values():
+                check_recording(recording)
+            return hands
+        if len(paths) not in (1, 2):
+            raise InvalidInputError(
+                argument="RECORDING", expected="one file or two", got=f"{len(paths)}"
+            )
+        layout = load_layout(self.layout)
+        return {
+            side: read_with_layout(path, layout, side)
+            for side, path in zip(sides, (paths[0], paths[-1]), strict=True)
+        }
+
+
+def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
+    """Return a recording for the side of a robot.
+
+    Robots without the fingers of a hand take either hand.
+
+    Args:
+        recording: The recording.
+        robot: The robot hand.
+        mirror: Whether the user asked for the mirror image.
+
+    Raises:
+        InvalidInputError: If the sides differ and no mirror image is asked for, or the other way
+            round.
+    """
+    side, own = recording.side, robot.spec.side
+    fingers = {point.finger for point in robot.spec.points} & set(FINGERS)
+    if mirror and side == own:
+        raise InvalidInputError(
+            argument="--mirror",
+            problem=f"{recording.name} is of a {side} hand, as {robot.name} is",
+            advice="leave it out",
+        )
+    if mirror:
+        return mirrored(recording)
+    if side != own and len(fingers) >= _HANDED:
+        raise InvalidInputError(
+            argument=recording.name,
+            problem=f"is of a {side} hand, and {robot.name} is a {own} one",
+            advice=f"give --mirror to map its mirror image, or name a {side} robot",
+        )
+    return recording
 
 
 @dataclass(frozen=True)

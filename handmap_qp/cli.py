@@ -85,6 +85,11 @@ COMMANDS: dict[str, _Place] = {
         "HandsMatch",
         "Find the robot posture that corresponds to the resting human hand.",
     ),
+    "layouts": _Place(
+        "offline.layouts_cli",
+        "Layouts",
+        "List the layouts of trackers, or show one: order, frame and units.",
+    ),
     "figures": _Place(
         "experiments.cli",
         "Figures",

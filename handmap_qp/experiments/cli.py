@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from handmap_qp.arguments import HandName
+from handmap_qp.arguments import HandName, InputArguments
 from handmap_qp.tables import print_table, progress
 
 DEFAULT_METHODS = (
@@ -156,6 +156,7 @@ class Compare:
         peers_from: Folder of the program that runs the peers, compare.py.
         out: Folder to write to; created if it does not exist.
         json: Print JSON instead of tables.
+        inputs: How the recordings are to be read.
     """
 
     recordings: tyro.conf.Positional[
@@ -175,12 +176,21 @@ class Compare:
     ] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     json: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
 
     def run(self) -> None:
         """Check everything, measure, print and write."""
         from handmap_qp.experiments.comparison_run import ComparisonRequest, run_comparison
 
         request = ComparisonRequest(
-            self.recordings, self.robot, self.methods, self.peers, self.peers_from, self.out
+            self.recordings,
+            self.robot,
+            self.methods,
+            self.peers,
+            self.peers_from,
+            self.out,
+            self.inputs,
         )
         run_comparison(request, prints_json=self.json)

@@ -6,10 +6,11 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import handmap_qp
+from handmap_qp.arguments import InputArguments
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.comparison_report import as_json, markdown, notes_of, overall_rows
 from handmap_qp.hands.hand import Hand
@@ -18,7 +19,6 @@ from handmap_qp.offline.compared_methods import SMOOTH, outside_methods, own_met
 from handmap_qp.offline.comparison import ComparedMethod, Comparison, compare_methods
 from handmap_qp.offline.metrics import GROUPS
 from handmap_qp.offline.takes import Take, prepare_take
-from handmap_qp.trackers.recording import read_recording
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
@@ -37,6 +37,7 @@ class ComparisonRequest:
         has_peers: Whether to run peers.
         peers_from: Folder of the program that runs the peers; that of the checkout if None.
         out: Folder to write to; None to write nothing.
+        inputs: How the recordings are to be read.
     """
 
     recordings: tuple[Path, ...]
@@ -45,6 +46,7 @@ class ComparisonRequest:
     has_peers: bool = False
     peers_from: Path | None = None
     out: Path | None = None
+    inputs: InputArguments = field(default_factory=InputArguments)
 
 
 def run_comparison(request: ComparisonRequest, *, prints_json: bool) -> None:
@@ -59,7 +61,7 @@ def run_comparison(request: ComparisonRequest, *, prints_json: bool) -> None:
     methods = _methods(request)
     out = None if request.out is None else _folder(request.out)
     with _progress() as advance:
-        takes = _takes(request.recordings, robot, advance)
+        takes = _takes(request.recordings, robot, request.inputs, advance)
         comparison = compare_methods(takes, robot, methods, advance)
         written = [] if out is None else _write(out, comparison, advance)
     if prints_json:
@@ -96,9 +98,11 @@ def _methods(request: ComparisonRequest) -> list[ComparedMethod]:
     return chosen if named else [*chosen, *outside.values()]
 
 
-def _takes(files: tuple[Path, ...], robot: Hand, advance: Progress) -> list[Take]:
+def _takes(
+    files: tuple[Path, ...], robot: Hand, inputs: InputArguments, advance: Progress
+) -> list[Take]:
     """Read all recordings before any is prepared."""
-    recordings = [read_recording(file, robot.spec.side) for file in files]
+    recordings = [inputs.read(file, robot.spec.side) for file in files]
     names = [recording.name for recording in recordings]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

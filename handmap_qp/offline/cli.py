@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from handmap_qp.arguments import MappingArguments, PersonFile
+from handmap_qp.arguments import InputArguments, MappingArguments, PersonFile, fit_side
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import check_output
 from handmap_qp.tables import print_table, progress
@@ -37,6 +37,7 @@ class Map:
         handmap map recording.npz --robot my_hand.yaml --preset object --json
         handmap map recording.npz --robot allegro_right --person anna.yaml
         handmap map left.npz right.npz --robots allegro_left allegro_right
+        handmap map glove.csv --layout manus --side right --robot allegro_right
 
     Attributes:
         recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
@@ -44,8 +45,10 @@ class Map:
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
         robots: A left and a right robot hand, for recordings of both human hands.
         out: File to write; with --robots the folder.
+        mirror: Map the mirror image of a recording of the other hand.
         person: File of the person's hand, of `handmap calibrate`.
         json: Print the summary as one JSON object instead of a table; with --robots a list.
+        inputs: How the recordings are to be read.
         arguments: Reference points and options.
     """
 
@@ -66,8 +69,12 @@ class Map:
         Path | None,
         tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"),
     ] = None
+    mirror: bool = False
     person: PersonFile = None
     json: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
     arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
         default_factory=MappingArguments
     )
@@ -94,9 +101,6 @@ class Map:
 
     def _pairs(self) -> list[tuple[Recording, Hand]]:
         """Read each recording with its robot."""
-        from handmap_qp.trackers.formats import read_hands
-        from handmap_qp.trackers.recording import read_recording
-
         if (self.robot is None) == (self.robots is None):
             raise InvalidInputError(
                 argument="--robot",
@@ -112,7 +116,10 @@ class Map:
                     advice="give --robots LEFT RIGHT for both hands",
                 )
             robot = self.arguments.load_robot(self.robot)
-            return [(read_recording(self.recordings[0], robot.spec.side), robot)]
+            recording = self.inputs.read(self.recordings[0], robot.spec.side)
+            return [(fit_side(recording, robot, mirror=self.mirror), robot)]
+        if self.mirror:
+            raise InvalidInputError(argument="--mirror", problem="has no effect with --robots")
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
             if robot.spec.side != side:
@@ -120,7 +127,7 @@ class Map:
                 raise InvalidInputError(
                     argument="--robots", expected="a left hand, then a right hand", got=got
                 )
-        hands = read_hands(self.recordings)
+        hands = self.inputs.read_both(self.recordings)
         return [(hands[robot.spec.side], robot) for robot in robots]
 
     def _out(self, recording: Recording, robot: Hand) -> Path:
@@ -173,17 +180,20 @@ class Calibrate:
         out: File to write.
         overwrite: Replace the file if it exists.
         json: Print one JSON object instead of a table.
+        inputs: How the recording is to be read.
     """
 
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
     overwrite: bool = False
     json: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
 
     def run(self) -> None:
         """Measure the person, write the file, and print the measures."""
         from handmap_qp.trackers.person import measure_person, write_person
-        from handmap_qp.trackers.recording import read_recording
 
         out = check_output("--out", self.out, (".yaml", ".yml"))
         if out.exists() and not self.overwrite:
@@ -193,7 +203,7 @@ class Calibrate:
                 value=str(out),
                 advice="give --overwrite to replace it",
             )
-        recording = read_recording(self.recording)
+        recording = self.inputs.read(self.recording)
         person = measure_person(recording)
         write_person(person, out)
         samples = int(recording.valid.sum())

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from handmap_qp.arguments import HandName
+from handmap_qp.arguments import HandName, InputArguments
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import check_output
@@ -243,7 +243,6 @@ class HandsMatch:
             own_file,
             write_matched,
         )
-        from handmap_qp.trackers.recording import read_recording
 
         robot = check_robot(load_hand(self.hand))
         file = own_file(self.hand) if self.write else None
@@ -255,7 +254,7 @@ class HandsMatch:
             )
         match = match_hand(
             robot,
-            recording=None if self.recording is None else read_recording(self.recording),
+            recording=None if self.recording is None else InputArguments().read(self.recording),
             human_length=self.human_length,
         )
         if self.picture is not None:

@@ -459,6 +459,17 @@ def all_layouts() -> tuple[Layout, ...]:
     return tuple(load_layout(name) for name in layout_names())
 
 
+def table_text(layout: str | Path) -> str:
+    """Return the text of a layout's table, with its comments.
+
+    Raises:
+        InvalidInputError: As of `load_layout`.
+    """
+    load_layout(layout)
+    known = str(layout) in layout_names()
+    return (_FOLDER / f"{layout}.yaml" if known else Path(layout)).read_text(encoding="utf-8")
+
+
 def load_layout(layout: str | Path | Layout) -> Layout:
     """Load a layout.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from handmap_qp.trackers.hand_geometry import cross
@@ -95,7 +97,7 @@ class WristCheck:
         if is_steady and _is_known(mean):
             self._relative = first
             return None
-        for name, others in _reinterpreted(rotations).items():
+        for name, others in _reinterpreted(rotations):
             other, steadiness = _mean_relative(palms, others)
             if steadiness > _STEADY and _is_known(other):
                 problem = f"the wrist's orientation does not follow the palm, but {name} would"
@@ -131,17 +133,21 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ti,ti->t", vectors, vectors))
 
 
-def _reinterpreted(rotations: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the rotations as they would be if a reader had made a usual mistake."""
+def _reinterpreted(rotations: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the rotations as they would be if a reader had made a usual mistake.
+
+    A layout may have turned the wrist's axes to ours afterwards, so undo that for every convention.
+    """
     from scipy.spatial.transform import Rotation
 
-    xyzw = Rotation.from_matrix(rotations).as_quat()
-    return {
-        "a quaternion w, x, y, z that was read as x, y, z, w": Rotation.from_quat(
-            np.roll(xyzw, -1, axis=1)
-        ).as_matrix(),
-        "a quaternion x, y, z, w that was read as w, x, y, z": Rotation.from_quat(
-            np.roll(xyzw, 1, axis=1)
-        ).as_matrix(),
-        "its inverse": rotations.transpose(0, 2, 1),
-    }
+    for convention in _CONVENTIONS:
+        xyzw = Rotation.from_matrix(rotations @ convention).as_quat()
+        for name, roll in _ROLLS:
+            yield name, Rotation.from_quat(np.roll(xyzw, roll, axis=1)).as_matrix()
+    yield "its inverse", rotations.transpose(0, 2, 1)
+
+
+_ROLLS = (
+    ("a quaternion w, x, y, z that was read as x, y, z, w", -1),
+    ("a quaternion x, y, z, w that was read as w, x, y, z", 1),
+)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from handmap_qp.addresses import check_port
-from handmap_qp.arguments import MappingArguments, PersonFile
+from handmap_qp.arguments import InputArguments, MappingArguments, PersonFile, fit_side
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -42,12 +42,14 @@ class View:
             have opened it with has_detail or is_shared. A shared session can also be steered.
         session: Name of the service's session.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
+        mirror: Map the mirror image of a recording of the other hand.
         person: File of the person's hand, of `handmap calibrate`.
         html: Write the recording as a page that plays without a server, and end.
         host: Address to listen on. Everyone who can reach it can use the view, so keep it on
             loopback unless you trust the network.
         port: Port to listen on. The next free one is taken if it is in use.
         open: Open the browser.
+        inputs: How the recording is to be read.
         arguments: Preset, reference points and initial options, for a recording only.
     """
 
@@ -70,6 +72,7 @@ class View:
         tuple[Path, Path] | None,
         tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
     ] = None
+    mirror: bool = False
     person: PersonFile = None
     html: Annotated[
         Path | None, tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)")
@@ -77,6 +80,9 @@ class View:
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
     arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
         default_factory=MappingArguments
     )
@@ -105,6 +111,10 @@ class View:
         """Refuse options that would have no effect."""
         if self.live is not None:
             self._refuse("html", problem="needs a recording: a running session has no end")
+            self._refuse("mirror", problem="needs a recording")
+            for name in ("layout", "side"):
+                if getattr(self.inputs, name) is not None:
+                    raise InvalidInputError(argument=f"--{name}", problem="needs a recording")
             self._refuse("person", problem="needs a recording: the service's client chooses it")
             for option in self.arguments.changed():
                 raise InvalidInputError(
@@ -172,11 +182,11 @@ class View:
     def _replay(self, file: Path, name: str) -> Replay:
         from handmap_qp.trackers.landmarks import fit_recording
         from handmap_qp.trackers.person import measure_person, read_person
-        from handmap_qp.trackers.recording import read_recording
         from handmap_qp.viewer.replay import Replay
 
         robot = self.arguments.load_robot(name)
-        recording = read_recording(file, robot.spec.side)
+        recording = self.inputs.read(file, robot.spec.side)
+        recording = fit_side(recording, robot, mirror=self.mirror)
         person = measure_person(recording) if self.person is None else read_person(self.person)
         motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)

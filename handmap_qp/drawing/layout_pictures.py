@@ -1,0 +1,179 @@
+"""Draw the convention of a tracker's layout: indices on both hands, and axes of the wrists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.drawing.hands import draw_hands, load_shape, require_matplotlib, spheres, tube
+from handmap_qp.drawing.raster import Camera, Triangles, merged
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.angle_layout import AngleLayout
+from handmap_qp.trackers.layout import UNITS, Layout, typical_human
+from handmap_qp.trackers.marker_layout import MarkerLayout
+from handmap_qp.trackers.point_layout import PointLayout
+from handmap_qp.transform import transform_points
+
+_PANEL = (430, 500)
+_SKIN = (0.93, 0.80, 0.72)
+_LANDMARK = (0.13, 0.40, 0.85)
+_OTHER = (0.55, 0.57, 0.60)
+_AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
+_AXIS_LENGTH = 0.045  # m
+_RADIUS = 0.0035  # m
+# Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
+_UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+_TO_PICTURE = np.block([[_UPRIGHT, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+_FARTHEST = 0.12  # m; joints of the forearm that lie farther from the wrist are left out
+
+
+def save_layout_picture(layout: Layout, path: Path) -> None:
+    """Draw a left and a right hand from the back, fingers up, with the layout's indices.
+
+    Blue dots are landmarks, grey ones are not used. Arrows are the wrist's own axes, where the
+    layout says which they are.
+
+    Args:
+        layout: The layout.
+        path: Picture to write (.png).
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    width, height = _PANEL
+    figure = Figure(figsize=(2 * width / 100, height / 100 + 0.45), dpi=100)
+    FigureCanvasAgg(figure)
+    share = height / (height + 45)
+    sides: tuple[Side, ...] = ("left", "right")
+    for i, side in enumerate(sides):
+        axes = figure.add_axes((0.5 * i, 0.0, 0.5, share))
+        _draw_side(axes, layout, side)
+        axes.text(width / 2, 12, f"{side} hand, from its back", ha="center", va="top", color="0.35")
+    unit = layout.table.unit
+    title = f"{layout.name}: {layout.title} ({unit})"
+    figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=11)
+    try:
+        figure.savefig(path, facecolor="white")
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+        ) from error
+
+
+def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
+    human = typical_human(side)
+    q = _open_posture(human)
+    solid = _placed(load_shape(human, colour=_SKIN).triangles(q))
+    points, labels, is_used = _entries(layout, human, q)
+    places = transform_points(_TO_PICTURE, points)
+    directions = _wrist_axes(layout, side)
+    ends = transform_points(_TO_PICTURE, _AXIS_LENGTH * directions)
+    parts = [spheres(places[is_used], _RADIUS, _LANDMARK)]
+    if not is_used.all():
+        parts.append(spheres(places[~is_used], 0.8 * _RADIUS, _OTHER))
+    for end, colour in zip(ends, _AXIS_COLOURS, strict=False):
+        if np.linalg.norm(end) > 0.0:
+            parts.append(tube(np.array([np.zeros(3), end]), 0.0016, colour))
+    around = np.concatenate([solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))])
+    camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
+    draw_hands(axes, solid, camera, marks=merged(parts))
+    # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
+    # so their labels are turned and go below.
+    for place, label, is_own in zip(camera.project(places)[:, :2], labels, is_used, strict=True):
+        style = {"fontsize": 8, "color": "0.1", **_halo()}
+        if is_own:
+            axes.text(place[0] + 6, place[1] - 6, label, **style)
+        else:
+            style |= {"rotation": 90, "ha": "center", "va": "top", "color": "0.35"}
+            axes.text(place[0] + 1, place[1] + 7, label, **style)
+    for end, name, colour in zip(camera.project(ends)[:, :2], "xyz", _AXIS_COLOURS, strict=False):
+        axes.text(end[0] + 4, end[1] + 10, name, fontsize=11, color=colour, **_halo())
+
+
+def _halo() -> dict[str, Any]:
+    from matplotlib import patheffects
+
+    return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}
+
+
+def _placed(triangles: Triangles) -> Triangles:
+    return Triangles(
+        triangles.vertices @ _UPRIGHT.T, triangles.colours, triangles.normals @ _UPRIGHT.T
+    )
+
+
+def _open_posture(human: Hand) -> np.ndarray:
+    """Return an open hand with spread fingers, so that indices do not cover one another."""
+    q = 0.25 * human.rest
+    spread = {"thumb": 0.75, "index": 0.16, "middle": 0.02, "ring": -0.12, "little": -0.28}
+    for finger in FINGERS:
+        q[HUMAN_JOINTS.index(f"{finger}_{'TM' if finger == 'thumb' else 'MCP'}_abduction")] = (
+            spread[finger]
+        )
+    return np.clip(q, human.lower_limits, human.upper_limits)
+
+
+def _entries(
+    layout: Layout, human: Hand, q: np.ndarray
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """Return places [m], indices as text, and whether they are landmarks."""
+    side = human.spec.side
+    if isinstance(layout, PointLayout):
+        places = np.full((layout.table.count, 3), np.inf)
+        written = layout.write_posture(human, q, np.eye(4))
+        read = written if written.shape[1:] == (3,) else None
+        scale = UNITS[layout.table.unit]
+        if read is None:
+            read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
+        places = read * layout.table.reflection * scale
+        if layout.table.is_relative and layout.table.wrist is not None:
+            rotation = layout.table.wrist.axes(side).rotation(layout.table.reflection)
+            places = places @ rotation.T
+        used = set(layout.order(side).tolist())
+        shown = [
+            i
+            for i in range(len(places))
+            if i in used or (i in layout.table.between and np.linalg.norm(places[i]) < _FARTHEST)
+        ]
+        is_used = np.array([i in used for i in shown])
+        return places[shown], [str(i) for i in shown], is_used
+    if isinstance(layout, MarkerLayout):
+        places = layout.write_posture(human, q, np.eye(4)) * layout.table.reflection
+        places = places * UNITS[layout.table.unit]
+        return places, [str(i) for i in range(len(places))], np.ones(len(places), dtype=bool)
+    if isinstance(layout, AngleLayout):
+        return _angle_entries(layout, human.points(q))
+    raise InvalidInputError(argument="layout", expected="points, angles or markers", value=layout)
+
+
+def _angle_entries(
+    layout: AngleLayout, landmarks: np.ndarray
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """Return the joints that angles turn, two of which share the first place of a finger."""
+    texts: dict[int, list[str]] = {}
+    for i, entry in enumerate(layout.table.angles):
+        joint = HUMAN_JOINTS.index(entry.joint)
+        finger, k = divmod(joint, 4)
+        texts.setdefault(1 + 4 * finger + max(0, k - 1), []).append(str(i))
+    shown = sorted(texts)
+    return landmarks[shown], [", ".join(texts[i]) for i in shown], np.ones(len(shown), dtype=bool)
+
+
+def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:
+    """Return the wrist's x, y and z axes in our wrist frame, shape (3, 3); zeros if unknown."""
+    table = layout.wrist_table
+    if table is None:
+        return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))
+    reflection = layout.table.reflection
+    # Axes of left-handed data point where the data says, mirrored into the right-handed world.
+    return (table.axes(side).rotation(reflection) * reflection).T
