@@ -21,6 +21,7 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
+from handmap_qp.ik.clear_path import ClearPath, PathStart
 from handmap_qp.ik.distances import ShapeDistances
 from handmap_qp.transform import shortest_solution
 
@@ -39,6 +40,7 @@ class CollisionLimit:
     Attributes:
         pairs: The links of each pair; a link with several shapes has several.
         margin: Distance to keep [m].
+        path: Checks the same pairs along whole ways.
 
     Raises:
         InvalidOptionsError: If the hand names no pairs, or a number has no meaning.
@@ -68,7 +70,8 @@ class CollisionLimit:
             raise InvalidOptionsError(option="gain", expected="a number in (0, 1]", value=gain)
         found = named_pairs(hand) if pairs is None else pairs
         self.pairs = found.links
-        self._gain = gain
+        self.path = ClearPath(hand, found)
+        self._gain, self._horizon = gain, horizon
         geometry = found.geometry
         self._distances = ShapeDistances(hand.model, geometry, horizon)
         joints = [shape.parentJoint for shape in geometry.geometryObjects]
@@ -86,6 +89,15 @@ class CollisionLimit:
         """
         return self._distances.measure_all(configuration)
 
+    def path_start(self, configuration: Configuration) -> PathStart:
+        """Return what `rows` measured last as the start of a way.
+
+        Args:
+            configuration: Of the hand, where it was measured.
+        """
+        jacobian = configuration.joint_jacobian().copy()
+        return PathStart(configuration.q.copy(), self._measured, self._horizon, jacobian)
+
     def rows(
         self, configuration: Configuration, margins: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +111,7 @@ class CollisionLimit:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        near, distances, wrenches = self._distances.measure(configuration)
+        near, distances, wrenches = self._measured = self._distances.measure(configuration)
         kept = self.margin if margins is None else margins[near]
         relative = self._relative_support.take(near, 0)
         G = configuration.contracted(-wrenches.dot(configuration.joint_jacobian()) * relative)
@@ -111,6 +123,9 @@ class CollisionLimit:
         lower: np.ndarray,
         upper: np.ndarray,
         margins: np.ndarray | None = None,
+        *,
+        stopping: float = 0.0,
+        so_far: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """The same rows, loosened where they contradict each other or a box.
 
@@ -124,11 +139,15 @@ class CollisionLimit:
             lower: Lower bound of the displacement, shape (n,).
             upper: Upper bound, shape (n,).
             margins: Distance that each pair keeps [m], shape (k,); `margin` for all if omitted.
+            stopping: Part of the sample's displacement that the hand needs to stop behind it.
+            so_far: Displacement of the sample up to here, shape (n,); none if omitted.
 
         Returns:
             G, shape (k, n), and h, shape (k,).
         """
         G, h = self.rows(configuration, margins)
+        if stopping > 0.0:
+            h = (h if so_far is None else h - stopping * G.dot(so_far)) / (1.0 + stopping)
         witness = np.minimum(np.maximum(0.0, lower), upper)
         excess = G.dot(witness) - h
         near = (excess > 0.0).nonzero()[0]

@@ -93,6 +93,20 @@ class ShapeDistances:
         pin.computeDistances(self._geometry, self._data)
         return self._distances.copy()
 
+    def measure_pairs(self, data: pin.Data, pairs: np.ndarray) -> np.ndarray:
+        """Return the signed distances of some pairs [m], shape (r,).
+
+        Args:
+            data: Data of the hand's model, its joints placed.
+            pairs: Indices of the pairs, shape (r,).
+        """
+        pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
+        wanted = np.zeros(len(self._is_active), dtype=bool)
+        wanted[pairs] = True
+        self._activate(wanted)
+        pin.computeDistances(self._geometry, self._data)
+        return self._distances[pairs]
+
     def _may_be_near(self) -> np.ndarray:
         """Return whether the bounding balls of each pair are within the horizon, shape (k,)."""
         centres = self._placed.points(self._centres)

@@ -14,6 +14,11 @@ limit only as fast as it can still brake,
 
 Once true, this stays true from sample to sample for any sample times. So a joint that starts at
 rest inside its limits keeps both limits.
+
+Joints can also brake together, each in proportion to its speed, so that the hand stops on the
+straight line that it moves on. The joint that needs the longest sets the time `T` of that stop. The
+displacement x of a sample and the stop behind it are the line `(1 + T / (2 dt)) x` together, for
+any sample times to come.
 """
 
 from __future__ import annotations
@@ -67,7 +72,12 @@ class BoxLimits:
         )
 
     def bounds(
-        self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
+        self,
+        q: np.ndarray,
+        dt: float,
+        previous_velocity: np.ndarray | None = None,
+        *,
+        stop_times: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and upper bound of the displacement from `q`.
 
@@ -76,6 +86,8 @@ class BoxLimits:
             dt: Time for the displacement [s].
             previous_velocity: Displacement of the last sample divided by its time, shape (nv,); at
                 rest if omitted. Matters only to acceleration limits.
+            stop_times: Time in which each coordinate must be able to stop [s], shape (nv,); as fast
+                as it can by itself if omitted. Matters only to acceleration limits.
 
         Returns:
             Two arrays of shape (nv,), `lower <= upper`.
@@ -89,8 +101,41 @@ class BoxLimits:
         if self._acceleration is None:
             return lower, upper
         return self._with_acceleration(
-            self._acceleration, angles, dt, previous_velocity, lower, upper
+            self._acceleration, angles, dt, previous_velocity, lower, upper, stop_times
         )
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates, nv."""
+        return len(self._speed)
+
+    @property
+    def has_acceleration(self) -> bool:
+        """Whether accelerations are limited."""
+        return self._acceleration is not None
+
+    def stop_time(self, velocity: np.ndarray, columns: np.ndarray) -> float:
+        """Return the time in which coordinates can stop together [s]; 0 without limits.
+
+        Args:
+            velocity: Of all coordinates, shape (nv,).
+            columns: Which of them stop together, shape (nv,).
+        """
+        if self._acceleration is None:
+            return 0.0
+        return float((np.abs(velocity) / self._acceleration)[columns].max(initial=0.0))
+
+    def outside(self, q: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+        """Return how far a displacement takes each joint outside its position limits, shape (nv,).
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            displacement: Displacement, shape (nv,).
+        """
+        excess, joints = np.zeros(len(displacement)), self._joints
+        angles = q[self._q_indices] + displacement[joints]
+        excess[joints] = np.maximum(np.maximum(self._lower - angles, angles - self._upper), 0.0)
+        return excess
 
     def _with_acceleration(
         self,
@@ -100,6 +145,7 @@ class BoxLimits:
         previous_velocity: np.ndarray | None,
         lower: np.ndarray,
         upper: np.ndarray,
+        stop_times: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the part of the box within reach of the last velocity, or its nearest corner."""
         joints = self._joints
@@ -109,8 +155,13 @@ class BoxLimits:
         lowest, highest = middle - change, middle + change
         least, most = lowest.copy(), highest.copy()
         # Past a limit there is no braking distance left; the box brings the joint back.
-        to_upper = _braking_displacement(np.maximum(self._upper - angles, 0.0), change[joints])
-        to_lower = _braking_displacement(np.maximum(angles - self._lower, 0.0), change[joints])
+        above, below = np.maximum(self._upper - angles, 0.0), np.maximum(angles - self._lower, 0.0)
+        to_upper = _braking_displacement(above, change[joints])
+        to_lower = _braking_displacement(below, change[joints])
+        if stop_times is not None:
+            stretch = 1.0 + 0.5 * stop_times[joints] / dt
+            to_upper = np.minimum(to_upper, above / stretch)
+            to_lower = np.minimum(to_lower, below / stretch)
         most[joints] = np.minimum(np.maximum(to_upper, lowest[joints]), highest[joints])
         least[joints] = np.minimum(np.maximum(-to_lower, lowest[joints]), highest[joints])
         return np.minimum(np.maximum(least, lower), upper), np.minimum(

@@ -26,6 +26,7 @@ from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.mink_tasks import make_tasks
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import EXACT
+from handmap_qp.ik.stopping import StopGuard
 from handmap_qp.ik.tasks import Task
 
 
@@ -38,15 +39,30 @@ class BoxLimit(mink.Limit):
         limits: The box.
         previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if
             omitted.
+        guard: Keeps a stop without overlap possible, where self-collisions are avoided.
     """
 
-    def __init__(self, limits: BoxLimits, previous_velocity: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        limits: BoxLimits,
+        previous_velocity: np.ndarray | None = None,
+        guard: StopGuard | None = None,
+    ) -> None:
         self._limits = limits
-        self._previous_velocity = previous_velocity
+        self._velocity = np.zeros(limits.size) if previous_velocity is None else previous_velocity
+        self._guard = guard
 
     def bounds(self, configuration: Configuration, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper bound, shape (nv,) each."""
-        return self._limits.bounds(configuration.q, dt, self._previous_velocity)
+        if self._guard is None:
+            return self._limits.bounds(configuration.q, dt, self._velocity)
+        return self._guard.bounds(configuration.q, self._velocity, dt)
+
+    def stopping(self, dt: float) -> float:
+        """Return the part of a displacement that the hand needs to stop behind it."""
+        if self._guard is None:
+            return 0.0
+        return 0.5 * self._guard.longest_stop(self._velocity, dt) / dt
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
         """Return the rows of the box at this configuration, upper bounds first."""
@@ -71,9 +87,9 @@ class SelfCollisionLimit(mink.Limit):
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
         """Return one row per pair."""
-        return mink.Constraint(
-            *self._collisions.feasible_rows(configuration, *self._box.bounds(configuration, dt))
-        )
+        box, stopping = self._box.bounds(configuration, dt), self._box.stopping(dt)
+        rows = self._collisions.feasible_rows(configuration, *box, stopping=stopping)
+        return mink.Constraint(*rows)
 
 
 def make_limits(
@@ -95,12 +111,11 @@ def make_limits(
         has_velocity_limits=options.has_velocity_limits,
         max_acceleration=options.max_acceleration,
     )
-    box = BoxLimit(limits, previous_velocity)
-    return (
-        [box, SelfCollisionLimit(CollisionLimit(hand), box)]
-        if options.avoids_self_collision
-        else [box]
-    )
+    if not options.avoids_self_collision:
+        return [BoxLimit(limits, previous_velocity)]
+    collisions = CollisionLimit(hand)
+    box = BoxLimit(limits, previous_velocity, StopGuard(limits, collisions.path))
+    return [box, SelfCollisionLimit(collisions, box)]
 
 
 class _ActiveConfiguration:

@@ -30,6 +30,7 @@ from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.limits import BoxLimits, as_slice
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
+from handmap_qp.ik.stopping import StopGuard
 from handmap_qp.ik.tasks import Task
 from handmap_qp.transform import frozen
 
@@ -109,13 +110,16 @@ class IkState:
     Attributes:
         configuration: The present posture.
         velocity: Displacement of the last sample divided by its time, shape (nv,).
+        stop_time: Time in which the hand can stop without an overlap [s]; 0 if at once, or if
+            overlaps are not avoided.
     """
 
-    __slots__ = ("configuration", "velocity")
+    __slots__ = ("configuration", "stop_time", "velocity")
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
         self.velocity = np.zeros(configuration.nv)
+        self.stop_time = 0.0
 
 
 class PointIk:
@@ -168,6 +172,9 @@ class PointIk:
             has_velocity_limits=options.has_velocity_limits,
             max_acceleration=options.max_acceleration,
         )
+        self._guard = (
+            None if self._collisions is None else StopGuard(self._limits, self._collisions.path)
+        )
         position, orientation = wrist_costs(options)
         self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
         self._mask = self.configuration.support * self._row_weights[:, None]
@@ -208,7 +215,7 @@ class PointIk:
             return PointIk(hand, self.options, self.state, contacts=contacts)
         state = IkState(hand.configuration())
         state.configuration.place_with_jacobians(self.configuration.q)
-        state.velocity = self.state.velocity
+        state.velocity, state.stop_time = self.state.velocity, self.state.stop_time
         return PointIk(hand, self.options, state, contacts=contacts)
 
     def place(self, q: np.ndarray) -> None:
@@ -218,7 +225,7 @@ class PointIk:
             q: Pinocchio configuration, shape (nq,).
         """
         self.configuration.place_with_jacobians(q)
-        self.state.velocity = self._zero_step
+        self.state.velocity, self.state.stop_time = self._zero_step, 0.0
 
     def solve(
         self,
@@ -247,11 +254,13 @@ class PointIk:
             joints outside their limits.
         """
         configuration, options = self.configuration, self.options
-        start = configuration.q.copy()
-        lower, upper = self._limits.bounds(start, dt, self.state.velocity)
+        state, guard, start = self.state, self._guard, configuration.q.copy()
+        stopping = 0.0 if guard is None else 0.5 * guard.longest_stop(state.velocity, dt) / dt
+        lower, upper = self._box(dt)
         target = None if wrist_target is None else pin.SE3(wrist_target)
         resting = (self.hand.rest if rest is None else rest)[self._order]
-        total, last_step, iterations, end = self._zero_step, np.inf, 0, "solved"
+        path_start, first, total = None, self._zero_step, self._zero_step
+        last_step, iterations, end = np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target, resting, tasks)
             if self._is_smooth:
@@ -262,8 +271,12 @@ class PointIk:
             rows = (
                 None
                 if self._collisions is None
-                else self._collisions.feasible_rows(configuration, *box, margins)
+                else self._collisions.feasible_rows(
+                    configuration, *box, margins, stopping=stopping, so_far=total
+                )
             )
+            if self._collisions is not None and iterations == 0:
+                path_start = self._collisions.path_start(configuration)
             step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
             length = math.nan if step is None else math.sqrt(step.dot(step))
@@ -277,10 +290,16 @@ class PointIk:
                 # Solvers hold the box up to their tolerance; the robot gets it exactly.
                 total = np.maximum(np.minimum(total + step, upper), lower)
                 last_step = length
+            first = total if iterations == 1 else first
             # One displacement from the start, not a chain of steps: a floating wrist's twist then
             # keeps its limits exactly.
             configuration.displace(start, total)
-        self.state.velocity = total / dt
+        if guard is None or path_start is None:
+            state.stop_time = 0.0
+        elif (admitted := guard.admit(path_start, total, first, dt, state)) is not total:
+            total = admitted
+            configuration.displace(start, total)
+        state.velocity = total / dt
         points = configuration.points.copy()
         columns, tolerance = self.hand.joint_columns, options.point_tolerance
         return IkResult(
@@ -298,7 +317,8 @@ class PointIk:
 
     def hold(self) -> IkResult:
         """Keep the hand where it is, without targets."""
-        self.state.velocity, configuration = self._zero_step, self.configuration
+        self.place(self.configuration.q.copy())
+        configuration = self.configuration
         points, free = configuration.points.copy(), np.full(configuration.nv, np.inf)
         columns, tolerance = self.hand.joint_columns, self.options.point_tolerance
         return IkResult(
@@ -334,8 +354,15 @@ class PointIk:
         )
         if self._is_smooth:
             self._smooth(self._zero_step, dt)
-        lower, upper = self._limits.bounds(self.configuration.q, dt, self.state.velocity)
+        lower, upper = self._box(dt)
         return self._H.copy(), self._c.copy(), lower, upper
+
+    def _box(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of the next sample's displacement, shape (nv,) each."""
+        q, velocity = self.configuration.q, self.state.velocity
+        if self._guard is None:
+            return self._limits.bounds(q, dt, velocity)
+        return self._guard.bounds(q, velocity, dt)
 
     def _smooth(self, total: np.ndarray, dt: float) -> None:
         """Add the costs of speed and acceleration, given the displacement so far."""

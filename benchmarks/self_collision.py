@@ -1,0 +1,234 @@
+"""Overlaps of links under self-collision avoidance, with and without acceleration limits.
+
+Wild steps: random targets, sample times and options, which change on the way. Recordings: mapped
+with acceleration limits. Every way between two samples is measured too. Overlaps are measured by
+separating directions, not by coal. The exit code is 1 if an overlap exceeds 0.1 mm or a limit of
+speed or acceleration is exceeded.
+
+    nice python benchmarks/self_collision.py --json self_collision.json
+    nice python benchmarks/self_collision.py --steps 2000 --hands allegro_right
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import common
+import numpy as np
+import shared_hands
+from overlap import OverlapMeter
+
+from handmap_qp import HandMapper, IkOptions, load_hand
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.mapping.presets import get_preset
+from handmap_qp.trackers.landmarks import human_name, measure_hand
+from handmap_qp.trackers.recording import Recording, mirrored, read_recording
+
+TOLERANCE = 1e-4
+"""Largest overlap that counts as none [m]."""
+HANDS = ("allegro_right", "three_finger", *shared_hands.NAMES)
+ACCELERATIONS = (None, 5.0, 20.0, 100.0, 1000.0)
+_STEP = 0.04
+"""Longest part of a way between two measurements [rad]."""
+
+
+class Tally:
+    """Worst figures of one run.
+
+    Args:
+        hand: The hand.
+        shapes: The pairs that are kept apart.
+    """
+
+    def __init__(self, hand: Hand, shapes: ShapePairs) -> None:
+        self._hand, self._meter = hand, OverlapMeter(hand, shapes)
+        self.steps, self.overlapping, self.scaled = 0, 0, 0
+        self.at_samples = self.between = self.speed = self.acceleration = 0.0
+        self.times: list[float] = []
+        self._last: np.ndarray | None = None
+
+    def take(
+        self, before: np.ndarray, after: np.ndarray, dt: float, most: float | None, spent: float
+    ) -> None:
+        """Measure a step: its end, the way there, speeds and accelerations.
+
+        Args:
+            before: Configuration at its start.
+            after: Configuration at its end.
+            dt: Its time [s].
+            most: Its limit of acceleration; None if there is none, or a new one.
+            spent: CPU time [s].
+        """
+        indices = self._hand.q_indices
+        moved = after[indices] - before[indices]
+        velocity = moved / dt
+        self.times.append(spent)
+        self.steps += 1
+        self.speed = max(self.speed, float((np.abs(velocity) / self._hand.velocity_limits).max()))
+        if most is not None and self._last is not None:
+            change = float(np.abs(velocity - self._last).max()) / dt
+            self.acceleration = max(self.acceleration, change / most)
+        self._last = velocity
+        end = self._meter.depth(after, checks_all=self.steps % 50 == 0)
+        count = min(60, int(np.abs(moved).max() / _STEP) + 2)
+        way = max(
+            self._meter.depth(before + part * (after - before))
+            for part in np.arange(1, count) / count
+        )
+        self.at_samples, self.between = max(self.at_samples, end), max(self.between, way)
+        self.overlapping += max(end, way) > TOLERANCE
+
+    def restart(self) -> None:
+        """Start at rest: the hand was placed somewhere else."""
+        self._last = np.zeros(len(self._hand.joint_names))
+
+    def row(self, **names: Any) -> dict[str, Any]:
+        """Return the figures under their names."""
+        times = 1e3 * np.array(self.times)
+        return {
+            **names,
+            "steps": self.steps,
+            "overlap at samples [mm]": 1e3 * self.at_samples,
+            "between [mm]": 1e3 * self.between,
+            "overlapping [%]": 100.0 * self.overlapping / max(self.steps, 1),
+            "speed / limit": self.speed,
+            "acceleration / limit": self.acceleration,
+            "disputed": self._meter.disputed,
+            "p50 [ms]": float(np.median(times)),
+            "p99 [ms]": float(np.quantile(times, 0.99)),
+        }
+
+
+def wild(hand: Hand, shapes: ShapePairs, steps: int, seed: int) -> Tally:
+    """Take random steps from collision-free postures."""
+    rng, tally = np.random.default_rng(seed), Tally(hand, shapes)
+    options = IkOptions(avoids_self_collision=False)
+    ik = PointIk(hand, options, contacts=shapes)
+    meter, elsewhere = OverlapMeter(hand, shapes), hand.configuration()
+    ik.place(hand.configuration_vector(hand.rest))
+    is_rested, targets, rest = True, ik.configuration.points.copy(), hand.rest
+    for _ in range(steps):
+        if rng.random() < 0.01:
+            q = hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
+            if meter.depth(q) == 0.0:
+                ik.place(q)
+                tally.restart()
+        if rng.random() < 0.02:
+            options = _wild_options(rng)
+            ik, is_rested = ik.with_options(options), rng.random() < 0.5
+            if is_rested:
+                # From another limit, the hand may come faster than it can brake.
+                ik.place(ik.configuration.q.copy())
+                tally.restart()
+        if rng.random() < 0.1:
+            q = rng.uniform(hand.lower_limits, hand.upper_limits)
+            elsewhere.place_frames(hand.configuration_vector(q))
+            targets = elsewhere.points.copy()
+            if rng.random() < 0.5:
+                targets[:] = targets.mean(axis=0) + 0.01 * rng.normal(size=targets.shape)
+            rest = rng.uniform(hand.lower_limits, hand.upper_limits)
+        dt = _wild_time(rng)
+        before, started = ik.configuration.q.copy(), time.process_time()
+        ik.solve(targets, None, dt, rest=rest)
+        spent = time.process_time() - started
+        limit = options.max_acceleration if is_rested else None
+        tally.take(before, ik.configuration.q.copy(), dt, limit, spent)
+    return tally
+
+
+def _wild_options(rng: np.random.Generator) -> IkOptions:
+    """Draw options; every combination is valid."""
+    most = ACCELERATIONS[rng.integers(len(ACCELERATIONS))]
+    return IkOptions(
+        point_weight=float(10.0 ** rng.uniform(-1, 2)),
+        rest_weight=float(rng.choice([0.0, 0.2, 10.0, 1e3])),
+        damping=float(10.0 ** rng.uniform(-3, 0)),
+        error_damping=float(rng.choice([0.0, 0.7])),
+        max_iterations=int(rng.integers(1, 6)),
+        step_tolerance=float(rng.choice([0.0, 0.1])),
+        acceleration_weight=float(rng.choice([0.0, 3.0])),
+        max_acceleration=most,
+    )
+
+
+def _wild_time(rng: np.random.Generator) -> float:
+    """Draw a sample time: mostly 5 to 30 ms, sometimes 0.1 ms to 10 s."""
+    if rng.random() < 0.8:
+        return float(rng.uniform(0.005, 0.03))
+    return float(10.0 ** rng.uniform(-4, 1))
+
+
+def mapped(hand: Hand, shapes: ShapePairs, recording: Recording, most: float | None) -> Tally:
+    """Map a recording by teleoperation with an acceleration limit."""
+    if recording.side != hand.side:
+        recording = mirrored(recording)
+    human = load_hand(
+        human_name(recording.side), points="landmarks", lengths=measure_hand(recording)
+    )
+    preset, tally = get_preset("teleoperation"), Tally(hand, shapes)
+    mapper = HandMapper(human, hand, preset.method, ik=replace(preset.ik, max_acceleration=most))
+    before = None
+    for landmarks, is_valid, dt in zip(
+        recording.landmarks, recording.valid, recording.steps, strict=True
+    ):
+        if not is_valid:
+            continue
+        started = time.process_time()
+        step = mapper.map_landmarks(landmarks, dt=float(dt))
+        spent = time.process_time() - started
+        after = hand.configuration_vector(step.command.q)
+        if before is not None:
+            tally.take(before, after, float(dt), most, spent)
+        before = after
+    return tally
+
+
+def load(name: str) -> Hand:
+    """Load one of `HANDS` with a fixed wrist."""
+    spec = shared_hands.shared_hand_spec(name) if name in shared_hands.NAMES else name
+    return load_hand(spec, mount="fixed")
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run both, print the table."""
+    parser = common.make_parser("Overlaps of links under self-collision avoidance.")
+    parser.add_argument("--hands", nargs="+", choices=HANDS, default=list(HANDS))
+    parser.add_argument("--steps", type=int, default=100_000, help="wild steps in total")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = common.parse_arguments(parser, words)
+    files = common.find_recordings(arguments.recordings)
+    files = files[:1] if arguments.quick else files
+    steps = 400 if arguments.quick else arguments.steps
+    rows: list[dict[str, Any]] = []
+    runs: list[tuple[Hand, str, ShapePairs]] = []
+    for hand in map(load, arguments.hands):
+        runs.append((hand, "all", all_pairs(hand, find_fingers(hand))))
+        if hand.spec.collision is not None:
+            runs.append((hand, "hand.yaml", named_pairs(hand)))
+    with common.progress("hands", len(runs)) as advance:
+        for i, (hand, kind, shapes) in enumerate(runs):
+            tally = wild(hand, shapes, steps // len(runs), arguments.seed + i)
+            rows.append(tally.row(hand=hand.name, pairs=kind, motion="wild", limit="mixed"))
+            for file in files if kind == "all" else ():
+                for most in (None, 20.0, 100.0):
+                    tally = mapped(hand, shapes, read_recording(file), most)
+                    limit = "none" if most is None else f"a {most:g}"
+                    name = {"hand": hand.name, "pairs": kind, "motion": file.stem}
+                    rows.append(tally.row(**name, limit=limit))
+            advance()
+    common.print_table("Overlaps", rows, to_stderr=arguments.json == "-")
+    common.write_json(arguments.json, "self_collision", {"rows": rows})
+    worst = max(max(row["overlap at samples [mm]"], row["between [mm]"]) for row in rows)
+    excess = max(max(row["speed / limit"], row["acceleration / limit"]) for row in rows)
+    if worst > 1e3 * TOLERANCE or excess > 1.0 + 1e-6:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
