@@ -511,6 +511,7 @@ class Client(_Core):
         *,
         name: str | None = None,
         input: Literal["q", "landmarks", "points"] | None = None,
+        layout: str | None = None,
         side: Literal["right", "left"] | None = None,
         hand_length: float | None = None,
         lengths: dict[str, Any] | None = None,
@@ -542,6 +543,7 @@ class Client(_Core):
             robot: Name of a robot hand on the server.
             name: Public name of the session and its stream.
             input: What the samples hold.
+            layout: Layout of the numbers that samples have in place of landmarks, such as webxr25.
             side: The human hand.
             hand_length: From wrist crease to middle fingertip [m].
             lengths: The measured hand: `bases` (5, 3) and `segments` (5, 3) [m].
@@ -585,6 +587,7 @@ class Client(_Core):
         wrist: Pose | npt.ArrayLike | None = None,
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
+        values: npt.ArrayLike | None = None,
         time: float | None = None,
         valid: bool | None = None,
         confidence: float | None = None,
@@ -597,6 +600,7 @@ class Client(_Core):
                 With landmarks it may be omitted.
             landmarks: 21 landmarks in MediaPipe's order [m], shape (21, 3).
             points: Reference points [m], in the order of `opened.human_point_names`, shape (n, 3).
+            values: Numbers of the session's layout, in its own axes and unit.
             time: Time stamp [s]; the monotonic clock of this machine if omitted.
             valid: False if the tracker did not see the hand; landmarks may then be omitted.
             confidence: The tracker's own confidence, from 0 to 1; 0 counts as not seen.
@@ -607,7 +611,13 @@ class Client(_Core):
             ValueError: If `wrist` is not a pose.
         """
         human = _given(
-            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+            q=q,
+            wrist=wrist,
+            landmarks=landmarks,
+            points=points,
+            values=None if values is None else np.ravel(values),
+            valid=valid,
+            confidence=confidence,
         )
         sample = self._sample("step", time, human)
         return self._call(sample, Command)
@@ -619,6 +629,7 @@ class Client(_Core):
         wrist: Pose | npt.ArrayLike | None = None,
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
+        values: npt.ArrayLike | None = None,
         time: float | None = None,
         valid: bool | None = None,
         confidence: float | None = None,
@@ -634,7 +645,13 @@ class Client(_Core):
             ValueError: If `wrist` is not a pose.
         """
         human = _given(
-            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+            q=q,
+            wrist=wrist,
+            landmarks=landmarks,
+            points=points,
+            values=None if values is None else np.ravel(values),
+            valid=valid,
+            confidence=confidence,
         )
         sample = self._sample("sample", time, human)
         self._check_open()
@@ -830,6 +847,7 @@ class AsyncClient(_Core):
         *,
         name: str | None = None,
         input: Literal["q", "landmarks", "points"] | None = None,
+        layout: str | None = None,
         side: Literal["right", "left"] | None = None,
         hand_length: float | None = None,
         lengths: dict[str, Any] | None = None,
@@ -866,13 +884,20 @@ class AsyncClient(_Core):
         wrist: Pose | npt.ArrayLike | None = None,
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
+        values: npt.ArrayLike | None = None,
         time: float | None = None,
         valid: bool | None = None,
         confidence: float | None = None,
     ) -> Command:
         """Map one sample and wait for its command; see `Client.step`."""
         human = _given(
-            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+            q=q,
+            wrist=wrist,
+            landmarks=landmarks,
+            points=points,
+            values=None if values is None else np.ravel(values),
+            valid=valid,
+            confidence=confidence,
         )
         sample = self._sample("step", time, human)
         return await self._call(sample, Command)
@@ -884,13 +909,20 @@ class AsyncClient(_Core):
         wrist: Pose | npt.ArrayLike | None = None,
         landmarks: npt.ArrayLike | None = None,
         points: npt.ArrayLike | None = None,
+        values: npt.ArrayLike | None = None,
         time: float | None = None,
         valid: bool | None = None,
         confidence: float | None = None,
     ) -> None:
         """Send a sample as in `step`, without waiting for its command; see `Client.send`."""
         human = _given(
-            q=q, wrist=wrist, landmarks=landmarks, points=points, valid=valid, confidence=confidence
+            q=q,
+            wrist=wrist,
+            landmarks=landmarks,
+            points=points,
+            values=None if values is None else np.ravel(values),
+            valid=valid,
+            confidence=confidence,
         )
         sample = self._sample("sample", time, human)
         async with self._turn:

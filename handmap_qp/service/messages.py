@@ -26,6 +26,7 @@ def _doc(text: str, **bounds: Any) -> msgspec.Meta:
 Vector = tuple[float, float, float]
 Numbers = Annotated[tuple[float, ...], msgspec.Meta(max_length=256)]
 Points = Annotated[tuple[Vector, ...], msgspec.Meta(max_length=256)]
+Values = Annotated[tuple[float, ...], msgspec.Meta(max_length=1024)]
 Preset = Literal["teleoperation", "object", "paper", "fixed_wrist"]
 Length = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=3600)]
@@ -88,6 +89,13 @@ class Open(Request, frozen=True):
         _doc("Public name of the session and its stream; the server makes one if omitted."),
     ] = None
     input: Annotated[Literal["q", "landmarks", "points"], _doc("What samples hold.")] = "q"
+    layout: Annotated[
+        Name | None,
+        _doc(
+            "Layout of the numbers in `values`, such as webxr25 (`handmap layouts` lists them); "
+            "only with input=landmarks, whose 21 landmarks it replaces."
+        ),
+    ] = None
     side: Annotated[Literal["right", "left"], _doc("The human hand.")] = "right"
     hand_length: Annotated[Length | None, _doc("From wrist crease to middle fingertip [m].")] = None
     lengths: Annotated[
@@ -181,11 +189,16 @@ class Step(Request, frozen=True):
     points: Annotated[
         Points | None, _doc("Reference points in the order of `human_point_names` [m].")
     ] = None
+    values: Annotated[
+        Values | None,
+        _doc("Numbers of the session's `layout`, row by row, in its axes and unit."),
+    ] = None
     wrist: Annotated[
         Pose | None,
         _doc(
             "The human's wrist: required with `q`; optional with `landmarks`, whose palm gives it "
-            "otherwise; with `points`, required by teleoperation and rigid_from=wrist."
+            "otherwise; with `points`, required by teleoperation and rigid_from=wrist. With "
+            "`values`, in the axes and unit of the layout."
         ),
     ] = None
     valid: Annotated[
@@ -391,6 +404,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     robot: Annotated[str, _doc("Name of the robot hand.")]
     side: Annotated[str, _doc("The human hand.")]
     input: Annotated[str, _doc("Kind of the samples.")]
+    layout: Annotated[str | None, _doc("Layout of the samples' values; null for none.")] = None
     lengths: Annotated[Lengths | None, _doc("The measured human hand; null for the model's own.")]
     human_points: Annotated[
         str | None, _doc("Set of reference points on the human hand; null for the default one.")
@@ -458,6 +472,8 @@ AnyRequest = (
 
 LARGEST = 1e3
 """Largest coordinate [m] and angle [rad]; larger numbers are mistakes."""
+_LARGEST_VALUE = 1e6
+"""Largest number of a layout, in millimetres or degrees too."""
 LATEST = 1e15
 """Largest time stamp [s]."""
 _QUAT_TOLERANCE = 1e-2
@@ -578,6 +594,7 @@ def _bad_number(request: Request) -> tuple[str, str] | None:
             _bad_row("q", request.q)
             or _bad_points("landmarks", request.landmarks)
             or _bad_points("points", request.points)
+            or _bad_row("values", request.values, _LARGEST_VALUE)
             or _bad_pose("wrist", request.wrist)
         )
     if isinstance(request, Open) and request.lengths is not None:
@@ -592,11 +609,13 @@ def _bad_number(request: Request) -> tuple[str, str] | None:
     return None
 
 
-def _bad_row(field: str, row: tuple[float, ...] | None) -> tuple[str, str] | None:
+def _bad_row(
+    field: str, row: tuple[float, ...] | None, largest: float = LARGEST
+) -> tuple[str, str] | None:
     # `not a <= b` also rejects NaN.
     for i, value in enumerate(row or ()):
-        if not -LARGEST <= value <= LARGEST:
-            return f"{field}[{i}]", f"expected a number within {LARGEST:g} of 0, got {value:g}"
+        if not -largest <= value <= largest:
+            return f"{field}[{i}]", f"expected a number within {largest:g} of 0, got {value:g}"
     return None
 
 

@@ -26,8 +26,10 @@ _LONGEST_MESSAGE = 400
 _FIELDS = {
     "human_q": "q",
     "wrist_pose": "wrist",
+    "wrist": "wrist",
     "points": "points",
     "landmarks": "landmarks",
+    "values": "values",
     "robot_q": "robot_q",
     "robot_wrist": "robot_wrist",
 }

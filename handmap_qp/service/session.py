@@ -30,7 +30,7 @@ from handmap_qp.service.convert import (
     to_pose,
     to_row,
 )
-from handmap_qp.service.inputs import MappedSample, check_input, human_sample, map_sample
+from handmap_qp.service.inputs import MappedSample, SampleForm, map_sample
 from handmap_qp.service.messages import (
     About,
     Command,
@@ -71,7 +71,7 @@ class Session:
         last_request: Time of the last request of the session's client [s].
 
     Raises:
-        RefusedError: If the robot cannot be where the request says.
+        RefusedError: If the robot cannot be where the request says, or there is no such layout.
     """
 
     def __init__(
@@ -90,6 +90,7 @@ class Session:
         self.counts: Counter[str] = Counter()
         self.last_request = now
         self._hands = hands
+        self._form = SampleForm.of(request)
         # The request and the choice change with `configure`.
         self._wanted, self._choice = request, hands.choice
         self._calibration = calibration if hands.needs_measuring else None
@@ -170,6 +171,7 @@ class Session:
             robot=self.robot.name,
             side=request.side,
             input=request.input,
+            layout=request.layout,
             lengths=to_lengths(self._hands.lengths),
             human_points=request.human_points,
             robot_points=request.robot_points,
@@ -208,12 +210,12 @@ class Session:
             RefusedError: If the sample cannot be used. The robot and the watchdog then ignore it.
         """
         try:
-            check_input(self.request.input, sample)
+            self._form.check(sample)
             if self._calibration is not None:
                 return self._calibrate(self._calibration, sample, now)
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
-            mapped = map_sample(self._hands, sample, self.request.side, self._dt)
+            mapped = map_sample(self._hands, sample, self._form, self._dt)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error
@@ -327,7 +329,7 @@ class Session:
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
-        rule, hands = calibration.add(human_sample(sample, self.request.side))
+        rule, hands = calibration.add(self._form.human_sample(sample))
         self._dt, _ = self._clock.grant(sample.time, now)
         if rule:
             self._stamp, self._seq = sample.time, sample.seq

@@ -15,17 +15,19 @@ from live_cases import moving_hand
 from patience import wait_until
 from service_tools import address_of, client_of, in_loop, serving
 
+from handmap_qp.live.replay import recording_samples
 from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 from handmap_qp.service.websocket import WebSettings
+from handmap_qp.trackers.layout import load_layout
+from handmap_qp.trackers.point_layout import PointLayout
 
 pytestmark = pytest.mark.slow
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")
 TOKEN = "a-token-of-the-tests"
 RATE = 30.0
-METACARPALS = (5, 10, 15, 20)
-"""Indices of the joints that MediaPipe does not have."""
+LAYOUT = load_layout("webxr25")
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +48,8 @@ def browser() -> Iterator[Browser]:
 
 def webxr_joints(side: str) -> np.ndarray:
     """Return the 25 joints of a moving hand for each sample [m], shape (T, 25, 3)."""
-    recording = moving_hand(40, side)
-    landmarks = recording.landmarks[recording.valid]
-    joints = np.empty((len(landmarks), 25, 3))
-    joints[:, METACARPALS] = landmarks[:, :1]
-    joints[:, [i for i in range(25) if i not in METACARPALS]] = landmarks
-    return np.round(joints, 5)
+    samples = [each for each in recording_samples(moving_hand(40, side)) if each.valid]
+    return np.round([LAYOUT.write(each)[:, :3] for each in samples], 5)
 
 
 def open_page(browser: Browser, server: Server, *, more: str = "", token: str = TOKEN) -> None:
@@ -134,8 +132,8 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     assert text(browser, "#right .delay").endswith(" ms")
     assert _is_drawn(browser, "#right canvas")
     # Landmarks at the service are the headset's joints in the order of MediaPipe.
-    expected = webxr_joints("right")
-    expected = np.delete(expected, METACARPALS, axis=1)
+    assert isinstance(LAYOUT, PointLayout)
+    expected = webxr_joints("right")[:, LAYOUT.order("right")]
     for sample in itertools.islice(ServiceSource(address_of(server), session="webxr-right"), 5):
         assert np.abs(expected - sample.landmarks).max(axis=(1, 2)).min() < 1e-9
     # Losing one hand holds its robot, and the other one goes on.

@@ -5,7 +5,7 @@ import { HandSession, Service } from "./service.js";
 import { Scene } from "./scene.js";
 import { Tracking } from "./tracking.js";
 
-const LAYOUT = "webxr";
+const LAYOUT = "webxr25";
 const SIDES = ["left", "right"];
 const RATE_WINDOW = 1000; // time that rates are counted over [ms]
 const SILENCE = 1000; // time without an answer after which the service counts as silent [ms]

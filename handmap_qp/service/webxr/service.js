@@ -5,7 +5,6 @@ const PROTOCOL = 1;
 const SUBPROTOCOL = "handmap.v1";
 const RETRY = 1000; // time until a lost connection is tried again [ms]
 const MOST_WAITING = 32768; // bytes that wait to be sent, above which samples are skipped
-const METACARPALS = [5, 10, 15, 20]; // joints of WebXR that MediaPipe does not have
 const REMEMBERED = 1024; // requests whose sender is remembered
 
 /** 24 random characters: the secret of a session. */
@@ -52,7 +51,7 @@ export class HandSession {
     } : {};
     this.ask({
       type: "open", name: this.name, robot: this.robot, side: this.side, input: "landmarks",
-      has_detail: true, is_shared: true, ...start,
+      layout: this.layout, has_detail: true, is_shared: true, ...start,
     });
   }
 
@@ -67,9 +66,8 @@ export class HandSession {
       this.skipped += 1;
       return false;
     }
-    const given = joints.filter((_, index) => !METACARPALS.includes(index));
-    const landmarks = given.map((point) => point.map((value) => Math.round(value * 1e5) / 1e5));
-    return this.ask({ type: "sample", time: time / 1000, landmarks });
+    const values = joints.flat().map((value) => Math.round(value * 1e5) / 1e5);
+    return this.ask({ type: "sample", time: time / 1000, values });
   }
 
   hold() {
