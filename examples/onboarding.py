@@ -1,0 +1,35 @@
+"""Bring a robot hand into the package: from its URDF to a description that maps.
+
+`handmap hands init` and `handmap hands check` do the same on the command line.
+
+    python examples/onboarding.py [ROBOT.urdf]
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from handmap_qp import HandMapper, cli, load_hand
+from handmap_qp.hands.urdf.package_data import urdf_directory
+
+
+def main(urdf: Path) -> None:
+    """Write a description, check it, and close the hand with it."""
+    with tempfile.TemporaryDirectory() as folder:
+        description = Path(folder) / "hand.yaml"
+        assert cli.main(["hands", "init", str(urdf), "--out", str(description)]) == 0
+        assert cli.main(["hands", "check", str(description)]) == 0
+        human, robot = load_hand("human"), load_hand(description)
+        mapper = HandMapper(human, robot, dt=1 / 60)
+        shares = np.linspace(0.0, 0.8, 60)[:, None]
+        postures = human.rest + shares * (human.upper_limits - human.rest)
+        step = [mapper.map_step(q, np.eye(4)) for q in postures][-1]
+        for name, angle in zip(robot.joint_names, step.command.q, strict=True):
+            print(f"{name:20} {angle:6.2f} rad")
+
+
+if __name__ == "__main__":
+    own = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    main(own or urdf_directory() / "three_finger" / "hand.urdf")
