@@ -1,0 +1,155 @@
+"""The kinds of files that the package reads: how to write a small valid one, and how to read it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from handmap_qp import load_hand
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.mjcf.convert import convert_mjcf
+from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.mapping.options_file import read_options
+from handmap_qp.onboarding.detect import detect
+from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.service.store import PostureStore, Record
+from handmap_qp.trackers.formats import format_to_write, list_sources
+from handmap_qp.trackers.layout import layout_names, load_layout, table_text
+from handmap_qp.trackers.person import measure_person, person_text, read_person
+from handmap_qp.trackers.recording import Recording, read_recording
+
+_SAMPLES = 12
+_MJCF = """<mujoco model="claw">
+  <worldbody>
+    <body name="palm">
+      <geom type="box" size="0.04 0.04 0.01"/>
+      <body name="left" pos="0.03 0.04 0">
+        <joint name="left" type="hinge" axis="1 0 0" range="-0.2 1.2"/>
+        <geom type="capsule" size="0.008" fromto="0 0 0 0 0.05 0"/>
+      </body>
+      <body name="right" pos="-0.03 0.04 0">
+        <joint name="right" type="hinge" axis="1 0 0" range="-0.2 1.2"/>
+        <geom type="capsule" size="0.008" fromto="0 0 0 0 0.05 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="left" joint2="right" polycoef="0 1 0 0 0"/></equality>
+</mujoco>
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of file.
+
+    Attributes:
+        name: Its name.
+        write: Writes valid files into a folder that does not exist yet.
+        read: Reads the files of such a folder.
+    """
+
+    name: str
+    write: Callable[[Path], None]
+    read: Callable[[Path], object]
+
+
+def _demo() -> Recording:
+    """Return a few samples of the package's own recording."""
+    whole = read_recording("demo::right")
+    chosen = np.flatnonzero(whole.valid)[:_SAMPLES]
+    return Recording(
+        name="demo",
+        time=whole.time[chosen],
+        landmarks=whole.landmarks[chosen],
+        valid=whole.valid[chosen],
+        side=whole.side,
+    )
+
+
+def _recording(name: str, file: str) -> Kind:
+    """Return the kind of a format of recordings."""
+
+    def write(folder: Path) -> None:
+        folder.mkdir()
+        format_to_write(Path(file), name).write([_demo()], folder / file)
+
+    return Kind(name, write, lambda folder: [each.read() for each in list_sources(folder / file)])
+
+
+def _text(name: str, file: str, text: Callable[[], str], read: Callable[[Path], object]) -> Kind:
+    """Return the kind of a text file."""
+
+    def write(folder: Path) -> None:
+        folder.mkdir()
+        (folder / file).write_text(text(), encoding="utf-8")
+        (folder / file).chmod(0o600)
+
+    return Kind(name, write, lambda folder: read(folder / file))
+
+
+def _write_hand(folder: Path) -> None:
+    shutil.copytree(urdf_directory() / "three_finger", folder)
+    for file in folder.iterdir():
+        if file.suffix not in (".urdf", ".yaml"):
+            file.unlink()
+
+
+def _read_hand(folder: Path) -> None:
+    read_collision_shapes(load_hand(folder / "hand.yaml"))
+
+
+def _write_keys(folder: Path) -> None:
+    make_keys(folder, ["alice"])
+
+
+def _read_keys(folder: Path) -> None:
+    read_server_keys(folder)
+    ClientKeys(folder / "clients").read()
+
+
+def _write_state(folder: Path) -> None:
+    folder.mkdir()
+    with PostureStore(folder / "state") as store:
+        for i in range(5):
+            store.note(Record(f"session-{i}", "three_finger", (0.1,) * 8, None, i))
+
+
+def _read_state(folder: Path) -> None:
+    with PostureStore(folder / "state") as store:
+        for i in range(5):
+            store.find(f"session-{i}", "three_finger", 8)
+
+
+def _options() -> str:
+    return yaml.safe_dump({"preset": "teleoperation", "ridge": 0.2, "rest_weight": 0.1})
+
+
+KINDS = (
+    _recording("npz", "demo.npz"),
+    _recording("csv", "demo.csv"),
+    _recording("robomimic", "demo.hdf5"),
+    _recording("egodex", "demo.hdf5"),
+    _recording("lerobot", "demo"),
+    _recording("mcap", "demo.mcap"),
+    _recording("mano", "demo.npz"),
+    Kind("hand.yaml and URDF", _write_hand, _read_hand),
+    _text(
+        "URDF alone",
+        "hand.urdf",
+        lambda: (urdf_directory() / "three_finger" / "hand.urdf").read_text(encoding="utf-8"),
+        detect,
+    ),
+    _text("MJCF", "hand.xml", lambda: _MJCF, convert_mjcf),
+    _text("person", "person.yaml", lambda: person_text(measure_person(_demo())), read_person),
+    _text("options", "options.yaml", _options, read_options),
+    _text("layout", "layout.yaml", lambda: table_text(layout_names()[0]), load_layout),
+    _text("token", "token", lambda: "a-token-of-the-tests-0123456789\n", read_token),
+    Kind("keys", _write_keys, _read_keys),
+    Kind("state", _write_state, _read_state),
+)
+"""All kinds."""
