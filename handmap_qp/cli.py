@@ -56,6 +56,12 @@ COMMANDS: dict[str, _Place] = {
     "convert": _Place(
         "datasets.cli", "Convert", "Convert recordings of human hands between file formats."
     ),
+    "batch": _Place("datasets.cli", "Batch", "Map whole data sets of human hands to robot hands."),
+    "report": _Place(
+        "datasets.cli",
+        "Report",
+        "Report the quality of the episodes of a batch, and write a filter.",
+    ),
     "compare": _Place(
         "experiments.cli",
         "Compare",

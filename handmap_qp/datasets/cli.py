@@ -1,15 +1,29 @@
-"""The command `handmap convert`."""
+"""The commands `handmap convert`, `handmap batch` and `handmap report`."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from handmap_qp.arguments import MappingArguments
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.tables import print_rows, print_table
+
+if TYPE_CHECKING:
+    from handmap_qp.datasets.batch import Plan, Tally
+    from handmap_qp.datasets.engines import Engine
+    from handmap_qp.datasets.job import JobOptions
+    from handmap_qp.datasets.manifest import Line
+    from handmap_qp.hands.hand import Hand
+    from handmap_qp.hands.spec import Side
 
 FormatName = Literal["npz", "csv", "lerobot", "robomimic", "egodex", "mcap", "mano"]
 
@@ -83,3 +97,266 @@ class Convert:
         print(f"lost: {', '.join(lost)}" if lost else "nothing was lost")
         for file in done.files:
             print(f"wrote {file}")
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Map whole data sets of human hands to robot hands.
+
+    Every recording of every input becomes an episode: DIR/episodes/NAME.npz. A line in
+    DIR/manifest.jsonl says what became of it: frames, CPU time, quality, error. Run the same
+    command again to go on: it skips what is done, maps again what has changed, and retries what has
+    failed. A recording that kills its worker three times is left alone. Ctrl-C finishes what is
+    under way.
+
+    With --format the episodes are also written as one data set for training, at a fixed rate, as
+    soon as none is left: DIR/lerobot (LeRobot v3) or DIR/episodes.hdf5 (robomimic).
+
+    Examples:
+        handmap batch recordings/ --robot allegro_right --out mapped
+        handmap batch egodex/part1 --robot allegro_left allegro_right --out mapped
+        handmap batch recordings/ --robot allegro_right --out mapped --look-ahead
+        handmap batch egodex/ --robot L.yaml R.yaml --out mapped --shard 3/16
+        handmap report mapped
+
+    Attributes:
+        inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
+        robot: Robot hand; for both human hands a left and a right one. Recordings of a hand
+            without a robot fail.
+        out: Folder to write to.
+        format: Data set to write besides the episodes.
+        fps: Frames per second of that data set; episodes are interpolated to it.
+        look_ahead: Smooth each recording with its future too, without lag, and fill short gaps.
+            Limits hold exactly.
+        workers: Processes; 0 maps in this one.
+        engine: `pool` of processes on this machine, or `ray` (extra `cluster`).
+        shard: This part of so many, for a cluster's job array; each has a manifest of its own.
+        json: Print one JSON object.
+        arguments: Reference points and options.
+    """
+
+    inputs: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...], tyro.conf.arg(metavar="INPUT...", help_behavior_hint="(required)")
+        ]
+    ]
+    robot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND [HAND]")]
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    format: Literal["npz", "lerobot", "robomimic"] = "npz"
+    fps: float = 30.0
+    look_ahead: bool = False
+    workers: Annotated[
+        int | None, tyro.conf.arg(help_behavior_hint="(default: one for each CPU)")
+    ] = None
+    engine: Literal["pool", "ray"] = "pool"
+    shard: Annotated[
+        str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="(default: everything)")
+    ] = None
+    json: bool = False
+    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
+        default_factory=MappingArguments
+    )
+
+    def run(self) -> None:
+        """List, map, and say what was done."""
+        from handmap_qp.datasets.batch import interrupted_by_sigterm, plan_batch, run_batch
+
+        shard = _shard(self.shard)
+        engine = self._engine()
+        if not 0.0 < self.fps <= 1000.0:
+            expected = "a rate of at most 1000 per second, and > 0"
+            raise InvalidInputError(argument="--fps", expected=expected, value=self.fps)
+        options = self._options()
+        with _bar("listing") as (start, advance):
+            start(0)
+            plan = plan_batch(self.inputs, self.out, options, shard)
+        with interrupted_by_sigterm(), _bar("mapping") as (start, advance):
+            start(plan.frames)
+            tally = run_batch(plan, self.out, engine, shard, advance)
+        written = self._assemble(options, plan, tally)
+        self._report(plan, tally, written)
+        if not tally.is_complete:
+            raise SystemExit(130)
+
+    def _options(self) -> JobOptions:
+        """Check the robots, and collect what all jobs have in common."""
+        from handmap_qp.datasets.job import JobOptions
+        from handmap_qp.offline.look_ahead import LookAhead
+
+        robots: dict[Side, str] = {}
+        for name in self.robot:
+            hand = self.arguments.load_robot(name)
+            if hand.spec.side in robots:
+                got = f"{robots[hand.spec.side]} and {name}, both {hand.spec.side}"
+                raise InvalidInputError(
+                    argument="--robot", expected="one robot for each side", got=got
+                )
+            robots[hand.spec.side] = name
+        return JobOptions(robots, self.arguments, LookAhead() if self.look_ahead else None)
+
+    def _engine(self) -> Engine:
+        from handmap_qp.datasets.engines import PoolEngine, SerialEngine
+
+        workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
+        if not 0 <= workers <= 1024:
+            raise InvalidInputError(
+                argument="--workers", expected="a number from 0 to 1024", value=workers
+            )
+        if self.engine == "ray":
+            from handmap_qp.datasets.ray_engine import RayEngine
+
+            return RayEngine(max(1, workers))
+        return PoolEngine(workers) if workers else SerialEngine()
+
+    def _assemble(self, options: JobOptions, plan: Plan, tally: Tally) -> Path | None:
+        """Write the data set, unless something is left for other shards or another run."""
+        if self.format == "npz" or self.shard is not None or not tally.is_complete:
+            return None
+        from handmap_qp.datasets.assemble import assemble
+
+        lines = [*plan.done, *tally.done]
+        if not lines:
+            return None
+        robots: dict[Side, Hand] = {side: options.load_robot(side) for side in options.robots}
+        return assemble(lines, self.out, self.format, self.fps, robots)
+
+    def _report(self, plan: Plan, tally: Tally, written: Path | None) -> None:
+        frames = sum(line.frames for line in tally.done)
+        cpu = sum(line.cpu_s for line in tally.done)
+        if self.json:
+            result = {
+                "done": len(tally.done),
+                "failed": len(tally.failed),
+                "skipped": len(plan.done),
+                "left_alone": len(plan.left_alone),
+                "frames": frames,
+                "cpu_s": round(cpu, 3),
+                "all_cpu_s": round(tally.all_cpu, 3),
+                "complete": tally.is_complete,
+                "data_set": None if written is None else str(written),
+            }
+            print(json.dumps(result))
+            return
+        rows = {
+            "episodes": f"{len(tally.done)} mapped, {len(plan.done)} done before",
+            "failed": f"{len(tally.failed)}, {len(plan.left_alone)} more left alone",
+            "samples": f"{frames}",
+        }
+        if frames:
+            rows["CPU time of a sample"] = f"{1e6 * cpu / frames:.0f} us"
+        print_table(str(self.out), rows)
+        for line in tally.failed[:10]:
+            print(f"failed: {line.key}: {line.error}")
+        if len(tally.failed) > 10:
+            print(f"... and {len(tally.failed) - 10} more, in the manifest")
+        if written is not None:
+            print(f"wrote {written}")
+        if not tally.is_complete:
+            left = len(plan.jobs) - len(tally.lines)
+            print(
+                f"handmap: interrupted, {left} recordings are left: run the same command to go on",
+                file=sys.stderr,
+            )
+
+
+@dataclass(frozen=True)
+class Report:
+    """Report the quality of the episodes of a batch, and write a filter.
+
+    Writes DIR/report: report.md with the distribution of every measure and the worst episodes,
+    distributions.png, worst.png (human and robot in the worst sample of each), episodes.csv with
+    all numbers, and keep.txt with the files of the episodes to keep, one a line.
+
+    No measure needs a reference: reach, saturation, pinches, jerk, valid samples, self-penetration
+    and the like. An episode is as bad as its worst rank among them.
+
+    Examples:
+        handmap report mapped
+        handmap report mapped --keep 0.9 --worst 20
+
+    Attributes:
+        folder: Folder of a batch.
+        keep: Share of the episodes that the filter keeps.
+        worst: How many of the worst episodes to list; the picture shows up to 8.
+        pictures: Draw pictures (extra `plot`).
+        json: Print one JSON object.
+    """
+
+    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]]
+    keep: float = 0.95
+    worst: int = 10
+    pictures: bool = True
+    json: bool = False
+
+    def run(self) -> None:
+        """Read the manifest, rank, write, and print."""
+        from handmap_qp.datasets.report import assess, summary_rows, worst_rows
+        from handmap_qp.datasets.report_files import write_report
+
+        if self.worst < 1:
+            expected = "a number > 0"
+            raise InvalidInputError(argument="--worst", expected=expected, value=self.worst)
+        quality = assess(self.folder, self.keep)
+        files = write_report(self.folder, quality, self.worst, draws=self.pictures)
+        kept = int(quality.is_kept.sum())
+        if self.json:
+            result = {
+                "episodes": len(quality.lines),
+                "kept": kept,
+                "failed": len(quality.failed),
+                "measures": summary_rows(quality),
+                "worst": worst_rows(quality, self.worst),
+                "files": [str(file) for file in files],
+            }
+            print(json.dumps(result))
+            return
+        print_rows(f"{len(quality.lines)} episodes, {kept} kept", summary_rows(quality))
+        print_rows("Worst episodes", worst_rows(quality, self.worst))
+        for file in files:
+            print(f"wrote {file}")
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    """Read `I/N`.
+
+    Raises:
+        InvalidInputError: If it is not of this form, with 1 <= I <= N.
+    """
+    if text is None:
+        return (1, 1)
+    part, slash, parts = text.partition("/")
+    if slash and part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts) <= 10**6:
+        return (int(part), int(parts))
+    raise InvalidInputError(argument="--shard", expected="I/N with 1 <= I <= N", value=text)
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[tuple[Callable[[int], None], Callable[[Line], None]]]:
+    """Show a bar on stderr, if that is a terminal, with the time left by samples, not by files.
+
+    Yields:
+        A function to call with the number of samples, and one to call with every line.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task, counts = bar.add_task(what, total=None, note=""), {"done": 0, "failed": 0}
+
+        def advance(line: Line) -> None:
+            if line.status in counts:
+                counts[line.status] += 1
+                note = f"{counts['done']} episodes, {counts['failed']} failed"
+                bar.update(task, advance=line.frames, note=note)
+
+        yield lambda total: bar.update(task, total=total or None), advance

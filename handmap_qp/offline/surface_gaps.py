@@ -52,22 +52,48 @@ def measure_gaps(
     Raises:
         HandError: If a shape cannot be read.
     """
-    chains = chains or find_fingers(hand)
-    geometry, groups = _pinch_pairs(hand, chains)
-    pinching = _NearestPairs(hand, geometry)
-    colliding = _NearestPairs(hand, all_pairs(hand, chains).geometry)
-    pinches = {finger: np.empty(len(q)) for finger in groups}
-    nearest = np.empty(len(q))
-    data, vector = hand.model.createData(), np.zeros(hand.model.nq)
-    for t, angles in enumerate(q):
-        hand.write_configuration(vector, angles, np.eye(4))
-        pin.forwardKinematics(hand.model, data, vector)
-        pinching.place(data)
-        for finger, pairs in groups.items():
-            pinches[finger][t] = pinching.smallest(pairs, np.inf)
-        colliding.place(data)
-        nearest[t] = colliding.smallest(slice(None), FAR)
-    return SurfaceGaps(pinches, nearest)
+    return GapMeter(hand, chains).measure(q)
+
+
+class GapMeter:
+    """Measures gaps of one robot hand, whose shapes are read once.
+
+    Args:
+        hand: The robot hand.
+        chains: Its fingers, if they have been found before.
+
+    Raises:
+        HandError: If a shape cannot be read.
+    """
+
+    def __init__(self, hand: Hand, chains: dict[str, FingerChain] | None = None) -> None:
+        chains = chains or find_fingers(hand)
+        self._hand = hand
+        self._pinching, self._groups = _pinch_pairs(hand, chains)
+        self._colliding = all_pairs(hand, chains).geometry
+
+    def measure(self, q: np.ndarray) -> SurfaceGaps:
+        """Measure the gaps of a motion; the same motion gives the same numbers each time.
+
+        Args:
+            q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
+        """
+        hand = self._hand
+        # GJK starts from the last result of a pair, so each motion gets its own.
+        pinching = _NearestPairs(hand, self._pinching)
+        colliding = _NearestPairs(hand, self._colliding)
+        pinches = {finger: np.empty(len(q)) for finger in self._groups}
+        nearest = np.empty(len(q))
+        data, vector = hand.model.createData(), np.zeros(hand.model.nq)
+        for t, angles in enumerate(q):
+            hand.write_configuration(vector, angles, np.eye(4))
+            pin.forwardKinematics(hand.model, data, vector)
+            pinching.place(data)
+            for finger, pairs in self._groups.items():
+                pinches[finger][t] = pinching.smallest(pairs, np.inf)
+            colliding.place(data)
+            nearest[t] = colliding.smallest(slice(None), FAR)
+        return SurfaceGaps(pinches, nearest)
 
 
 def _pinch_pairs(

@@ -1,0 +1,241 @@
+"""Put the episodes of a batch together into one data set for training.
+
+An episode has the robot's state (joint positions, then the wrist's position and quaternion wxyz)
+and the action, which is the state of the next frame; the last frame repeats. Episodes are
+interpolated to a fixed rate, between two samples of a motion that is inside its limits, so that it
+stays inside them. Where a file has both hands at the same instants, they are one episode. In a data
+set of both robots, a hand that an episode lacks is at rest, and not valid.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from handmap_qp.datasets.manifest import Line
+from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.formats import SEPARATOR
+from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.base import SIDES
+from handmap_qp.trackers.formats.hdf5 import created
+from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
+from handmap_qp.transform import quat_wxyz_from_rotation
+
+WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+"""Names of the wrist's position [m] and quaternion in the state."""
+_STATE, _ACTION, _VALID = "observation.state", "action", "observation.valid"
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """An episode of the data set.
+
+    Attributes:
+        sources: Keys of its recordings.
+        task: What is done, in words.
+        state: States of all hands side by side, shape (N, n).
+        valid: Whether each hand was seen, shape (N, number of hands).
+    """
+
+    sources: tuple[str, ...]
+    task: str
+    state: np.ndarray
+    valid: np.ndarray
+
+    @property
+    def action(self) -> np.ndarray:
+        """The state of the next frame, shape (N, n)."""
+        return np.concatenate([self.state[1:], self.state[-1:]])
+
+
+def assemble(
+    lines: Sequence[Line],
+    folder: Path,
+    form: Literal["lerobot", "robomimic"],
+    fps: float,
+    robots: Mapping[Side, Hand],
+) -> Path:
+    """Write the data set of a batch; an earlier one is replaced at once.
+
+    Args:
+        lines: Lines of the episodes.
+        folder: Folder of the batch.
+        form: LeRobot v3, as the folder `lerobot`; or robomimic, as the file `episodes.hdf5`.
+        fps: Frames per second.
+        robots: Robot hands by side.
+
+    Returns:
+        The folder or file.
+
+    Raises:
+        InvalidInputError: If it cannot be written.
+        RecordingError: If an episode is damaged.
+        MissingExtraError: If the package of the format is not installed.
+    """
+    hands: dict[Side, Hand] = {side: robots[side] for side in SIDES if side in robots}
+    episodes = _episodes(lines, folder, fps, hands)
+    if form == "robomimic":
+        return _write_robomimic(episodes, folder / "episodes.hdf5", hands)
+    return _write_lerobot(episodes, folder / "lerobot", fps, hands)
+
+
+def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
+    """Return the names of the numbers of a state; with both hands, their side is in front.
+
+    Args:
+        hands: Robot hands by side.
+    """
+    names = []
+    for side, hand in hands.items():
+        prefix = f"{side}_" if len(hands) > 1 else ""
+        names += [prefix + name for name in (*hand.joint_names, *WRIST_NAMES)]
+    return tuple(names)
+
+
+def _write_lerobot(
+    episodes: Iterator[Episode], root: Path, fps: float, hands: Mapping[Side, Hand]
+) -> Path:
+    names = state_names(hands)
+    features = {
+        _STATE: Feature("float32", names),
+        _ACTION: Feature("float32", names),
+        _VALID: Feature("bool", tuple(hands) if len(hands) > 1 else None),
+    }
+    fresh = root.with_name(f"{root.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    robot = " and ".join(hand.name for hand in hands.values())
+    with LeRobotWriter(
+        fresh, fps=fps, features=features, robot_type=robot, argument="--out"
+    ) as writer:
+        for episode in episodes:
+            columns = {_STATE: episode.state, _ACTION: episode.action, _VALID: episode.valid}
+            writer.add(columns, episode.task, {"source": ", ".join(episode.sources)})
+    shutil.rmtree(root, ignore_errors=True)
+    try:
+        fresh.rename(root)
+    except OSError as error:
+        problem = f"{root}: cannot be written: {error.strerror or error}"
+        raise InvalidInputError(argument="--out", problem=problem) from error
+    return root
+
+
+def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Mapping[Side, Hand]) -> Path:
+    names, total = state_names(hands), 0
+    robot = " and ".join(hand.name for hand in hands.values())
+    with created(path, "--out") as file:
+        data = file.create_group("data")
+        env = {"env_name": robot, "env_type": 2, "env_kwargs": {"state_names": list(names)}}
+        data.attrs["env_args"] = json.dumps(env)
+        for i, episode in enumerate(episodes):
+            _write_demo(data.create_group(f"demo_{i}"), episode)
+            total += len(episode.state)
+        data.attrs["total"] = total
+    return path
+
+
+def _write_demo(demo: Any, episode: Episode) -> None:
+    count = len(episode.state)
+    demo.attrs["num_samples"] = count
+    demo.attrs["source"] = ", ".join(episode.sources)
+    demo.attrs["task"] = episode.task
+    demo["actions"] = episode.action
+    demo["states"] = episode.state
+    demo["rewards"] = np.zeros(count)
+    demo["dones"] = (np.arange(count) == count - 1).astype(np.int64)
+    demo["obs/state"] = episode.state
+    demo["obs/valid"] = episode.valid
+    demo["next_obs/state"] = episode.action
+
+
+def _episodes(
+    lines: Sequence[Line], folder: Path, fps: float, hands: Mapping[Side, Hand]
+) -> Iterator[Episode]:
+    """Read the episodes one after the other, by the names of their files."""
+    ordered = sorted(lines, key=lambda line: line.key)
+    for name, group in groupby(ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]):
+        own = [line for line in group if line.side in hands]
+        arrays = [_read(folder / line.out, line) for line in own]
+        if len(own) == 2 and own[0].side != own[1].side and _is_same_time(*arrays):
+            yield _episode(name, own, arrays, fps, hands)
+            continue
+        for line, columns in zip(own, arrays, strict=True):
+            yield _episode(name, [line], [columns], fps, hands)
+
+
+def _read(file: Path, line: Line) -> dict[str, np.ndarray]:
+    arrays = read_archive(file, {"time", "q", "wrist", "valid"})
+    for name in ("time", "q", "wrist", "valid"):
+        if name not in arrays or len(arrays[name]) != line.frames:
+            problem = "is missing or torn: delete the file, and run the batch again"
+            raise RecordingError(problem, file=file, array=name)
+    return arrays
+
+
+def _is_same_time(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> bool:
+    return np.array_equal(one["time"], other["time"])
+
+
+def _episode(
+    name: str,
+    lines: Sequence[Line],
+    arrays: Sequence[dict[str, np.ndarray]],
+    fps: float,
+    hands: Mapping[Side, Hand],
+) -> Episode:
+    time = arrays[0]["time"]
+    count = int(np.floor((time[-1] - time[0]) * fps + 1e-6)) + 1
+    instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
+    states, valid = [], []
+    by_side = {line.side: columns for line, columns in zip(lines, arrays, strict=True)}
+    for side, hand in hands.items():
+        if side in by_side:
+            state, seen = _resampled(by_side[side], hand, instants)
+        else:
+            state = np.tile([*hand.rest, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+            seen = np.zeros(count, dtype=bool)
+        states.append(_as_float32(state, hand))
+        valid.append(seen)
+    folders = Path(name).parts[:-1]
+    task = folders[-1].replace("_", " ") if folders else "human hand motion"
+    return Episode(
+        sources=tuple(line.key for line in lines),
+        task=task,
+        state=np.hstack(states),
+        valid=np.stack(valid, axis=1),
+    )
+
+
+def _resampled(
+    columns: dict[str, np.ndarray], hand: Hand, instants: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate joints and wrist; a frame is valid between two valid samples."""
+    time, wrist = columns["time"], columns["wrist"]
+    quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in wrist])
+    flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0
+    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
+    state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
+    state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
+    before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
+    after = np.clip(np.searchsorted(time, instants, side="left"), 0, len(time) - 1)
+    return state, columns["valid"][before] & columns["valid"][after]
+
+
+def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:
+    """Round a state to float32 without leaving the joints' limits."""
+    rounded = state.astype(np.float32)
+    lower, upper = hand.lower_limits.astype(np.float32), hand.upper_limits.astype(np.float32)
+    lower = np.where(lower < hand.lower_limits, np.nextafter(lower, np.float32(np.inf)), lower)
+    upper = np.where(upper > hand.upper_limits, np.nextafter(upper, np.float32(-np.inf)), upper)
+    count = len(hand.joint_names)
+    rounded[:, :count] = np.clip(rounded[:, :count], lower, upper)
+    return rounded

@@ -1,0 +1,181 @@
+"""Map whole data sets: what is left to do, and what has been done."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from handmap_qp.datasets.engines import Engine, left_behind
+from handmap_qp.datasets.job import Job, JobOptions
+from handmap_qp.datasets.manifest import Line, Manifest, read_manifests
+from handmap_qp.datasets.sources import Task, find_files, tasks_of
+from handmap_qp.errors import InvalidInputError
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a batch has to do.
+
+    Attributes:
+        jobs: Recordings to map, the longest first.
+        done: Lines of the recordings that are done already.
+        left_alone: Lines of the recordings that are not tried again.
+        kills: How often the worker of a recording has died, by key.
+    """
+
+    jobs: tuple[Job, ...]
+    done: tuple[Line, ...]
+    left_alone: tuple[Line, ...]
+    kills: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """Samples to map."""
+        return sum(job.task.frames for job in self.jobs)
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What a run of a batch has done.
+
+    Attributes:
+        lines: The last line of every recording of this run.
+        is_complete: False if it was interrupted.
+        useful_cpu: CPU time inside the jobs [s].
+        all_cpu: CPU time of this process and its workers [s].
+    """
+
+    lines: tuple[Line, ...]
+    is_complete: bool
+    useful_cpu: float
+    all_cpu: float
+
+    @property
+    def done(self) -> list[Line]:
+        """Lines of the recordings that were mapped."""
+        return [line for line in self.lines if line.status == "done"]
+
+    @property
+    def failed(self) -> list[Line]:
+        """Lines of the recordings that failed."""
+        return [line for line in self.lines if line.status != "done"]
+
+
+def plan_batch(
+    inputs: Sequence[Path],
+    folder: Path,
+    options: JobOptions,
+    shard: tuple[int, int] = (1, 1),
+    progress: Callable[[int], None] | None = None,
+) -> Plan:
+    """List the recordings, and compare them with the manifest.
+
+    Args:
+        inputs: Files, data sets and folders.
+        folder: Folder of the batch; created if it does not exist.
+        options: What all jobs have in common.
+        shard: Which part of how many.
+        progress: Called with the number of files listed.
+
+    Returns:
+        The plan. A recording is done if its last line says so, its file has the same size and time
+        of change, and the options are the same.
+
+    Raises:
+        InvalidInputError: If an input cannot be used, or the folder not be written.
+        HandError: If a robot cannot be loaded.
+    """
+    digest = options.digest
+    try:
+        (folder / "episodes").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"{folder}: cannot be made: {error.strerror or error}"
+        raise InvalidInputError(argument="--out", problem=problem) from error
+    tasks = tasks_of(find_files(inputs), shard, progress)
+    state = read_manifests(folder)
+    interrupted = left_behind(folder) if shard[1] == 1 else {}
+    jobs, done, left_alone, kills = [], [], [], {}
+    for task in tasks:
+        line = state.get(task.key)
+        if line is not None and _is_same(line, task, digest):
+            if line.status == "done" and (folder / line.out).is_file():
+                done.append(line)
+                continue
+            if line.is_final and line.status != "done":
+                left_alone.append(line)
+                continue
+            kills[task.key] = line.kills
+        # A recording that was alone when all died counts as killed; others may be innocent.
+        kills[task.key] = kills.get(task.key, 0) + interrupted.get(task.key, False)
+        jobs.append(Job(task, options, digest, folder))
+    return Plan(tuple(jobs), tuple(done), tuple(left_alone), kills)
+
+
+def run_batch(
+    plan: Plan,
+    folder: Path,
+    engine: Engine,
+    shard: tuple[int, int] = (1, 1),
+    progress: Callable[[Line], None] | None = None,
+) -> Tally:
+    """Run the jobs of a plan; each episode is written before its line in the manifest.
+
+    Args:
+        plan: The plan.
+        folder: Folder of the batch.
+        engine: What runs the jobs.
+        shard: Which part of how many.
+        progress: Called with every line.
+
+    Returns:
+        What was done. After Ctrl-C, what had been under way is finished first.
+
+    Raises:
+        InvalidInputError: If the manifest cannot be written.
+    """
+    started, useful = _cpu_time(), 0.0
+    last: dict[str, Line] = {}
+    is_complete = True
+    with Manifest(folder, shard) as manifest:
+        try:
+            for line in engine.outcomes(plan.jobs, plan.kills):
+                manifest.append(line)
+                useful += line.cpu_s
+                last[line.key] = line
+                if progress is not None:
+                    progress(line)
+        except KeyboardInterrupt:
+            is_complete = False
+    return Tally(tuple(last.values()), is_complete, useful, _cpu_time() - started)
+
+
+@contextmanager
+def interrupted_by_sigterm() -> Iterator[None]:
+    """Treat SIGTERM, by which schedulers end jobs, like Ctrl-C inside the block."""
+    import signal
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _is_same(line: Line, task: Task, digest: str) -> bool:
+    """Tell whether a line is about this very file and these options."""
+    file = task.file
+    return (line.size, line.mtime_ns, line.options) == (file.size, file.mtime_ns, digest)
+
+
+def _cpu_time() -> float:
+    """CPU time of this process and of its children that have ended [s]."""
+    return sum(
+        usage.ru_utime + usage.ru_stime
+        for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )

@@ -1,0 +1,234 @@
+"""Engines that run the jobs of a batch: in this process, or in a pool of processes.
+
+An engine yields a line of the manifest for every job, in the order in which jobs end. It survives
+workers that die: `killed` lines say so, and a recording that kills its worker `MOST_KILLS` times is
+given up with a `failed` line.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import Protocol
+
+from handmap_qp.datasets.job import Job, run_job
+from handmap_qp.datasets.manifest import MOST_KILLS, Line
+
+IN_FLIGHT = 3
+"""Jobs given to each worker in advance, so that it never waits."""
+RUNNING = ".running"
+"""Folder of a file for each job that a worker is busy with."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Engine(Protocol):
+    """Runs jobs."""
+
+    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
+        """Run jobs, the first ones first.
+
+        Args:
+            jobs: The jobs.
+            kills: How often the worker of a recording has died before, by key; kept up to date.
+
+        Yields:
+            A line for every job that has ended, and one for every death of a worker.
+        """
+        ...
+
+
+class SerialEngine:
+    """Runs jobs one after the other in this process."""
+
+    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
+        """Run jobs in order; see `Engine`."""
+        for job in jobs:
+            yield run_job(job)
+
+
+class PoolEngine:
+    """Runs jobs in processes of their own on this machine.
+
+    When a worker dies, all recordings that were under way are suspects. They are run again one at a
+    time in a pool of one, so that the one that is to blame is found.
+
+    Args:
+        workers: Number of processes.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+
+    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
+        """Run jobs in the pool; see `Engine`. Ctrl-C ends what is under way, and stops."""
+        waiting = deque(job for job in jobs if not kills.get(job.task.key))
+        suspects = deque(job for job in jobs if kills.get(job.task.key))
+        while waiting or suspects:
+            if suspects:
+                yield from self._alone(suspects, kills)
+            yield from self._together(waiting, suspects, kills)
+
+    def _together(
+        self, waiting: deque[Job], suspects: deque[Job], kills: dict[str, int]
+    ) -> Iterator[Line]:
+        """Run jobs until all are done, or a worker dies."""
+        flying: dict[Future[Line], Job] = {}
+        with _pool(self._workers) as pool:
+            try:
+                while waiting or flying:
+                    while waiting and len(flying) < IN_FLIGHT * self._workers:
+                        job = waiting.popleft()
+                        flying[pool.submit(run_in_worker, job, False)] = job
+                    for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                        line = future.result()
+                        del flying[future]
+                        yield line
+            except BrokenProcessPool:
+                yield from self._sorted_out(flying, waiting, suspects, kills)
+            except KeyboardInterrupt:
+                yield from _finished(flying)
+                raise
+
+    def _sorted_out(
+        self,
+        flying: dict[Future[Line], Job],
+        waiting: deque[Job],
+        suspects: deque[Job],
+        kills: dict[str, int],
+    ) -> Iterator[Line]:
+        """Sort the jobs of a broken pool: ended, under way when it broke, or not begun."""
+        for future, job in flying.items():
+            if future.done() and future.exception() is None:
+                yield future.result()
+            elif _marker(job).exists():
+                _marker(job).unlink(missing_ok=True)
+                yield _killed(job, kills)
+                if kills[job.task.key] < MOST_KILLS:
+                    suspects.append(job)
+            else:
+                waiting.appendleft(job)
+
+    def _alone(self, suspects: deque[Job], kills: dict[str, int]) -> Iterator[Line]:
+        """Run suspects one at a time; a death of the worker is then theirs."""
+        while suspects:
+            with _pool(1) as pool:
+                try:
+                    while suspects:
+                        job = suspects[0]
+                        line = pool.submit(run_in_worker, job, True).result()
+                        suspects.popleft()
+                        yield line
+                except BrokenProcessPool:
+                    job = suspects.popleft()
+                    _marker(job).unlink(missing_ok=True)
+                    yield _killed(job, kills)
+                    if kills[job.task.key] < MOST_KILLS:
+                        suspects.appendleft(job)
+
+
+def run_in_worker(job: Job, is_alone: bool) -> Line:
+    """Run a job, with a file that says so as long as it runs.
+
+    Args:
+        job: The job.
+        is_alone: Whether no other job runs beside it.
+
+    Returns:
+        What happened.
+    """
+    marker = _marker(job)
+    marker.parent.mkdir(exist_ok=True)
+    marker.write_text(json.dumps({"key": job.task.key, "alone": is_alone}), encoding="utf-8")
+    try:
+        return run_job(job)
+    finally:
+        marker.unlink(missing_ok=True)
+
+
+def left_behind(folder: Path) -> dict[str, bool]:
+    """Take away the markers that an earlier batch left behind when it was killed.
+
+    Args:
+        folder: Folder of the batch.
+
+    Returns:
+        For the key of every recording that was under way whether it was alone.
+    """
+    found = {}
+    for marker in sorted((folder / RUNNING).glob("*")):
+        try:
+            content = json.loads(marker.read_text(encoding="utf-8"))
+            found[str(content["key"])] = bool(content["alone"])
+        except (OSError, ValueError, LookupError, TypeError):
+            pass  # killed while it wrote the marker
+        marker.unlink(missing_ok=True)
+    return found
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Start a pool of spawned workers with one thread each."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    # Read by the workers' BLAS when they start.
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    pool = ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=start_worker
+    )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def start_worker() -> None:
+    """Prepare a worker: it leaves Ctrl-C to its parent, and ends when the parent has died."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent has: it would wait for jobs for ever (CPython 111873)."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _finished(flying: dict[Future[Line], Job]) -> Iterator[Line]:
+    """Give up what has not begun, and wait for the rest."""
+    running = [future for future in flying if not future.cancel()]
+    wait(running)
+    for future in running:
+        if future.exception() is None:
+            yield future.result()
+
+
+def _killed(job: Job, kills: dict[str, int]) -> Line:
+    """Count a death of a worker, and return the line about it."""
+    key = job.task.key
+    kills[key] = kills.get(key, 0) + 1
+    times = f"the worker died {kills[key]} times"
+    if kills[key] >= MOST_KILLS:
+        return job.line("failed", kills=kills[key], error=f"given up: {times}")
+    return job.line("killed", kills=kills[key], error=times)
+
+
+def _marker(job: Job) -> Path:
+    name = sha256(job.task.key.encode()).hexdigest()[:24]
+    return job.folder / RUNNING / name

@@ -1,0 +1,187 @@
+"""The manifest of a batch: a line of JSON for each thing that happened, appended, never changed.
+
+The last line of a key says how it stands. A line that was being written when the power failed is
+cut off at the next start, and its recording is mapped again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Literal, Self
+
+import msgspec
+
+from handmap_qp.errors import InvalidInputError
+
+Status = Literal["done", "failed", "killed"]
+MOST_KILLS = 3
+"""A recording that kills its worker this often is left alone."""
+
+
+class Line(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What happened to one recording.
+
+    Attributes:
+        key: File and recording, `FILE::NAME`.
+        status: `done`; `failed`, with an error; or `killed`: the worker died, and it is tried again
+            unless `kills` is `MOST_KILLS`.
+        path: The file.
+        size: Its size [bytes].
+        mtime_ns: Its last change [ns].
+        options: Digest of robot and options.
+        entries: How many recordings the file has.
+        side: Which hand.
+        robot: Name of the robot hand.
+        frames: Number of samples.
+        cpu_s: CPU time [s].
+        kills: How often the worker died over it.
+        metrics: Numbers about the episode, by name (`handmap_qp.datasets.measures`).
+        out: The file written, below the folder of the batch.
+        error: Why it failed.
+    """
+
+    key: str
+    status: Status
+    path: str
+    size: int
+    mtime_ns: int
+    options: str
+    entries: int = 1
+    side: str = ""
+    robot: str = ""
+    frames: int = 0
+    cpu_s: float = 0.0
+    kills: int = 0
+    metrics: dict[str, float | None] = {}
+    out: str = ""
+    error: str = ""
+
+    @property
+    def is_final(self) -> bool:
+        """True if the recording is not tried again as long as nothing changes."""
+        return self.status == "done" or self.kills >= MOST_KILLS
+
+
+class Manifest:
+    """The manifest of one process or shard, open for appending; use as a context manager.
+
+    Args:
+        folder: Folder of the batch.
+        shard: Which part of how many; each part has a file of its own.
+
+    Raises:
+        InvalidInputError: If the file cannot be opened, or another process writes to it.
+    """
+
+    def __init__(self, folder: Path, shard: tuple[int, int] = (1, 1)) -> None:
+        self.file = folder / manifest_name(shard)
+        self._stream: IO[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            stream = self.file.open("a+b")
+        except OSError as error:
+            problem = f"{self.file}: cannot be written: {error.strerror or error}"
+            raise InvalidInputError(argument="--out", problem=problem) from error
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            stream.close()
+            problem = f"{self.file}: another handmap batch writes to it"
+            raise InvalidInputError(argument="--out", problem=problem) from error
+        _cut_torn_line(stream)
+        self._stream = stream
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def append(self, line: Line) -> None:
+        """Append a line, and see that it is on the disk.
+
+        Raises:
+            InvalidInputError: If it cannot be written.
+        """
+        if self._stream is None:
+            raise InvalidInputError(argument="manifest", problem="is not open")
+        try:
+            self._stream.write(msgspec.json.encode(line) + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            problem = f"{self.file}: cannot be written: {error.strerror or error}"
+            raise InvalidInputError(argument="--out", problem=problem) from error
+
+
+def manifest_name(shard: tuple[int, int]) -> str:
+    """Return the name of the manifest of a shard."""
+    part, parts = shard
+    return "manifest.jsonl" if parts == 1 else f"manifest-{part}-of-{parts}.jsonl"
+
+
+def read_manifests(folder: Path) -> dict[str, Line]:
+    """Read all manifests of a folder.
+
+    Args:
+        folder: Folder of a batch.
+
+    Returns:
+        The last line of every key; `done` lines before others of the same key and file, where
+        several shards have one. Lines that are torn or not of this form are left out, so their
+        recordings are mapped again.
+
+    Raises:
+        InvalidInputError: If a manifest cannot be read.
+    """
+    state: dict[str, Line] = {}
+    decoder = msgspec.json.Decoder(Line)
+    for file in sorted(folder.glob("manifest*.jsonl")):
+        own: dict[str, Line] = {}
+        try:
+            with file.open("rb") as stream:
+                for text in stream:
+                    line = _decoded(decoder, text)
+                    if line is not None:
+                        own[line.key] = line
+        except OSError as error:
+            problem = f"{file}: cannot be read: {error.strerror or error}"
+            raise InvalidInputError(argument="DIR", problem=problem) from error
+        for key, line in own.items():
+            if key not in state or state[key].status != "done":
+                state[key] = line
+    return state
+
+
+def _decoded(decoder: msgspec.json.Decoder[Line], text: bytes) -> Line | None:
+    try:
+        return decoder.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+def _cut_torn_line(stream: IO[Any]) -> None:
+    """Cut off what follows the last line break."""
+    stream.seek(0, os.SEEK_END)
+    end = stream.tell()
+    kept, step = end, 4096
+    while kept > 0:
+        start = max(0, kept - step)
+        stream.seek(start)
+        block = stream.read(kept - start)
+        place = block.rfind(b"\n")
+        if place >= 0:
+            kept = start + place + 1
+            break
+        kept = start
+    if kept < end:
+        stream.truncate(kept)

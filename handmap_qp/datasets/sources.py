@@ -1,0 +1,174 @@
+"""The tasks of a batch: every recording of every input file, with its robot and its output."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.formats import FORMATS, SEPARATOR, Source, list_sources
+from handmap_qp.trackers.formats.npz import NpzFormat
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file or data set to map.
+
+    Attributes:
+        name: Its path below the folder that was named, with `/`; its own name if it was named.
+        path: Where it is.
+        size: Size, of all files of a folder together [bytes].
+        mtime_ns: Time of the last change, of all files of a folder the last [ns].
+    """
+
+    name: str
+    path: Path
+    size: int
+    mtime_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One recording of one hand.
+
+    Attributes:
+        key: Name of the file, `::`, and of the recording in it: its identity in the manifest.
+        file: The file.
+        source: The recording in it; None where the file could not be listed.
+        side: Which hand; None where the file could not be listed.
+        frames: Number of samples.
+        entries: How many recordings the file has.
+        error: Why the file could not be listed; empty if it could.
+    """
+
+    key: str
+    file: InputFile
+    source: Source | None = None
+    side: Side | None = None
+    frames: int = 0
+    entries: int = 1
+    error: str = ""
+
+    @property
+    def out(self) -> str:
+        """File to write, below the folder of the batch, with `/`."""
+        entry = self.source.entry.name if self.source is not None else ""
+        tail = f".{entry.replace('/', '_')}" if entry else ""
+        return f"episodes/{self.file.name}{tail}.npz"
+
+
+def find_files(inputs: Sequence[Path]) -> tuple[InputFile, ...]:
+    """Find the files to map: those named, and those of a known form below folders that are named.
+
+    Args:
+        inputs: Files, data sets and folders.
+
+    Returns:
+        The files, by name.
+
+    Raises:
+        InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
+            the same name below different folders.
+    """
+    files: dict[str, InputFile] = {}
+    for given in inputs:
+        found = list(_files_of(given))
+        if not found:
+            raise InvalidInputError(
+                argument="INPUT", problem=f"{given}: has no files of a known form"
+            )
+        for file in found:
+            if file.name in files and files[file.name].path != file.path:
+                raise InvalidInputError(
+                    argument="INPUT",
+                    expected="files of different names",
+                    got=f"{file.name} twice",
+                    advice="name the folder above both",
+                )
+            files[file.name] = file
+    return tuple(files[name] for name in sorted(files))
+
+
+def tasks_of(
+    files: Sequence[InputFile],
+    shard: tuple[int, int] = (1, 1),
+    progress: Callable[[int], None] | None = None,
+) -> list[Task]:
+    """List the recordings of files, the longest first.
+
+    Args:
+        files: The files.
+        shard: Which part of how many, counted from 1. A part has the files whose names fall to it,
+            so that parts do not depend on each other.
+        progress: Called with the number of files listed.
+
+    Returns:
+        The tasks. A file that cannot be listed is a task with an error.
+    """
+    part, parts = shard
+    tasks = []
+    for i, file in enumerate(files):
+        if zlib.crc32(file.name.encode()) % parts == part - 1:
+            tasks += _tasks_of_file(file)
+        if progress is not None:
+            progress(i + 1)
+    return sorted(tasks, key=lambda task: (-task.frames, task.key))
+
+
+def _tasks_of_file(file: InputFile) -> list[Task]:
+    try:
+        sources = list_sources(file.path)
+    except HandmapError as error:
+        return [Task(key=f"{file.name}{SEPARATOR}", file=file, error=" ".join(str(error).split()))]
+    return [
+        Task(
+            key=f"{file.name}{SEPARATOR}{source.entry.name}",
+            file=file,
+            source=source,
+            side=source.entry.side,
+            frames=source.entry.samples,
+            entries=len(sources),
+        )
+        for source in sources
+    ]
+
+
+def _files_of(given: Path) -> Iterator[InputFile]:
+    if not given.exists():
+        raise InvalidInputError(argument="INPUT", problem=f"{given}: no such file or folder")
+    if not given.is_dir() or _is_set(given):
+        yield _stamped(given.name, given)
+        return
+    suffixes = {suffix for form in FORMATS for suffix in form.suffixes}
+    folders = [given]
+    while folders:
+        for path in sorted(folders.pop().iterdir()):
+            if path.name.startswith("."):
+                continue
+            name = path.relative_to(given).as_posix()
+            if path.is_dir():
+                if _is_set(path):
+                    yield _stamped(name, path)
+                else:
+                    folders.append(path)
+            elif path.suffix.lower() in suffixes:
+                yield _stamped(name, path)
+
+
+def _is_set(folder: Path) -> bool:
+    """Tell whether a folder is a data set, not a folder of files."""
+    return any(form.recognises(folder) for form in FORMATS if not isinstance(form, NpzFormat))
+
+
+def _stamped(name: str, path: Path) -> InputFile:
+    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+    stats = [file.stat() for file in files]
+    return InputFile(
+        name=name,
+        path=path,
+        size=sum(stat.st_size for stat in stats),
+        mtime_ns=max((stat.st_mtime_ns for stat in stats), default=0),
+    )

@@ -1,0 +1,166 @@
+"""Smooth a whole recording with look-ahead: zero lag, and short gaps filled.
+
+A Whittaker-Henderson smoother (Whittaker 1923; Eilers, Anal. Chem. 75 (2003) 3631): for each column
+y over the instants t,
+
+    min  sum_i w_i (x_i - y_i)^2 dt_i  +  (2 pi f)^-4  integral of (x'')^2 dt
+
+with w_i = 0 where the hand was not seen. It passes a motion of frequency f at half its amplitude,
+slower ones unchanged, and has no phase: it looks as far ahead as back. In a gap it is the cubic
+spline between both sides. The palm's motion and the landmarks in the palm are smoothed apart, so
+that the hand keeps its size while it turns. The result is mapped by the same QP as online, so all
+limits hold exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.trackers.landmarks import PALM
+from handmap_qp.trackers.recording import Recording
+from handmap_qp.transform import poses_from_quats
+
+
+@dataclass(frozen=True, slots=True)
+class LookAhead:
+    """How a recording is smoothed.
+
+    Attributes:
+        cutoff: Frequency that is passed at half its amplitude [Hz].
+        longest_gap: Gaps up to this time are filled [s]; in longer ones the robot holds.
+
+    Raises:
+        InvalidInputError: If the cutoff is not a number > 0, or the gap not one >= 0.
+    """
+
+    cutoff: float = 6.0
+    longest_gap: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.cutoff < np.inf:
+            raise InvalidInputError(argument="cutoff", expected="a rate > 0", value=self.cutoff)
+        if not 0.0 <= self.longest_gap < np.inf:
+            expected = "a time >= 0"
+            raise InvalidInputError(
+                argument="longest_gap", expected=expected, value=self.longest_gap
+            )
+
+
+def look_ahead(recording: Recording, options: LookAhead | None = None) -> Recording:
+    """Smooth a recording forwards and backwards in time, and fill its short gaps.
+
+    Args:
+        recording: The recording.
+        options: How; the defaults if omitted.
+
+    Returns:
+        The smoothed recording; samples in filled gaps are valid. Wrist poses and confidences of the
+        tracker are left out, because the filled samples have none.
+    """
+    chosen = options or LookAhead()
+    valid = recording.valid
+    filled = _filled(recording.time, valid, chosen.longest_gap)
+    landmarks = recording.landmarks.copy()
+    for part in _parts(filled):
+        if valid[part].sum() < 3:
+            filled[part] &= valid[part]
+            continue
+        landmarks[part] = _smoothed(
+            recording.time[part], recording.landmarks[part], valid[part], chosen.cutoff
+        )
+    return replace(recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None)
+
+
+def whittaker(
+    time: np.ndarray, values: np.ndarray, weight: np.ndarray, cutoff: float
+) -> np.ndarray:
+    """Smooth columns by a penalty on their second derivative.
+
+    Args:
+        time: Instants, strictly increasing [s], shape (T,), T >= 3.
+        values: Columns, shape (T, n); ignored where the weight is 0.
+        weight: Weight of each sample, >= 0, at least two of them > 0, shape (T,).
+        cutoff: Frequency that is passed at half its amplitude [Hz].
+
+    Returns:
+        The smoothed columns, shape (T, n).
+    """
+    count = len(time)
+    before, after = np.diff(time)[:-1], np.diff(time)[1:]
+    # Second derivative by divided differences: rows (a, -(a + b), b) over three samples.
+    first, last = 2.0 / (before * (before + after)), 2.0 / (after * (before + after))
+    middle, span = -(first + last), 0.5 * (before + after)
+    penalty = (2.0 * np.pi * cutoff) ** -4
+    bands = np.zeros((3, count))
+    bands[2] = weight * np.gradient(time)
+    bands[2, :-2] += penalty * span * first * first
+    bands[2, 1:-1] += penalty * span * middle * middle
+    bands[2, 2:] += penalty * span * last * last
+    bands[1, 1:-1] += penalty * span * first * middle
+    bands[1, 2:] += penalty * span * middle * last
+    bands[0, 2:] += penalty * span * first * last
+    known = np.where(weight[:, None] > 0.0, values, 0.0)
+    right = (weight * np.gradient(time))[:, None] * known
+    return np.asarray(solveh_banded(bands, right, check_finite=False))
+
+
+def _smoothed(
+    time: np.ndarray, landmarks: np.ndarray, valid: np.ndarray, cutoff: float
+) -> np.ndarray:
+    """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
+    seen = landmarks[valid]
+    rotations, centres = _palms(seen)
+    local = (seen - centres[:, None]) @ rotations
+    rows = np.zeros((len(time), 4 + 3 + 63))
+    rows[valid] = np.hstack([_quats(rotations), centres, local.reshape(len(seen), 63)])
+    smooth = whittaker(time, rows, valid.astype(float), cutoff)
+    poses = poses_from_quats(smooth[:, 4:7], smooth[:, :4], "landmarks")
+    inside = smooth[:, 7:].reshape(-1, 21, 3)
+    return inside @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
+
+
+def _palms(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation (T, 3, 3) and centre (T, 3) of the palm from that of the first sample."""
+    points = landmarks[:, PALM]
+    centres = points.mean(axis=1)
+    offsets = points - centres[:, None]
+    left, _, right = np.linalg.svd(offsets.transpose(0, 2, 1) @ offsets[0])
+    sign = np.linalg.det(left @ right)
+    left[:, :, 2] *= sign[:, None]
+    return left @ right, centres
+
+
+def _quats(rotations: np.ndarray) -> np.ndarray:
+    """Return quaternions wxyz without jumps of sign, shape (T, 4)."""
+    # Bar-Itzhack 2000: the eigenvector of the largest eigenvalue of this symmetric matrix.
+    m = rotations
+    k = np.empty((len(m), 4, 4))
+    k[:, 0, 0] = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
+    k[:, 1:, 1:] = m + m.transpose(0, 2, 1) - k[:, :1, :1] * np.eye(3)
+    axis = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1)
+    k[:, 0, 1:] = k[:, 1:, 0] = axis
+    quats = np.linalg.eigh(k)[1][:, :, -1]
+    flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0
+    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    return quats
+
+
+def _filled(time: np.ndarray, valid: np.ndarray, longest: float) -> np.ndarray:
+    """Tell which samples are valid or in a gap that is filled, shape (T,)."""
+    filled = valid.copy()
+    seen = np.flatnonzero(valid)
+    for start, end in pairwise(seen):
+        if end > start + 1 and time[end] - time[start] <= longest:
+            filled[start:end] = True
+    return filled
+
+
+def _parts(filled: np.ndarray) -> list[slice]:
+    """Return the stretches without a gap."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], filled.astype(int), [0]])))
+    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]
