@@ -71,7 +71,7 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
 	$$pip install -qq --upgrade pip hatchling editables && \
-	$$pip install -qq --no-build-isolation --editable '.[all]' --group dev && \
+	$$pip install -qq --no-build-isolation --editable '.[all,cluster]' --group dev && \
 	{ \
 	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
 	    $$pip freeze --all --exclude-editable --exclude setuptools; \

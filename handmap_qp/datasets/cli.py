@@ -264,8 +264,8 @@ class Report:
     """Report the quality of the episodes of a batch, and write a filter.
 
     Writes DIR/report: report.md with the distribution of every measure and the worst episodes,
-    distributions.png, worst.png (human and robot in the worst sample of each), episodes.csv with
-    all numbers, and keep.txt with the files of the episodes to keep, one a line.
+    distributions.png, worst_ROBOT.png (human and robot in the worst samples), episodes.csv with all
+    numbers, and keep.txt with the files of the episodes to keep, one a line.
 
     No measure needs a reference: reach, saturation, pinches, jerk, valid samples, self-penetration
     and the like. An episode is as bad as its worst rank among them.

@@ -136,9 +136,7 @@ def _run(job: Job, started: float) -> Line:
     file.parent.mkdir(parents=True, exist_ok=True)
     save_npz(file, {**_columns(trajectory), "side": np.array(task.side)})
     line = job.line("done", cpu_s=process_time() - started)
-    return msgspec.structs.replace(
-        line, robot=robot.name, frames=len(recording), metrics=metrics, out=task.out
-    )
+    return msgspec.structs.replace(line, frames=len(recording), metrics=metrics, out=task.out)
 
 
 def map_episode(

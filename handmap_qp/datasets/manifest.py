@@ -34,7 +34,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         options: Digest of robot and options.
         entries: How many recordings the file has.
         side: Which hand.
-        robot: Name of the robot hand.
+        robot: Robot hand, by name or path.
         frames: Number of samples.
         cpu_s: CPU time [s].
         kills: How often the worker died over it.
@@ -150,7 +150,8 @@ def read_manifests(folder: Path) -> dict[str, Line]:
         try:
             with file.open("rb") as stream:
                 for text in stream:
-                    line = _decoded(decoder, text)
+                    # Without a line break, it was being written when the process was killed.
+                    line = _decoded(decoder, text) if text.endswith(b"\n") else None
                     if line is not None:
                         own[line.key] = line
         except OSError as error:

@@ -55,9 +55,7 @@ def _draw(out: Path, folder: Path, quality: Quality, count: int) -> list[Path]:
 
     files = [out / "distributions.png"]
     draw_distributions(files[0], quality)
-    if draw_worst(out / "worst.png", folder, quality, count):
-        files.append(out / "worst.png")
-    return files
+    return [*files, *draw_worst(folder, quality, count, out)]
 
 
 def _table(quality: Quality) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from handmap_qp.datasets.report import Quality
 from handmap_qp.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.archive import read_archive
@@ -60,45 +60,39 @@ def draw_distributions(file: Path, quality: Quality) -> None:
     figure.savefig(file)
 
 
-def draw_worst(file: Path, folder: Path, quality: Quality, count: int) -> bool:
-    """Draw human and robot in the worst sample of the worst episodes.
+def draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+    """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
 
     The sample is the one with the largest distance of a point from its target.
 
     Args:
-        file: PNG file to write.
         folder: Folder of the batch.
         quality: The ranking.
-        count: How many episodes. Those whose recording has gone are left out.
+        count: How many episodes of each robot. Those whose recording has gone are left out.
+        out: Folder to write to.
 
     Returns:
-        Whether there was an episode to draw: all must be of the first one's robot.
+        The files, `worst_ROBOT.png`.
 
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     require_matplotlib()
-    rows: list[SheetRow] = []
-    robot: Hand | None = None
+    rows: dict[str, list[SheetRow]] = {}
     for place, line in enumerate(quality.lines):
-        if len(rows) == count:
-            break
-        measure = MEASURES[quality.worst_measure[place]].title
-        try:
-            hand = load_hand(line.robot) if robot is None else robot
-            if hand.name != line.robot:
-                continue
-            rows.append(_worst_row(folder, line, measure))
-            robot = hand
-        except HandmapError:
-            continue
-    if robot is None:
-        return False
-    figure = contact_sheet(
-        [(robot.name, robot)], rows, side=robot.spec.side, title="worst episodes"
-    )
-    figure.savefig(file, dpi=100)
-    return True
+        own = rows.setdefault(line.robot, [])
+        if len(own) < count:
+            with suppress(HandmapError):
+                own.append(_worst_row(folder, line, MEASURES[quality.worst_measure[place]].title))
+    files = []
+    for name, own in rows.items():
+        if own:
+            robot = load_hand(name)
+            columns, side = [(robot.name, robot)], robot.spec.side
+            figure = contact_sheet(columns, own, side=side, title="worst episodes")
+            files.append(out / f"worst_{robot.name}.png")
+            figure.savefig(files[-1], dpi=100)
+    return files
 
 
 def _worst_row(folder: Path, line: Line, measure: str) -> SheetRow:
@@ -108,6 +102,6 @@ def _worst_row(folder: Path, line: Line, measure: str) -> SheetRow:
     arrays = read_archive(folder / line.out, {"q", "point_error", "valid"})
     usable = arrays["valid"] & recording.valid
     error = np.where(usable, arrays["point_error"].max(axis=1), -1.0)
-    label = f"{Path(name).stem[:14]}"
+    label = f"{Path(name).stem[:12]}"
     (row,) = sheet_rows(recording, {label: int(np.argmax(error))}, [arrays["q"]])
     return SheetRow(row.label, f"{measure[:18]}, {row.note}", row.landmarks, row.q)

@@ -146,7 +146,8 @@ def requirements(project: dict[str, Any]) -> list[Requirement]:
 def test_extra_all_is_all(project: dict[str, Any]) -> None:
     extras = dict(project["project"]["optional-dependencies"])
     (line,) = extras.pop("all")
-    assert Requirement(line).extras == set(extras)
+    # Ray brings a cluster's worth of packages, so it is asked for by name.
+    assert Requirement(line).extras == set(extras) - {"cluster"}
 
 
 def test_constraints_fit_the_requirements(project: dict[str, Any]) -> None:

@@ -1,0 +1,54 @@
+"""What the tests of batches share: small recordings, and formats that misbehave on purpose."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+from handmap_qp.datasets.job import Job
+from handmap_qp.trackers.formats import Source, write_recordings
+from handmap_qp.trackers.formats.base import Entry
+from handmap_qp.trackers.formats.npz import NpzFormat
+from handmap_qp.trackers.recording import Recording, read_recording
+
+
+def piece(start: int, count: int, side: str = "right") -> Recording:
+    """Return some samples of the recording that comes with the package."""
+    whole = read_recording("demo", "left" if side == "left" else "right")
+    part = slice(start, start + count)
+    return Recording(
+        name="piece",
+        time=whole.time[part],
+        landmarks=whole.landmarks[part],
+        valid=whole.valid[part],
+        side=whole.side,
+    )
+
+
+def write_pieces(folder: Path, count: int, frames: int = 12) -> list[Path]:
+    """Write recordings of the right hand, each a little longer than the one before."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for i in range(count):
+        files.append(folder / f"take{i}.npz")
+        write_recordings([piece(8 * i, frames + i)], files[-1])
+    return files
+
+
+class KillingFormat(NpzFormat):
+    """Kills the process that reads a recording."""
+
+    def read(self, path: Path, entry: Entry) -> Recording:
+        """Die as by the kernel's out-of-memory killer."""
+        os.kill(os.getpid(), signal.SIGKILL)
+        return super().read(path, entry)
+
+
+def with_format(job: Job, form: NpzFormat) -> Job:
+    """Return the job with its recording read by another format."""
+    source = job.task.source
+    assert source is not None
+    task = replace(job.task, source=Source(source.path, form, source.entry))
+    return replace(job, task=task)

@@ -1,0 +1,333 @@
+"""`handmap batch`: every recording once, whatever is killed, with the same bytes each time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_cases import KillingFormat, piece, with_format, write_pieces
+
+from handmap_qp import InvalidInputError, load_hand
+from handmap_qp.arguments import MappingArguments
+from handmap_qp.cli import main
+from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
+from handmap_qp.datasets.engines import Engine, PoolEngine, SerialEngine
+from handmap_qp.datasets.job import JobOptions
+from handmap_qp.datasets.manifest import MOST_KILLS, Line, Manifest, read_manifests
+from handmap_qp.datasets.sources import find_files, tasks_of
+from handmap_qp.offline.look_ahead import LookAhead
+from handmap_qp.trackers.formats import write_recordings
+
+OPTIONS = JobOptions({"right": "three_finger"})
+
+
+def batch(
+    inputs: Path, out: Path, options: JobOptions = OPTIONS, engine: Engine | None = None
+) -> Tally:
+    return run_batch(plan_batch([inputs], out, options), out, engine or SerialEngine())
+
+
+def episodes(out: Path) -> dict[str, bytes]:
+    files = (out / "episodes").rglob("*.npz")
+    return {file.relative_to(out).as_posix(): file.read_bytes() for file in files}
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("inputs")
+    write_pieces(folder / "a", 2)
+    write_recordings([piece(60, 14)], folder / "b.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(inputs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The serial run that all others must equal."""
+    out = tmp_path_factory.mktemp("serial") / "out"
+    tally = batch(inputs, out)
+    assert [len(tally.done), len(tally.failed)] == [3, 0]
+    return out
+
+
+def test_an_episode_has_what_a_reader_needs(serial: Path) -> None:
+    with np.load(serial / "episodes/a/take0.npz.npz") as columns:
+        robot = load_hand("three_finger")
+        assert columns["q"].shape == (12, len(robot.joint_names))
+        assert list(columns["joint_names"]) == list(robot.joint_names)
+        assert (columns["q"] >= robot.lower_limits).all()
+        assert (columns["q"] <= robot.upper_limits).all()
+        assert str(columns["side"]) == "right"
+    lines = read_manifests(serial)
+    assert set(lines) == {f"a/take{i}.npz::" for i in range(2)} | {"b.csv::"}
+    line = lines["a/take1.npz::"]
+    assert (line.status, line.frames, line.robot) == ("done", 13, "three_finger")
+    assert line.cpu_s > 0.0
+    assert line.metrics["valid"] == 1.0
+
+
+def test_tasks_come_longest_first_and_shards_share_nothing(inputs: Path) -> None:
+    files = find_files([inputs])
+    whole = tasks_of(files)
+    assert [task.frames for task in whole] == [14, 13, 12]
+    parts = [task.key for part in (1, 2, 3) for task in tasks_of(files, (part, 3))]
+    assert sorted(parts) == sorted(task.key for task in whole)
+
+
+def test_the_order_of_the_work_changes_no_byte(inputs: Path, serial: Path, tmp_path: Path) -> None:
+    plan = plan_batch([inputs], tmp_path, OPTIONS)
+    run_batch(replace(plan, jobs=plan.jobs[::-1]), tmp_path, SerialEngine())
+    assert episodes(tmp_path) == episodes(serial)
+
+
+def test_a_second_run_does_only_what_is_left(tmp_path: Path) -> None:
+    files = write_pieces(tmp_path / "in", 3)
+    files[1].write_bytes(b"torn")
+    out = tmp_path / "out"
+    first = batch(tmp_path / "in", out)
+    assert [line.key for line in first.failed] == ["take1.npz::"]
+    assert "take1.npz: is not an .npz file" in first.failed[0].error
+    before = episodes(out)
+    write_recordings([piece(30, 13)], files[1])
+    os.utime(files[2], (1, 1))
+    second = batch(tmp_path / "in", out)
+    assert sorted(line.key for line in second.done) == ["take1.npz::", "take2.npz::"]
+    after = episodes(out)
+    assert after.items() >= before.items(), "the same recording gives the same bytes"
+    assert not batch(tmp_path / "in", out).lines
+    (out / "episodes/take0.npz.npz").unlink()
+    assert [line.key for line in batch(tmp_path / "in", out).done] == ["take0.npz::"]
+    others = replace(OPTIONS, arguments=MappingArguments(smooth=True))
+    assert len(batch(tmp_path / "in", out, replace(others, smoother=LookAhead())).done) == 3
+
+
+def test_a_torn_last_line_is_done_again(tmp_path: Path) -> None:
+    write_pieces(tmp_path / "in", 2)
+    out = tmp_path / "out"
+    batch(tmp_path / "in", out)
+    file = out / "manifest.jsonl"
+    good = file.read_bytes()
+    for cut in (1, 60):
+        file.write_bytes(good[:-cut])
+        tally = batch(tmp_path / "in", out)
+        assert len(tally.done) == 1
+        assert all(json.loads(line) for line in file.read_bytes().splitlines())
+        assert len(read_manifests(out)) == 2
+
+
+def test_two_batches_do_not_write_to_one_folder(tmp_path: Path) -> None:
+    with Manifest(tmp_path), pytest.raises(InvalidInputError, match="another handmap batch"):
+        Manifest(tmp_path).__enter__()
+    with Manifest(tmp_path, (1, 2)), Manifest(tmp_path, (2, 2)):
+        pass
+
+
+@pytest.mark.slow
+def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
+    inputs: Path, serial: Path, tmp_path: Path
+) -> None:
+    plan = plan_batch([inputs], tmp_path, OPTIONS)
+    poison = plan.jobs[1].task.key
+    jobs = [
+        with_format(job, KillingFormat()) if job.task.key == poison else job for job in plan.jobs
+    ]
+    seen: list[Line] = []
+    tally = run_batch(
+        replace(plan, jobs=tuple(jobs)), tmp_path, PoolEngine(2), progress=seen.append
+    )
+    assert [line.key for line in tally.failed] == [poison]
+    assert tally.failed[0].kills == MOST_KILLS
+    assert len(tally.done) == 2
+    expected = {name: data for name, data in episodes(serial).items() if poison[:-2] not in name}
+    assert episodes(tmp_path) == expected
+    assert {line.status for line in seen if line.key == poison} == {"killed", "failed"}
+    # It is left alone from now on, until its file changes.
+    again = plan_batch([inputs], tmp_path, OPTIONS)
+    assert not again.jobs
+    assert [line.key for line in again.left_alone] == [poison]
+
+
+def start(inputs: Path, out: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "handmap_qp.cli", "batch", str(inputs), "--out", str(out)]
+    return subprocess.Popen(
+        [*command, "--robot", "three_finger", "--workers", "1"], text=True, stderr=subprocess.PIPE
+    )
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started, and those that these have."""
+    listing = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    ).stdout.split()
+    return [found for child in map(int, listing) for found in (child, *children(child))]
+
+
+def wait_until(what: str, holds: object, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not holds():  # type: ignore[operator]
+        assert time.monotonic() < end, what
+        time.sleep(0.02)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
+    tmp_path: Path,
+) -> None:
+    write_pieces(tmp_path / "in", 10, frames=40)
+    out, manifest = tmp_path / "out", tmp_path / "out" / "manifest.jsonl"
+    process = start(tmp_path / "in", out)
+    wait_until("first episodes", lambda: manifest.exists() and manifest.read_bytes().count(b"\n"))
+    workers = children(process.pid)
+    assert workers
+    process.kill()
+    process.communicate()
+    wait_until("workers end", lambda: not any(map(is_alive, workers)), 20.0)
+    done = manifest.read_bytes().count(b"\n")
+    assert done < 10
+    # Interrupted by Ctrl-C, it finishes what is under way, and says how to go on.
+    process = start(tmp_path / "in", out)
+    wait_until("more episodes", lambda: manifest.read_bytes().count(b"\n") > done)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    if process.returncode:
+        assert process.returncode == 130
+        assert "run the same command to go on" in error
+    batch(tmp_path / "in", out)
+    assert len(batch(tmp_path / "in", tmp_path / "whole").done) == 10
+    assert episodes(out) == episodes(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_ray_writes_the_same_bytes(inputs: Path, serial: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    # A process of its own, because Ray starts others and changes signals.
+    code = (
+        "import sys; from handmap_qp.cli import main; sys.exit(main(sys.argv[1:]))",
+        *("batch", str(inputs), "--robot", "three_finger", "--out", str(tmp_path / "out")),
+        *("--engine", "ray", "--workers", "1"),
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", *code], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert episodes(tmp_path / "out") == episodes(serial)
+
+
+@pytest.mark.parametrize("form", ["lerobot", "robomimic"])
+def test_the_data_set_keeps_limits_and_pairs_hands(
+    form: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    pytest.importorskip("pyarrow")
+    h5py = pytest.importorskip("h5py")
+    folder = tmp_path / "in" / "pour_water"
+    folder.mkdir(parents=True)
+    write_recordings([piece(0, 20, "left"), piece(0, 20, "right")], folder / "0.npz")
+    write_recordings([piece(40, 20, "left")], folder / "1.npz")
+    out = tmp_path / "out"
+    command = ["batch", str(tmp_path / "in"), "--robot", "allegro_left", "allegro_right"]
+    command += ["--out", str(out), "--format", form, "--workers", "0", "--fps", "50"]
+    assert main(command) == 0
+    left, right = load_hand("allegro_left"), load_hand("allegro_right")
+    count = len(left.joint_names) + 7
+    if form == "lerobot":
+        from handmap_qp.trackers.formats.lerobot_v3 import LeRobotReader
+
+        reader = LeRobotReader(out / "lerobot")
+        names = reader.features["observation.state"].names
+        assert names is not None
+        assert names[0] == f"left_{left.joint_names[0]}"
+        found = [
+            reader.read(e, ("observation.state", "action", "observation.valid"))
+            for e in reader.episodes()
+        ]
+        episodes_ = [(f["observation.state"], f["action"], f["observation.valid"]) for f in found]
+        assert [e.about["tasks"] for e in reader.episodes()] == [["pour water"]] * 2
+    else:
+        with h5py.File(out / "episodes.hdf5") as file:
+            demos = [file[f"data/demo_{i}"] for i in range(2)]
+            assert file["data"].attrs["total"] == sum(d.attrs["num_samples"] for d in demos)
+            episodes_ = [(d["obs/state"][()], d["actions"][()], d["obs/valid"][()]) for d in demos]
+    assert len(episodes_) == 2
+    for state, action, valid in episodes_:
+        assert state.shape[1] == 2 * count
+        np.testing.assert_array_equal(action[:-1], state[1:])
+        for hand, first in ((left, 0), (right, count)):
+            q = state[:, first : first + count - 7].astype(float)
+            assert (q >= hand.lower_limits).all()
+            assert (q <= hand.upper_limits).all()
+            speed = np.abs(np.diff(q, axis=0)) * 50.0
+            assert (speed <= hand.velocity_limits + 1e-4).all()
+            quats = state[:, first + count - 4 : first + count]
+            np.testing.assert_allclose(np.linalg.norm(quats, axis=1), 1.0, atol=1e-6)
+        assert valid[:, 0].any()
+    assert [bool(valid[:, 1].any()) for _, _, valid in episodes_] == [True, False]
+
+
+BAD: dict[tuple[str, ...], str] = {
+    ("--robot", "three_finger", "allegro_right"): "--robot: expected one robot for each side",
+    ("--robot", "three_finger", "--shard", "5/4"): "--shard: expected I/N with 1 <= I <= N",
+    ("--robot", "three_finger", "--shard", "x"): "--shard: expected I/N",
+    ("--robot", "three_finger", "--workers", "-1"): "--workers: expected a number from 0",
+    ("--robot", "three_finger", "--fps", "0"): "--fps: expected a rate",
+    ("--robot", "absent_hand"): "absent_hand",
+}
+
+
+@pytest.mark.parametrize("words", BAD, ids=" ".join)
+def test_a_bad_call_is_one_line(
+    words: tuple[str, ...], inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert main(["batch", str(inputs), "--out", str(tmp_path / "out"), *words]) == 2
+    error = capsys.readouterr().err
+    assert BAD[words] in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_inputs_without_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "empty").mkdir()
+    for given, line in {
+        "absent": "no such file or folder",
+        "empty": "has no files of a known",
+    }.items():
+        command = ["batch", str(tmp_path / given), "--robot", "three_finger", "--out"]
+        assert main([*command, str(tmp_path / "out")]) == 2
+        assert line in capsys.readouterr().err
+
+
+def test_the_report_finds_the_worst(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    files = write_pieces(tmp_path / "in", 6)
+    rng = np.random.default_rng(0)
+    good = piece(20, 16)
+    noisy = good.landmarks + rng.normal(0.0, 0.006, good.landmarks.shape)
+    write_recordings([replace(good, landmarks=noisy)], files[4])
+    (tmp_path / "in" / "torn.npz").write_bytes(b"")
+    out = tmp_path / "out"
+    batch(tmp_path / "in", out)
+    assert main(["report", str(out), "--keep", "0.84", "--worst", "2", "--no-pictures"]) == 0
+    printed = capsys.readouterr().out
+    assert "6 episodes, 5 kept" in printed
+    kept = (out / "report/keep.txt").read_text().split()
+    assert sorted(kept) == [f"episodes/take{i}.npz.npz" for i in (0, 1, 2, 3, 5)]
+    assert "torn.npz" in (out / "report/report.md").read_text()
+    rows = (out / "report/episodes.csv").read_text().splitlines()
+    assert rows[1].startswith("take4.npz::,")
+    assert len(rows) == 7
+    assert main(["report", str(tmp_path)]) == 2
+    assert "run handmap batch first" in capsys.readouterr().err
+    assert main(["report", str(out), "--keep", "0"]) == 2
