@@ -7,7 +7,6 @@ from functools import lru_cache
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
@@ -43,16 +42,16 @@ def _read(hand: Hand) -> pin.GeometryModel:
         if isinstance(part.geometry, coal.BVHModelBase):
             # A mesh is a surface without an inside: an object within it would not be noticed, and
             # an overlap would have no depth.
-            try:
-                part.geometry = _convex_hull(np.array(part.geometry.vertices()))
-            except QhullError as error:
+            hull = _convex_hull(np.array(part.geometry.vertices()))
+            if hull is None:
                 message = f"the collision shape {part.name!r} is flat: it has no convex hull"
-                raise hand.spec.error(message, key="urdf") from error
+                raise hand.spec.error(message, key="urdf")
+            part.geometry = hull
     return geometry
 
 
-def _convex_hull(points: np.ndarray) -> coal.Convex:
-    """Return the convex hull of a mesh's vertices.
+def _convex_hull(points: np.ndarray) -> coal.Convex | None:
+    """Return the convex hull of a mesh's vertices; None if they lie in a plane.
 
     coal's own `buildConvexRepresentation` keeps the vertices inside the hull. They disturb the
     search along edges for the farthest vertex, and distances are then wrong by millimetres.
@@ -60,7 +59,13 @@ def _convex_hull(points: np.ndarray) -> coal.Convex:
     Args:
         points: Vertices [m], shape (n, 3).
     """
-    hull = ConvexHull(points)
+    # Importing scipy takes twice as long as all of this package: only meshes need it.
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
     corners = hull.points[hull.vertices]
     index = np.zeros(len(points), dtype=int)
     index[hull.vertices] = np.arange(len(corners))

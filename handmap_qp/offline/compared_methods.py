@@ -26,7 +26,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.methods import METHODS
+from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing

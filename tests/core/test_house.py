@@ -39,7 +39,7 @@ TOP_LEVEL = {
     "CONTRIBUTING.md",
 }
 # Packages that a plain import must not load.
-SLOW_PACKAGES = ("mujoco", "mink", "qpsolvers", "matplotlib", "yourdfpy", "trimesh")
+SLOW_PACKAGES = ("scipy", "mujoco", "mink", "qpsolvers", "matplotlib", "yourdfpy", "trimesh")
 
 
 @pytest.fixture(scope="module")

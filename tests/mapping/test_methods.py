@@ -26,7 +26,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import BoundMethod, HumanPose, RobotPosture, TargetMap, Targets
-from handmap_qp.mapping.methods import METHODS
+from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.options import MappingChanges

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.mapping.methods import METHODS
+from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.offline.compared_methods import (
     OutsideError,

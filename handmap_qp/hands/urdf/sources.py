@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.metadata
 import importlib.util
 import pkgutil
 import sys
@@ -56,16 +55,19 @@ def package_folder(package: str) -> Path:
         MissingExtraError: If the package of an extra is not installed.
         MissingPackageError: If another package is not installed.
     """
+    # Its import takes 20 ms, and only such packages need it.
+    from importlib.metadata import PackageNotFoundError, distribution
+
     try:
-        distribution = importlib.metadata.distribution(package)
-    except (importlib.metadata.PackageNotFoundError, ValueError) as error:  # ValueError: no name
+        found = distribution(package)
+    except (PackageNotFoundError, ValueError) as error:  # ValueError: no name
         if package == "example-robot-data":
             raise MissingExtraError(package, "robots") from error
         raise MissingPackageError(package) from error
-    share = Path(str(distribution.locate_file("cmeel.prefix/share"))) / package
+    share = Path(str(found.locate_file("cmeel.prefix/share"))) / package
     if share.is_dir():
         return share
-    return Path(str(distribution.locate_file(package.replace("-", "_"))))
+    return Path(str(found.locate_file(package.replace("-", "_"))))
 
 
 def _described(name: str) -> Path:
