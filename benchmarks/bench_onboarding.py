@@ -25,7 +25,7 @@ from made_hands import make_hand
 from shared_hands import shared_hands_folder
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.urdf.files import package_share
+from handmap_qp.hands.urdf.sources import package_folder
 from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
 _AXES = {
@@ -193,7 +193,7 @@ def score_real_hands(wheels: Path | None = None, only: int | None = None) -> Ite
     if shared is not None:
         for truth in SHARED[:only]:
             yield score(truth, shared / truth.urdf)
-    share = package_share("example-robot-data") / "example-robot-data" / "robots"
+    share = package_folder("example-robot-data") / "robots"
     for truth in EXAMPLES[:only]:
         yield score(truth, share / truth.urdf)
     for truth in WHEELS if wheels is not None else ():

@@ -31,6 +31,9 @@ _REST_SHARE, _REST_MOST = 0.4, 0.75
 _OFF_AXIS = 0.0015
 # A joint this near to the palm is one of its wrist [m].
 _WRIST_REACH = 0.25
+# A joint that spreads fingers and has its zero within this share of its range from a limit rests
+# this share away from it.
+_AT_LIMIT, _SPREAD = 0.05, 0.3
 # Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
 _PALM_RATIO = (0.4, 1.4)
 
@@ -264,6 +267,11 @@ def _rest(robot: Robot, flexion: FingerFlexion, anatomy: Anatomy) -> np.ndarray:
         of_thumb = flexion.moves[anatomy.fingers.index("thumb")] & ~flexion.flexes
         one_sided = of_thumb & ((robot.lower > -0.1) | (robot.upper < 0.1))
         q = np.where(one_sided, 0.5 * (robot.lower + robot.upper), q)
+    # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
+    spreads = flexion.moves.any(axis=0) & ~flexion.flexes & (q == robot.zero)
+    width = robot.upper - robot.lower
+    q = np.where(spreads & (q - robot.lower < _AT_LIMIT * width), robot.lower + _SPREAD * width, q)
+    q = np.where(spreads & (robot.upper - q < _AT_LIMIT * width), robot.upper - _SPREAD * width, q)
     return np.clip(q, robot.lower, robot.upper)
 
 

@@ -161,7 +161,8 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     try:
         geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
     except (RuntimeError, ValueError) as error:
-        raise HandmapError(" ".join(str(error).split())) from error
+        reason = str(error).rpartition("message:")[2]
+        raise HandmapError(f"shapes cannot be read: {' '.join(reason.split())}") from error
     model, shapes = hand.model, geometry.geometryObjects
     with_shape = {shape.parentJoint for shape in shapes}
     for i, one in enumerate(shapes):
@@ -203,7 +204,10 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
     rigid = "wrist" if hand.has_moving_wrist else "none"
     parts = []
     for name, posture in standard_postures(human).items():
-        mapper = HandMapper(human, hand, rigid_from=rigid, dt=_DT)
+        # A floating hand can turn as a whole; a hand that is held cannot, and its world's axes
+        # need not be the human's.
+        alignment = "world" if hand.is_floating else "palm"
+        mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
         mapper.map_step(human.rest, np.eye(4))
         # 0.75 s of motion, then 0.25 s to settle.
         shares = np.concatenate([0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.drawing.hands import (
     HandShape,
@@ -46,7 +47,7 @@ def picture_path(hand: str) -> Path | None:
 
 
 def draw_hand(hand: Hand, path: Path) -> None:
-    """Draw a hand at rest from the back and from the side, fingers up, with labels.
+    """Draw a hand at rest from the back and from the side, fingers up, with all its points.
 
     Args:
         hand: The hand.
@@ -60,7 +61,7 @@ def draw_hand(hand: Hand, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    scene = _Scene(hand)
+    scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
     figure = Figure(figsize=(2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5), dpi=100)
     FigureCanvasAgg(figure)
     height = _PANEL[1] / (_PANEL[1] + 50)
@@ -191,8 +192,9 @@ class _Scene:
         )
 
     def _is_of_hand(self, link: str, wrist: int) -> bool:
-        joint = self.hand.model.frames[self.hand.model.getFrameId(link)].parentJoint
-        return wrist == 0 or wrist in self.hand.model.supports[joint]
+        model = self.hand.model
+        joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+        return wrist == 0 or wrist in model.supports[joint]
 
     def _sticks(self, wrist: int) -> list[Triangles]:
         hand, model = self.hand, self.hand.model
@@ -209,7 +211,7 @@ class _Scene:
             for i in joints
         ]
         for i, point in enumerate(hand.reference_points):
-            parent = model.frames[model.getFrameId(point.link)].parentJoint
+            parent = model.frames[model.getFrameId(point.link, pin.FrameType.BODY)].parentJoint
             ends.append((workspace.data.oMi[parent].translation, hand.points(hand.rest)[i]))
         return [
             tube(np.array(pair), thickness, grey)

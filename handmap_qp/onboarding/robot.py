@@ -24,6 +24,7 @@ from handmap_qp.hands.urdf.check import check_tree
 from handmap_qp.hands.urdf.compose import prepare_urdf
 from handmap_qp.hands.urdf.elements import axis_of, get_numbers, origin_of, parse_urdf
 from handmap_qp.hands.urdf.files import find_mesh
+from handmap_qp.hands.urdf.joints import fix_free_joints
 from handmap_qp.hands.urdf.tree import MOVABLE, cut_subtree, edges, link_names, root_links
 from handmap_qp.transform import transform_points
 
@@ -34,6 +35,8 @@ _ASSUMED_RANGE = {
     "prismatic": (0.0, 0.04),
 }
 _ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
+# A larger range is in degrees; joints of arms turn twice [rad].
+_LARGEST_TURN = 4.0 * math.pi + 0.01
 # Most names in one note.
 _MOST_NAMES = 12
 # Most surface points kept of one mesh.
@@ -96,6 +99,8 @@ class Robot:
                 for joint in robot.iterfind("joint")
                 if joint.get("type") == "continuous"
             }
+            for name in fix_free_joints(robot):
+                self._remark(name, "has more than one coordinate: it is taken as fixed")
             self.dropped_rules = self._drop_rules(robot)
             self.assumed = self._assume_limits(robot)
             self.locked = prepare_urdf(
@@ -377,6 +382,8 @@ class Robot:
             elif lower > upper:
                 changes["lower"], changes["upper"] = upper, lower
                 self._remark(name, f"has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed")
+            elif kind == "revolute" and upper - lower > _LARGEST_TURN:
+                self._remark(name, "has a range of more than two turns: is it in degrees?")
             speed = 0.0 if limit is None else _number(limit, "velocity")
             if not (math.isfinite(speed) and speed > 0.0):
                 changes["velocity"] = (

@@ -15,7 +15,8 @@ from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
 from handmap_qp.hands.urdf.files import urdf_path
 from handmap_qp.hands.urdf.package_data import urdf_directory
-from handmap_qp.onboarding.check import Report, _check_speeds, check_hand
+from handmap_qp.onboarding.check import check_hand
+from handmap_qp.onboarding.check_joints import _check_speeds
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.measure import (
@@ -25,6 +26,7 @@ from handmap_qp.onboarding.measure import (
     standard_postures,
 )
 from handmap_qp.onboarding.picture import draw_hand, picture_path
+from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import hand_text, write_hand
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"

@@ -17,6 +17,7 @@ from handmap_qp.hands.urdf.check import check_limits, check_tree
 from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.hands.urdf.joints import (
     complete_followers,
+    fix_free_joints,
     lock_joints,
     set_limits,
     set_mimic_rules,
@@ -100,6 +101,7 @@ def prepare_urdf(
         cut_subtree(robot, root)
     set_mimic_rules(robot, mimic)
     positions = lock_joints(robot, locked)
+    fix_free_joints(robot)
     set_limits(robot, limits)
     complete_followers(robot)
     return positions

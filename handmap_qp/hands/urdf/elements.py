@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -9,6 +10,9 @@ import numpy as np
 from handmap_qp.errors import HandError
 from handmap_qp.hands.urdf.xml_text import parse_xml
 from handmap_qp.transform import affine, rotation_from_rpy
+
+# An element that the program xacro replaces.
+_XACRO = re.compile(r"<xacro:[a-z]")
 
 
 def parse_urdf(text: str) -> ET.Element:
@@ -21,8 +25,11 @@ def parse_urdf(text: str) -> ET.Element:
         The `<robot>` element.
 
     Raises:
-        HandError: If the text is not XML, or its root is another element.
+        HandError: If the text is not XML, is xacro, or its root is another element.
     """
+    if isinstance(text, str) and _XACRO.search(text):
+        message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
+        raise HandError(message)
     try:
         robot = parse_xml(text)
     except (ET.ParseError, TypeError, ValueError) as error:

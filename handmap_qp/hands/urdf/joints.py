@@ -128,6 +128,28 @@ def complete_followers(robot: ET.Element) -> None:
             joint.set("type", "revolute")
 
 
+def fix_free_joints(robot: ET.Element) -> list[str]:
+    """Make floating and planar joints fixed ones, where their origins are.
+
+    No single number moves them; an object or a whole robot hangs from them, not a finger.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+
+    Returns:
+        Names of these joints.
+    """
+    found = []
+    for joint in robot.iterfind("joint"):
+        if joint.get("type") in ("floating", "planar"):
+            for tag in _NOT_OF_FIXED_JOINTS:
+                for element in joint.findall(tag) if tag != "origin" else ():
+                    joint.remove(element)
+            joint.set("type", "fixed")
+            found.append(joint.get("name", ""))
+    return found
+
+
 def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
     joint = joints_by_name(robot).get(name)
     if joint is None or joint.get("type") not in MOVABLE:

@@ -1,0 +1,223 @@
+"""`handmap hands check` finds mistakes by names, gestures, files and limits."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from handmap_qp import HandError, load_hand
+from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.onboarding.check import check_hand
+from handmap_qp.onboarding.detect import detect
+from handmap_qp.onboarding.gestures import make_fist, measure_pinches
+from handmap_qp.onboarding.measure import try_motion
+from handmap_qp.onboarding.picture import _Scene, draw_hand
+from handmap_qp.onboarding.report import Report
+from handmap_qp.onboarding.write import write_hand
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+from made_hands import MadeHand, make_hand  # noqa: E402
+from shared_hands import shared_hands_folder  # noqa: E402
+
+SHARED = shared_hands_folder()
+
+
+@pytest.fixture(scope="module")
+def made() -> MadeHand:
+    generator = np.random.default_rng(2)
+    while True:
+        hand = make_hand(generator)
+        if hand.has_names and hand.is_one_sided and len(hand.tips) >= 4:
+            return hand
+
+
+def described(tmp_path: Path, urdf: str, **changes: Any) -> Path:
+    (tmp_path / "hand.urdf").write_text(urdf)
+    write_hand(detect(tmp_path / "hand.urdf"), tmp_path / "hand.yaml", overwrite=True)
+    document = yaml.safe_load((tmp_path / "hand.yaml").read_text())
+    (tmp_path / "hand.yaml").write_text(yaml.safe_dump({**document, **changes}))
+    return tmp_path / "hand.yaml"
+
+
+def warnings_of(report: Report) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for f in report.findings:
+        if f.level == "warning":
+            found[f.where] = f"{found.get(f.where, '')}{f.what}; {f.change}\n"
+    return found
+
+
+def check(path: Path) -> Report:
+    return check_hand(str(path), has_motion=False)
+
+
+def test_a_right_description_has_no_warning(made: MadeHand, tmp_path: Path) -> None:
+    report = check(described(tmp_path, made.urdf))
+    assert warnings_of(report) == {}
+    assert report.pinches
+    assert any("thumb can touch" in f.what for f in report.findings)
+    assert {"Pads", "Pinches", "Fingers", "Size"} <= report.tables().keys()
+
+
+def test_a_palm_turned_over_brings_the_fist_to_the_back(made: MadeHand, tmp_path: Path) -> None:
+    path = described(tmp_path, made.urdf)
+    palm = yaml.safe_load(path.read_text())["palm"]
+    palm["dorsal"] = [-value for value in palm["dorsal"]]
+    found = warnings_of(check(described(tmp_path, made.urdf, palm=palm)))
+    assert "palm.dorsal" in found
+    assert "side" in found
+
+
+@pytest.mark.parametrize(("angle", "is_wrong"), [(5.0, False), (35.0, True)])
+def test_a_palm_turned_about_distal_is_found(
+    made: MadeHand, tmp_path: Path, angle: float, is_wrong: bool
+) -> None:
+    palm = yaml.safe_load(described(tmp_path, made.urdf).read_text())["palm"]
+    distal, dorsal = np.array(palm["distal"]), np.array(palm["dorsal"])
+    turned = np.cos(np.radians(angle)) * dorsal
+    turned = turned + np.sin(np.radians(angle)) * np.cross(distal, dorsal)
+    palm["dorsal"] = (turned / np.linalg.norm(turned)).tolist()
+    hand = load_hand(described(tmp_path, made.urdf, palm=palm))
+    fist = make_fist(hand)
+    assert fist is not None
+    assert fist.across_deg == pytest.approx(angle, abs=8.0)
+    assert ("palm.dorsal" in warnings_of(check(tmp_path / "hand.yaml"))) == is_wrong
+
+
+def test_names_are_compared_with_fingers(made: MadeHand, tmp_path: Path) -> None:
+    document = yaml.safe_load(described(tmp_path, made.urdf).read_text())
+    points = {point["name"]: point for point in document["points"]}
+    one, other = points["index_tip"], points["middle_tip"]
+    one["link"], other["link"] = other["link"], one["link"]
+    found = warnings_of(check(described(tmp_path, made.urdf, points=document["points"])))
+    assert "named middle" in found["points.index_tip"]
+    assert "order of their knuckles" in found["points"]
+
+
+def test_limits_in_degrees_are_one_finding(made: MadeHand, tmp_path: Path) -> None:
+    def degrees(match: re.Match[str]) -> str:
+        return f'lower="{57.3 * float(match[1])}" upper="{57.3 * float(match[2])}"'
+
+    text = re.sub(r'lower="([^"]+)" upper="([^"]+)"', degrees, made.urdf)
+    found = " ".join(warnings_of(check(described(tmp_path, text))).values())
+    assert found.count("in degrees?") == 1
+
+
+@pytest.mark.parametrize("tag", ["visual", "collision"])
+def test_missing_meshes_are_counted(made: MadeHand, tmp_path: Path, tag: str) -> None:
+    mesh = f'<{tag}><geometry><mesh filename="meshes/palm.stl"/></geometry></{tag}>'
+    link = f'<link name="{made.palm}"'
+    text = made.urdf.replace(f"{link}/>", f"{link}>{mesh}</link>")
+    found = warnings_of(check(described(tmp_path, text)))
+    assert found["urdf"].startswith(f"1 of 1 {tag} meshes are missing: palm.stl")
+
+
+def test_a_pair_of_links_that_do_not_exist_is_found(made: MadeHand, tmp_path: Path) -> None:
+    pairs = {"pairs": [["moon", made.palm]]}
+    found = warnings_of(check(described(tmp_path, made.urdf, collision=pairs)))
+    assert "'moon' is not a link" in found["collision.pairs[0]"]
+
+
+def named_as_links(text: str) -> str:
+    """Give every joint the name of its child link, as in the Shadow hand's URDF."""
+    pattern = r'<joint name="([^"]+)" type="[^"]+"><parent link="[^"]+"/><child link="([^"]+)"/>'
+    for joint, child in re.findall(pattern, text):
+        text = text.replace(f'<joint name="{joint}"', f'<joint name="{child}"')
+    return text
+
+
+def with_joint(made: MadeHand, kind: str, *, is_above: bool) -> str:
+    parent, child = ("w", made.palm) if is_above else (made.palm, "w")
+    joint = (
+        f'<link name="w"/><joint name="free" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    return made.urdf.replace("</robot>", joint)
+
+
+@pytest.mark.parametrize(
+    "change", ["named as links", "floating", "planar", "floating above", "planar above"]
+)
+def test_odd_urdfs_are_found_checked_and_drawn(made: MadeHand, tmp_path: Path, change: str) -> None:
+    kind, _, above = change.partition(" ")
+    if change == "named as links":
+        text = named_as_links(made.urdf)
+    else:
+        text = with_joint(made, kind, is_above=bool(above))
+    report = check(described(tmp_path, text))
+    assert report.hand is not None
+    assert set(report.hand.joint_names).isdisjoint({"free"})
+    assert {p.finger for p in report.hand.spec.points} == set(made.tips)
+    if change == "named as links":
+        draw_hand(report.hand, tmp_path / "hand.png")
+
+
+def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "hand.urdf").write_text(
+        '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="finger.xacro"/><link name="a"/></robot>'
+    )
+    with pytest.raises(HandError, match="is xacro, not URDF: convert it"):
+        detect(tmp_path / "hand.urdf")
+
+
+def test_wrist_joints_above_the_root_are_advice() -> None:
+    found = [f for f in check_hand("g1_right", has_motion=False).findings if f.where == "root"]
+    assert len(found) == 1
+    assert "right_wrist_yaw_joint" in found[0].what
+    assert "--base" in found[0].change
+
+
+def test_pads_meet_where_the_thumb_opposes() -> None:
+    """Fingers 1 and 2 of the three-fingered hand close onto the thumb in a plane."""
+    hand = load_hand("three_finger")
+    for pinch in measure_pinches(hand):
+        assert pinch.touches
+        assert (pinch.q >= hand.lower_limits - 1e-12).all()
+        assert (pinch.q <= hand.upper_limits + 1e-12).all()
+
+
+def test_a_thumb_that_opposes_nothing_is_found(made: MadeHand, tmp_path: Path) -> None:
+    document = yaml.safe_load(described(tmp_path, made.urdf).read_text())
+    still = {joint: {"lower": -0.001, "upper": 0.001} for joint in document["joints"]}
+    rest = dict.fromkeys(document["joints"], 0.0)
+    path = described(tmp_path, made.urdf, limits=still, rest=rest)
+    assert "touches no finger" in warnings_of(check(path))["points"]
+
+
+@pytest.mark.slow
+def test_an_arm_does_not_hide_what_the_hand_reaches() -> None:
+    """The same hand alone and on its arm reaches the same postures."""
+    alone, on_arm = try_motion(load_hand("g1_left")), try_motion(load_hand("g1_arm_left"))
+    for one, other in zip(alone, on_arm, strict=True):
+        assert other.error == pytest.approx(one.error, abs=0.003)
+
+
+def test_the_picture_shows_all_points() -> None:
+    hand = load_hand(urdf_directory() / "allegro_right" / "hand.yaml")
+    assert len(hand.reference_points) < len(hand.spec.points)
+    scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
+    assert len(scene.points) == len(hand.spec.points)
+
+
+@pytest.mark.skipif(SHARED is None, reason="LEAP is not here: set HANDMAP_HANDS")
+def test_axes_of_leap_that_were_called_certain_are_refuted(tmp_path: Path) -> None:
+    assert SHARED is not None
+    write_hand(detect(SHARED / "leap_hand" / "leap_hand_right.urdf"), tmp_path / "leap.yaml")
+    document = yaml.safe_load((tmp_path / "leap.yaml").read_text())
+    distal, dorsal = np.array([0.93, -0.36, -0.01]), np.array([-0.21, -0.56, 0.8])
+    distal /= np.linalg.norm(distal)
+    dorsal -= (dorsal @ distal) * distal
+    dorsal /= np.linalg.norm(dorsal)
+    document["palm"] |= {"distal": distal.tolist(), "dorsal": dorsal.tolist()}
+    (tmp_path / "old.yaml").write_text(yaml.safe_dump(document))
+    fist = make_fist(load_hand(tmp_path / "old.yaml"))
+    assert fist is not None
+    assert fist.across_deg > 30.0
