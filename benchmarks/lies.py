@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp import load_hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.angle_layout import AngleLayout
 from handmap_qp.trackers.landmark_order import named_orders
 from handmap_qp.trackers.landmarks import human_name
+from handmap_qp.trackers.layout import load_layout
 from handmap_qp.transform import affine
 
 _RATE = 60.0
@@ -96,6 +99,13 @@ def all_lies() -> list[Lie]:
         Lie("ring and little", "order", _ordered(_finger_order(0, 1, 2, 4, 3))),
         Lie("random order", "order", _ordered(np.random.default_rng(3).permutation(21))),
     ]
+
+
+def angles_in_degrees() -> AngleLayout:
+    """Return the layout of the human model's joints, in degrees."""
+    layout = load_layout("angles20")
+    assert isinstance(layout, AngleLayout)
+    return AngleLayout(msgspec.structs.replace(layout.table, name="own in degrees", unit="deg"))
 
 
 def is_visible(lie: Lie, take: Take) -> bool:

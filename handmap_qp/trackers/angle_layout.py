@@ -29,7 +29,7 @@ from handmap_qp.transform import transform_points
 # that all its angles are smaller, so smaller ones are in radians.
 _LARGEST_ANGLE = 3.2  # rad
 _STRAIGHTEST = 3.2  # deg
-_BACKWARDS = np.radians(-35.0)
+_BACKWARDS = np.radians(-20.0)  # mean of the four middle joints; people reach about -10
 
 
 class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -196,7 +196,7 @@ class AngleLayout(Layout[AngleTable]):
                 advice="these are radians: convert them, or set `unit: rad` in a table of your own",
             )
         bends = [i for i, name in enumerate(HUMAN_JOINTS) if name.endswith("PIP_flexion")]
-        backwards = (q[:, bends] < _BACKWARDS).all(axis=1)
+        backwards = q[:, bends].mean(axis=1) < _BACKWARDS
         if backwards.any():
             sample = int(np.argmax(backwards))
             degrees = float(np.degrees(q[sample, bends].mean()))

@@ -201,8 +201,13 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     features[:, 2] = heights[:, 2]
     features[:, 3] = bends.mean(axis=1)
     features[:, 4] = (heights[:, 8::4] - heights[:, 5::4]).mean(axis=1)
-    scores = np.clip(features / _FEATURE_SIZES, -1.0, 1.0)
+    scores = np.minimum(np.maximum(features / _FEATURE_SIZES, -1.0), 1.0)
     return PalmarEvidence(scores[:, :2].sum(axis=1), scores[:, 2], scores[:, 3:].sum(axis=1))
+
+
+def median(values: np.ndarray) -> float:
+    """Return the (upper) median, without the overhead of `np.median` on small arrays."""
+    return float(np.sort(values)[len(values) // 2])
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -17,7 +17,12 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
+from handmap_qp.trackers.hand_geometry import (
+    median,
+    own_distances,
+    own_misfit,
+    palmar_evidence,
+)
 from handmap_qp.trackers.landmark_order import find_order, prepare
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import LANDMARK_COUNT
@@ -28,13 +33,15 @@ Lie = Literal["time", "unit", "order", "side", "flexion", "wrist"]
 """Kinds of mistakes: the unit of time, the unit of length, the order of landmarks, the other hand
 or a mirrored world, fingers that bend backwards, the wrist's orientation."""
 
-_BATCH = 16  # samples
+_BATCH = 16  # samples, while the finding is new
 _BATCH_TIME = 0.25  # s; a slow tracker's batch ends sooner
 _LEAST_BATCH = 8  # samples
+_CALM = 2  # batches after which the finding is no longer new
+_CALM_FACTOR = 2  # of number and time of a batch from then on
 _SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
 _BACKWARDS_BEYOND = -0.45  # of 2 (`PalmarEvidence.fingers`)
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
-_SAME_MISFIT = 0.06  # a misfit that changes by less needs no new search for orders
+_SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
 _REFUSED_SHARE = 0.25  # of a recording's batches
 
 
@@ -59,9 +66,10 @@ class Finding(NamedTuple):
 class InputCheck:
     """Checks one hand's samples as they come.
 
-    Samples are collected into batches of 16, or of a quarter of a second for a slow tracker. Two
-    batches in a row must agree before the finding changes, so one bad sample changes nothing. A
-    sample costs about 15 us on average.
+    Samples are collected into batches of 16, or of a quarter of a second for a slow tracker, and
+    of twice as many once nothing changes any more. Two batches in a row must agree before the
+    finding changes, so one bad sample changes nothing. A sample costs 15 us on average
+    (benchmarks/bench_lies.py).
 
     Args:
         side: The hand that the samples are said to be of.
@@ -75,9 +83,9 @@ class InputCheck:
         prepare()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
-        self._landmarks = np.empty((_BATCH, LANDMARK_COUNT, 3))
-        self._wrists = np.empty((_BATCH, 3, 4))
-        self._times = np.empty(_BATCH)
+        self._landmarks = np.empty((_CALM_FACTOR * _BATCH, LANDMARK_COUNT, 3))
+        self._wrists = np.empty((_CALM_FACTOR * _BATCH, 3, 4))
+        self._times = np.empty(_CALM_FACTOR * _BATCH)
         self.reset()
 
     def reset(self) -> None:
@@ -87,6 +95,7 @@ class InputCheck:
         self._last_time = np.nan
         self._guess: Finding | None = None
         self._batches = 0
+        self._calm = 0
         self._finding: Finding | None = None
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
@@ -117,8 +126,9 @@ class InputCheck:
         elif self._has_wrists:
             self._wrists[k] = wrist[:3]
         self._count = k + 1
-        if self._count == _BATCH or (
-            self._count >= _LEAST_BATCH and time - self._times[0] >= _BATCH_TIME
+        factor = _CALM_FACTOR if self._calm >= _CALM else 1
+        if self._count == factor * _BATCH or (
+            self._count >= factor * _LEAST_BATCH and time - self._times[0] >= factor * _BATCH_TIME
         ):
             self._judge()
         return self._finding
@@ -146,7 +156,9 @@ class InputCheck:
         self._has_wrists = True
         guess = self._examine(times, self._landmarks[:count], wrists)
         # Two batches in a row must agree that something is wrong, or that nothing is.
-        if (guess is None) == (self._guess is None) and self._batches > 1:
+        is_same = (guess is None) == (self._guess is None) and self._batches > 1
+        self._calm = self._calm + 1 if is_same else 0
+        if is_same:
             self._finding = guess
         self._guess = guess
 
@@ -158,26 +170,27 @@ class InputCheck:
             return Finding("time", *unit)
         # Trackers send the same point 21 times where they lost the hand: that is no mistake of
         # units or order, and has rules of its own.
-        is_hand = np.ptp(landmarks, axis=1).max(axis=1) > 1e-9
+        is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
         if not is_hand.all():
             landmarks, wrists = landmarks[is_hand], None if wrists is None else wrists[is_hand]
             if not len(landmarks):
                 return None
         distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
         misfit = own_misfit(distances)
-        total = self._sign * float(np.median(evidence.total))
-        is_known = abs(misfit - self._misfit) < _SAME_MISFIT and total > _SURE_SIDE
+        total = self._sign * median(evidence.total)
+        is_known = misfit < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         guess = None if is_known else find_order(landmarks, self._sign, total)
         if unit := find_length_unit(landmarks, distances, is_hand=guess is None):
             return Finding("unit", *unit)
         if guess is not None:
             return self._order_finding(guess.name)
-        fingers = self._sign * float(np.median(evidence.fingers))
+        fingers = self._sign * median(evidence.fingers)
         if fingers < _BACKWARDS_BEYOND and total - fingers > _OTHERWISE_RIGHT:
             return _BACKWARDS
         if total < -_SURE_SIDE:
             return self._other_side()
-        self._misfit = misfit
+        if not is_known:
+            self._misfit = misfit
         if wrists is not None and (mistake := self._wrist.examine(landmarks, wrists)):
             return Finding("wrist", *mistake)
         return None

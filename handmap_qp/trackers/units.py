@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handmap_qp.trackers.hand_geometry import MIDDLE_FINGER, Distances
+from handmap_qp.trackers.hand_geometry import MIDDLE_FINGER, Distances, median
 
 STEPS = (4e-4, 0.5)
 """Shortest and longest median time between samples [s]: from 2500 Hz to 2 Hz."""
@@ -27,7 +27,7 @@ def find_time_unit(times: np.ndarray) -> tuple[str, str] | None:
     """
     if len(times) < 2:
         return None
-    step = float(np.median(np.diff(times)))
+    step = median(times[1:] - times[:-1])
     low, high = STEPS
     if step <= 0.0 or low <= step <= high:
         return None

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from handmap_qp.trackers.hand_geometry import cross
+from handmap_qp.trackers.hand_geometry import cross, median
+from handmap_qp.transform import nearest_rotation
 
 _X, _Y, _Z = np.eye(3)
 
@@ -86,7 +87,7 @@ class WristCheck:
         Returns:
             Problem and advice; None if they belong together.
         """
-        apart = float(np.median(_lengths(wrists[:, :, 3] - landmarks[:, 0])))
+        apart = median(_lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
             return problem, "give both in metres and in the same world"
@@ -114,8 +115,7 @@ class WristCheck:
 def _mean_relative(palms: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the mean rotation from wrist to palm, and the cosine of the usual angle from it."""
     relative = np.einsum("tji,tjk->tik", palms, rotations)
-    u, _, vt = np.linalg.svd(relative.mean(axis=0))
-    mean = (u * (1.0, 1.0, np.linalg.det(u @ vt))) @ vt
+    mean = nearest_rotation(relative.sum(axis=0))
     cosines = (np.einsum("tik,ik->t", relative, mean) - 1.0) / 2.0
     return mean, float(np.sort(cosines)[len(cosines) // 4])
 

@@ -1,0 +1,182 @@
+"""Which mistakes in recordings are found within a second, and how often a good one is refused.
+
+Every mistake of `lies.py` is put into every recording, and into motions of the human model. Windows
+of one second that start every quarter of a second are given to the check that `handmap map` and the
+service use, sample by sample. A mistake counts as found if the check reports anything, and as named
+if it reports the right kind. Windows that a mistake hardly changes are left out
+(`lies.is_visible`).
+"""
+
+from __future__ import annotations
+
+import common
+
+# isort: split
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import lies
+import numpy as np
+
+from handmap_qp import InvalidInputError, read_recording
+from handmap_qp.trackers.layout import load_layout
+from handmap_qp.trackers.plausibility import InputCheck
+
+WINDOW = 1.0  # s
+EVERY = 0.25  # s
+LEAST_SAMPLES = 12  # of a window, so that it is none of a tracker that lost the hand
+
+
+def read_takes(files: Sequence[Path]) -> list[lies.Take]:
+    """Read the valid samples of recordings."""
+    takes = []
+    for file in files:
+        recording = read_recording(file)
+        seen = recording.valid
+        wrist = recording.wrist
+        poses = np.tile(np.eye(4), (len(recording), 1, 1)) if wrist is None else wrist
+        takes.append(
+            lies.Take(
+                recording.name,
+                recording.time[seen],
+                recording.landmarks[seen],
+                poses[seen],
+                recording.side,
+            )
+        )
+    return takes
+
+
+def windows(take: lies.Take, every: float) -> list[lies.Take]:
+    """Return the windows of a take that have enough samples."""
+    starts = np.arange(take.time[0], take.time[-1] - WINDOW + 1e-9, every)
+    parts = [take.part(float(start), WINDOW) for start in starts]
+    return [part for part in parts if len(part.time) >= LEAST_SAMPLES]
+
+
+def judge(take: lies.Take) -> str:
+    """Return the kind of mistake that the check reports within a window; empty for none."""
+    check = InputCheck(take.side)
+    for time, landmarks, wrist in zip(take.time, take.landmarks, take.wrist, strict=True):
+        if finding := check.update(time, landmarks, wrist):
+            return finding.lie
+    finding = check.finish()
+    return "" if finding is None else finding.lie
+
+
+def measure(
+    takes: Sequence[lies.Take], every: float, advance: Callable[[], None]
+) -> list[dict[str, Any]]:
+    """Return a row for no mistake and for each mistake, with a share for every take [%]."""
+    truth = lies.Lie("none (false alarms)", "", lambda take: take)
+    parts = {take.name: windows(take, every) for take in takes}
+    rows = []
+    for lie in (truth, *lies.all_lies()):
+        row: dict[str, Any] = {"mistake": lie.name}
+        found = named = total = 0
+        for name, own in parts.items():
+            told = [judge(lie.tell(part)) for part in own if lies.is_visible(lie, part)]
+            row[name] = 100.0 * np.mean([bool(kind) for kind in told]) if told else float("nan")
+            found += sum(bool(kind) for kind in told)
+            named += sum(kind == lie.kind for kind in told)
+            total += len(told)
+            advance()
+        row |= {"windows": total, "found %": 100.0 * found / max(total, 1)}
+        row["named %"] = float("nan") if lie is truth else 100.0 * named / max(total, 1)
+        rows.append(row)
+    return rows
+
+
+def measure_angles(files: Sequence[Path], every: float) -> list[dict[str, Any]]:
+    """Do the same with the joint angles that recordings hold, read by layouts of angles."""
+    mistakes: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+        "none, radians": ("angles20", lambda q: q),
+        "none, degrees": ("own in degrees", np.degrees),
+        "degrees for radians": ("angles20", np.degrees),
+        "radians for degrees": ("own in degrees", lambda q: q),
+        "flexion with the other sign": ("angles20", lambda q: -q),
+    }
+    layouts = {"angles20": load_layout("angles20"), "own in degrees": lies.angles_in_degrees()}
+    rows = []
+    for mistake, (name, tell) in mistakes.items():
+        refused = total = 0
+        for file in files:
+            arrays = np.load(file)
+            if "angles20" not in arrays:
+                continue
+            q, time = arrays["angles20"].astype(float), arrays["time"]
+            seen = np.isfinite(q).all(axis=1)
+            for start in np.arange(time[0], time[-1] - WINDOW, every):
+                inside = seen & (time >= start) & (time < start + WINDOW)
+                bent = np.degrees(q[inside][:, [6, 10, 14, 18]]).mean(axis=1)
+                # A straight finger has no sign.
+                if inside.sum() < LEAST_SAMPLES or (
+                    mistake.startswith("flexion") and bent.max() < 25.0
+                ):
+                    continue
+                total += 1
+                try:
+                    layouts[name].record("window", time[inside], tell(q[inside]), "right")
+                except InvalidInputError:
+                    refused += 1
+        rows.append(
+            {"angles": mistake, "windows": total, "refused %": 100.0 * refused / max(total, 1)}
+        )
+    return rows
+
+
+def cost(take: lies.Take) -> float:
+    """Return the CPU time of the check per sample, over a whole take [us]."""
+    check = InputCheck(take.side)
+    samples = list(zip(take.time, take.landmarks, take.wrist, strict=True))
+    return 1e6 * float(common.cpu_times(lambda i: check.update(*samples[i]), len(samples)).mean())
+
+
+def draw(rows: Sequence[dict[str, Any]], takes: Sequence[lies.Take]) -> Any:
+    """Draw the table as a picture: a cell for each mistake and take."""
+    from matplotlib.figure import Figure
+
+    shares = np.array([[row[take.name] for take in takes] for row in rows])
+    figure = Figure(figsize=(1.6 + 0.85 * len(takes), 1.2 + 0.3 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(shares, cmap="YlGn", vmin=0.0, vmax=100.0, aspect="auto")
+    axes.set_yticks(range(len(rows)), [row["mistake"] for row in rows])
+    names = [take.name.replace("_", "\n").replace(" ", "\n") for take in takes]
+    axes.set_xticks(range(len(takes)), names, fontsize=7)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    for (i, k), share in np.ndenumerate(shares):
+        text = (
+            "" if np.isnan(share) else f"{share:.0f}" if share in (0.0, 100.0) else f"{share:.1f}"
+        )
+        axes.text(k, i, text, ha="center", va="center", fontsize=7)
+    axes.set_title("share of one-second windows in which a mistake is found [%]")
+    return figure
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    parser = common.make_parser(__doc__.partition("\n")[0])
+    arguments = common.parse_arguments(parser, words)
+    files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
+    takes = [*read_takes(files), *lies.synthetic_takes()[: 1 if arguments.quick else None]]
+    every = 4.0 * EVERY if arguments.quick else EVERY
+    with common.progress("mistakes", (1 + len(lies.all_lies())) * len(takes)) as advance:
+        rows = measure(takes, every, advance)
+    angles = measure_angles(files, every)
+    costs = [{"take": take.name, "us per sample": cost(take)} for take in takes]
+    to_stderr = arguments.json == "-"
+    caption = f"windows of {WINDOW:g} s, one every {every:g} s; shares in %"
+    common.print_table("Mistakes found", rows, to_stderr=to_stderr, caption=caption)
+    common.print_table("Mistakes in joint angles", angles, to_stderr=to_stderr)
+    common.print_table("CPU time of the check", costs, to_stderr=to_stderr)
+    results = {"rows": rows, "angles": angles, "costs": costs}
+    common.write_json(arguments.json, "bench_lies", results)
+    common.save_picture(arguments.picture, lambda: draw(rows, takes))
+
+
+if __name__ == "__main__":
+    main()
