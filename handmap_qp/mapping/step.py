@@ -15,6 +15,7 @@ from handmap_qp.mapping.method import Targets
 from handmap_qp.mapping.methods.homogeneous import HomogeneousDiagnostics
 from handmap_qp.mapping.transfer import Transfer
 from handmap_qp.trackers.guard import Rule, Verdict
+from handmap_qp.trackers.plausibility import Finding
 
 StepStatus = Status | Literal["held", "gliding"]
 """Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""
@@ -76,6 +77,11 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     def rule(self) -> Rule:
         """Name of what is wrong with the sample (`trackers.guard.RULES`); empty if nothing."""
         return "" if self.verdict is None else self.verdict.rule
+
+    @property
+    def finding(self) -> Finding | None:
+        """What the input is instead of what it says, with advice; None if it is plausible."""
+        return None if self.verdict is None else self.verdict.finding
 
     @property
     def consistency(self) -> float:

@@ -17,6 +17,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.trackers.clock import SampleClock, Tick
 from handmap_qp.trackers.landmarks import PALM, PalmShape
+from handmap_qp.trackers.plausibility import Finding, InputCheck
 from handmap_qp.trackers.sample import HumanSample
 from handmap_qp.transform import determinant, nearest_rotation, svd3
 
@@ -34,6 +35,12 @@ Rule = Literal[
     "duplicate",
     "disorder",
     "clock_jump",
+    "time",
+    "unit",
+    "order",
+    "side",
+    "flexion",
+    "wrist",
 ]
 """Name of what is wrong with a sample; empty if nothing is."""
 
@@ -50,6 +57,12 @@ RULES: dict[Rule, str] = {
     "duplicate": "the time stamp is the same as that of the sample before",
     "disorder": "the time stamp is earlier than that of the sample before",
     "clock_jump": "the tracker's clock was set; the hand is where it was and is followed",
+    "time": "for a while: time stamps are not in seconds",
+    "unit": "for a while: landmarks are not in metres",
+    "order": "for a while: landmarks are in another order",
+    "side": "for a while: landmarks are those of the other hand, or of a mirrored world",
+    "flexion": "for a while: fingers bend backwards",
+    "wrist": "for a while: the wrist's orientation does not follow the palm of the landmarks",
 }
 """The rules, in words."""
 
@@ -118,6 +131,8 @@ class Verdict(NamedTuple):
         dt: Time that the sample accounts for [s].
         consistency: RMS difference of the distances that cannot change (bones, and neighbours in
             the palm) from the person's [m]; NaN if there are no landmarks.
+        finding: What the input is instead of what it says, in words, where the last samples agree
+            that it is something else (`trackers.plausibility`).
     """
 
     rule: Rule
@@ -125,6 +140,7 @@ class Verdict(NamedTuple):
     is_return: bool
     dt: float
     consistency: float
+    finding: Finding | None = None
 
 
 class _Track(NamedTuple):
@@ -225,6 +241,7 @@ class StreamGuard:
 
     def __init__(self, human: Hand) -> None:
         self.state = GuardState()
+        self._input = InputCheck(human.side)
         self._side = human.side
         self._palm = PalmShape(human)
         points = human.with_points("landmarks").points(human.rest)
@@ -257,10 +274,17 @@ class StreamGuard:
             self.state = state
             return Verdict(tick.rule, True, False, tick.dt, math.nan)
         unusable = self._unusable(sample)
+        if unusable in ("", "size"):
+            finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
+            if finding is not None:
+                self.state = _holding(state, finding.lie)
+                return Verdict(finding.lie, True, False, tick.dt, math.nan, finding)
         if unusable:
             self.state = _holding(state, unusable)
             return Verdict(unusable, True, False, tick.dt, math.nan)
         verdict, self.state = self._follow(sample.landmarks, state, tick)
+        if self.state.cause and not state.cause:
+            self._input.alert()
         return verdict
 
     def _unusable(self, sample: HumanSample) -> Rule:

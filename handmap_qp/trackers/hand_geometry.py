@@ -134,6 +134,14 @@ def own_misfit(distances: Distances) -> float:
     return float(_misfits(distances.medians, distances.spreads))
 
 
+def shape_misfit(distances: Distances) -> float:
+    """Return the misfit of landmarks in our order by proportions alone, without rigidity.
+
+    Noise makes bones look soft, and leaves their median lengths.
+    """
+    return float(_misfits(distances.medians, np.zeros_like(distances.spreads)))
+
+
 def misfits_of_orders(distances: Distances, orders: np.ndarray) -> np.ndarray:
     """Tell how badly landmarks fit a hand, for several orders.
 

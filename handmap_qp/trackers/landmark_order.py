@@ -9,7 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.trackers.hand_geometry import all_distances, misfits_of_orders, palmar_evidence
+from handmap_qp.trackers.hand_geometry import (
+    all_distances,
+    misfits_of_orders,
+    own_distances,
+    palmar_evidence,
+    shape_misfit,
+)
 from handmap_qp.trackers.layout import all_layouts
 from handmap_qp.trackers.point_layout import PointLayout
 from handmap_qp.trackers.sample import LANDMARK_COUNT
@@ -66,7 +72,7 @@ def find_order(landmarks: np.ndarray, sign: float, own_evidence: float) -> Order
         evidence = sign * float(np.median(palmar_evidence(landmarks[:, orders[k]]).total))
         if evidence > min(-_CONTRADICTION, own_evidence):
             return OrderGuess(names[k], own, float(misfits[k]))
-    if own > _NO_HAND:
+    if shape_misfit(own_distances(landmarks)) > _NO_HAND:
         best = int(misfits.argmin())
         name = names[best] if misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY) else ""
         return OrderGuess(name, own, float(misfits[best]))

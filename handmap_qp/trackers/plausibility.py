@@ -38,6 +38,8 @@ _BATCH_TIME = 0.25  # s; a slow tracker's batch ends sooner
 _LEAST_BATCH = 8  # samples
 _CALM = 2  # batches after which the finding is no longer new
 _CALM_FACTOR = 2  # of number and time of a batch from then on
+_ALERT_BATCH = 6  # least number of samples, after `alert`
+_ALERT_TIME = 0.19  # s; two such batches are shorter than the guard's hold after a flip
 _SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
 _BACKWARDS_BEYOND = -0.45  # of 2 (`PalmarEvidence.fingers`)
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
@@ -126,12 +128,26 @@ class InputCheck:
         elif self._has_wrists:
             self._wrists[k] = wrist[:3]
         self._count = k + 1
-        factor = _CALM_FACTOR if self._calm >= _CALM else 1
-        if self._count == factor * _BATCH or (
-            self._count >= factor * _LEAST_BATCH and time - self._times[0] >= factor * _BATCH_TIME
-        ):
+        if self._is_complete():
             self._judge()
         return self._finding
+
+    def alert(self) -> None:
+        """Judge the next samples by themselves and soon: something has changed."""
+        self._count = 0
+        self._has_wrists = True
+        self._calm = -_CALM
+
+    def _is_complete(self) -> bool:
+        """Tell whether a batch is complete."""
+        count = self._count
+        duration = self._times[count - 1] - self._times[0]
+        if self._calm < 0 or self._finding is not None:
+            return count == _BATCH or (count >= _ALERT_BATCH and duration >= _ALERT_TIME)
+        factor = _CALM_FACTOR if self._calm >= _CALM else 1
+        return count == factor * _BATCH or (
+            count >= factor * _LEAST_BATCH and duration >= factor * _BATCH_TIME
+        )
 
     def finish(self) -> Finding | None:
         """Judge the samples that are left, at the end of a recording.
@@ -157,7 +173,7 @@ class InputCheck:
         guess = self._examine(times, self._landmarks[:count], wrists)
         # Two batches in a row must agree that something is wrong, or that nothing is.
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
-        self._calm = self._calm + 1 if is_same else 0
+        self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
         if is_same:
             self._finding = guess
         self._guess = guess
@@ -177,14 +193,14 @@ class InputCheck:
                 return None
         distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
         misfit = own_misfit(distances)
-        total = self._sign * median(evidence.total)
+        total = median(self._sign * evidence.total)
         is_known = misfit < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         guess = None if is_known else find_order(landmarks, self._sign, total)
         if unit := find_length_unit(landmarks, distances, is_hand=guess is None):
             return Finding("unit", *unit)
         if guess is not None:
             return self._order_finding(guess.name)
-        fingers = self._sign * median(evidence.fingers)
+        fingers = median(self._sign * evidence.fingers)
         if fingers < _BACKWARDS_BEYOND and total - fingers > _OTHERWISE_RIGHT:
             return _BACKWARDS
         if total < -_SURE_SIDE:

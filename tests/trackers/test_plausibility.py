@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_qp import InvalidInputError, Recording, read_recording
+from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand, read_recording
 from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
 from handmap_qp.trackers.plausibility import (
     Finding,
@@ -21,6 +21,7 @@ from handmap_qp.trackers.plausibility import (
     check_recording,
     examine_recording,
 )
+from handmap_qp.trackers.sample import HumanSample
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -150,3 +151,24 @@ def test_a_session_can_start_again(take: Any) -> None:
     assert check.finding is None
     with pytest.raises(InvalidInputError):
         InputCheck("both")  # type: ignore[arg-type]
+
+
+def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:
+    human = load_hand("human_left", points="landmarks", hand_length=0.185)
+    mapper = HandMapper(human, load_hand("allegro_left"))
+    steps = []
+    for i, time in enumerate(take.time[:240]):
+        is_wrong = 0.5 <= time < 2.0
+        landmarks = take.landmarks[i] * ((-1.0, 1.0, 1.0) if is_wrong else (1.0, 1.0, 1.0))
+        steps.append(mapper.map_sample(HumanSample(float(time), "left", landmarks)))
+    rules = np.array([step.rule for step in steps])
+    time = take.time[:240]
+    # The guard holds a flipped hand for half a second at first; from then on it is known.
+    assert (rules[(time > 1.3) & (time < 1.99)] == "side").all()
+    assert all(step.is_held for step, t in zip(steps, time, strict=True) if 0.5 <= t < 2.0)
+    finding = steps[105].finding
+    assert finding is not None
+    assert "right hand" in str(finding)
+    assert not steps[-1].is_held
+    assert steps[-1].finding is None
+    assert steps[10].finding is None
