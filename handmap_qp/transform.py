@@ -253,6 +253,27 @@ def rigid_fit(
     return affine(rotation, centre_onto - rotation @ centre)
 
 
+def rigid_fits(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit the rotation and translation that best lay each of many sets of points onto another one.
+
+    As `rigid_fit` of each, in one decomposition of all; not checked.
+
+    Args:
+        points: Sets of points [m], shape (T, n, 3), finite.
+        onto: Where the points of every set should come to lie [m], shape (n, 3).
+
+    Returns:
+        Rotations, shape (T, 3, 3), and translations [m], shape (T, 3).
+    """
+    centres, centre_onto = points.mean(axis=1), onto.mean(axis=0)
+    covariances = (onto - centre_onto).T @ (points - centres[:, None])
+    left, _, right = np.linalg.svd(covariances)
+    # Proper rotations, as `nearest_rotation` has them.
+    left[np.linalg.det(left @ right) < 0.0, :, 2] *= -1.0
+    rotations = left @ right
+    return rotations, centre_onto - (rotations @ centres[:, :, None])[:, :, 0]
+
+
 def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
     """Compose a rotation from roll, pitch and yaw as in a URDF: `Rz(yaw) Ry(pitch) Rx(roll)`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -221,13 +222,12 @@ def _reach(
 ) -> tuple[float, np.ndarray]:
     """Largest distance from knuckle to tip within the limits, and where: random search, refined."""
     data, model = hand.model.createData(), hand.model
-    moving = moving_columns(hand, joints)
+    moving, vector = moving_columns(hand, joints), _stretched(hand)
 
     def distance(q: np.ndarray) -> float:
-        place_robot(hand, data, q, None)
-        return float(
-            np.linalg.norm(data.oMi[tip[0]].act(tip[1]) - data.oMi[knuckle[0]].act(knuckle[1]))
-        )
+        hand.write_configuration(vector, q)
+        pin.forwardKinematics(model, data, vector)
+        return math.dist(data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1]))
 
     best_q = np.clip(0.0, hand.lower_limits, hand.upper_limits)
     best = distance(best_q)
@@ -246,7 +246,7 @@ def _reach(
         for i, column in enumerate(moving):
             for sign in (-1.0, 1.0):
                 q = best_q.copy()
-                q[column] = np.clip(q[column] + sign * step[i], low[i], high[i])
+                q[column] = min(max(q[column] + sign * step[i], low[i]), high[i])
                 if (d := distance(q)) > best + 1e-9:
                     best, best_q, improved = d, q, True
         if not improved:

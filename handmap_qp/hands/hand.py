@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -107,13 +108,13 @@ class Hand:
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
-        self.reference_points = _choose_points(spec, points)
+        chosen = _choose_points(spec, points)
         self._file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
         self.urdf_text, locked = compose_urdf(spec, self._file_text, arm_text)
         rules = mimic_rules(spec, self.urdf_text)
         followers = tuple(rule.follower for rule in rules)
-        self.model = build_model(spec, self.urdf_text, self.mount, followers)
+        self.model = model = build_model(spec, self.urdf_text, self.mount, followers)
         self.joint_names = spec.all_joints
         self.all_joint_names = (*self.joint_names, *followers, *locked)
         self.all_joint_roles = (
@@ -126,20 +127,21 @@ class Hand:
         joints = expansion_matrix((*self.joint_names, *followers), self.joint_names, rules)
         self._expansion = Expansion(_frozen(joints.matrix), _frozen(joints.offset))
         self.expansion = self._tangent_expansion() if rules else None
-        self.notes = tighten_model(self.model, rules)
+        self.notes = tighten_model(model, rules)
         for note in self.notes:
             warnings.warn(f"{self.name}: {note}", stacklevel=2)
-        self.lower_limits = _frozen(self.model.lowerPositionLimit[self.q_indices])
-        self.upper_limits = _frozen(self.model.upperPositionLimit[self.q_indices])
-        self.velocity_limits = _frozen(self.model.velocityLimit[self.v_indices])
+        self.lower_limits = _frozen(model.lowerPositionLimit[self.q_indices])
+        self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
+        self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         self.rest = _frozen([spec.all_rest[name] for name in self.joint_names])
         matched = spec.all_matched
         self.matched = None if matched is None else _frozen([matched[n] for n in self.joint_names])
         postures = {"rest": self.rest} | ({} if self.matched is None else {"matched": self.matched})
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, *limits, postures)
-        self._add_frames()
-        self._scratch = self.configuration()
+        self._add_wrist_and_palm()
+        self._pointless_model = model
+        self._take_points(chosen)
 
     @property
     def is_floating(self) -> bool:
@@ -170,7 +172,10 @@ class Hand:
             HandError: If there is no such set or point.
             InvalidInputError: If it is something else than names and points.
         """
-        return Hand(self.spec, points=points, mount=self.mount, urdf_text=self._file_text)
+        # All but the model is read-only, so both hands share it.
+        hand = copy(self)
+        hand._take_points(_choose_points(self.spec, points))
+        return hand
 
     def configuration(self) -> Configuration:
         """Return a new workspace for this hand, for one user at a time."""
@@ -362,8 +367,8 @@ class Hand:
         )
         return Expansion(_frozen(matrix), _frozen(offset))
 
-    def _add_frames(self) -> None:
-        """Add palm, wrist and reference points to the model, the points as its last frames."""
+    def _add_wrist_and_palm(self) -> None:
+        """Add frames of wrist and palm to the model."""
         model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links; Pinocchio does not add a frame whose
         # name and kind exist already, so points carry their number too.
@@ -373,19 +378,24 @@ class Hand:
         self.wrist_frame_id = add_frame(
             model, spec, "/wrist", spec.wrist.link, np.eye(4), "wrist.link"
         )
-        self._frame_ids = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
-        self.first_point_frame = len(model.frames)
-        for i, point in enumerate(self.reference_points):
-            placement = affine(np.eye(3), np.array(point.xyz))
-            frame = add_frame(
-                model, spec, f"/{i}/{point.name}", point.link, placement, f"points[{i}].link"
-            )
-            self._frame_ids.setdefault(point.name, frame)
-        self.point_weights = _frozen([point.weight for point in self.reference_points])
         check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
         self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
         palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
         self.wrist_to_palm = _frozen(palm.homogeneous)
+
+    def _take_points(self, points: tuple[PointSpec, ...]) -> None:
+        """Use reference points: they are the last frames of a model of their own."""
+        self.model = model = pin.Model(self._pointless_model)
+        self._frame_ids = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
+        self.first_point_frame = len(model.frames)
+        for i, point in enumerate(points):
+            placement = affine(np.eye(3), np.array(point.xyz))
+            name, key = f"/{i}/{point.name}", f"points[{i}].link"
+            frame = add_frame(model, self.spec, name, point.link, placement, key)
+            self._frame_ids.setdefault(point.name, frame)
+        self.reference_points = points
+        self.point_weights = _frozen([point.weight for point in points])
+        self._scratch = self.configuration()
 
     def _find_frame(self, name: str) -> int:
         _check_type("frame", name, str, "the name of a frame")

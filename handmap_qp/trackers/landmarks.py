@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -21,7 +22,7 @@ from handmap_qp.hands.spec import PointSpec, Side, check_side
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.trackers.recording import LANDMARK_COUNT, HumanMotion, Recording
-from handmap_qp.transform import as_floats, rigid_fit
+from handmap_qp.transform import as_floats, frozen, rigid_fit, rigid_fits
 
 PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
@@ -229,8 +230,7 @@ def measure_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    right = load_hand("human", points="landmarks")
-    palm = right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM]
+    palm = _standard_palm()
     # Generalised Procrustes: lay every sample on the median shape, then take the median again.
     # Three rounds are enough to converge.
     for _ in range(3):
@@ -340,6 +340,13 @@ def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
     )
 
 
+@cache
+def _standard_palm() -> np.ndarray:
+    """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
+    right = load_hand("human", points="landmarks")
+    return frozen(right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM])
+
+
 def _palm_sizes(palms: np.ndarray) -> np.ndarray:
     """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
@@ -348,5 +355,5 @@ def _palm_sizes(palms: np.ndarray) -> np.ndarray:
 
 def _lay_on(landmarks: np.ndarray, palm: np.ndarray) -> np.ndarray:
     """Move each sample, shape (T, 21, 3), rigidly so that its palm lies on `palm` (5, 3)."""
-    poses = np.array([rigid_fit(sample[PALM], palm) for sample in landmarks])
-    return landmarks @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
+    rotations, translations = rigid_fits(landmarks[:, PALM], palm)
+    return landmarks @ rotations.transpose(0, 2, 1) + translations[:, None]

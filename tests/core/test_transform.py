@@ -35,6 +35,7 @@ from handmap_qp.transform import (
     pose_from_xyz_quat,
     quat_wxyz_from_rotation,
     rigid_fit,
+    rigid_fits,
     rotation_from_quat_wxyz,
     rotation_from_rpy,
     rpy_from_rotation,
@@ -169,6 +170,16 @@ def test_a_rigid_fit_of_moved_points_is_the_motion(
     fitted = rigid_fit(points, transform_points(pose, points), weights)
     # Points may be a millimetre wide in one direction, metres away from the origin.
     np.testing.assert_allclose(fitted, pose, atol=1e-8)
+
+
+@given(generators, st.integers(3, 6))
+def test_fits_of_many_sets_are_those_of_each(generator: np.random.Generator, count: int) -> None:
+    onto, points = generator.normal(size=(count, 3)), generator.normal(size=(20, count, 3))
+    rotations, translations = rigid_fits(points, onto)
+    for rotation, translation, one in zip(rotations, translations, points, strict=True):
+        expected = rigid_fit(one, onto)
+        np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(translation, expected[:3, 3], atol=1e-9)
 
 
 @given(generators, st.integers(3, 8))
