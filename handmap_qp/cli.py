@@ -112,6 +112,11 @@ COMMANDS: dict[str, _Place] = {
     "track replay": _Place(
         "live.cli", "TrackReplay", "Play a recording as if it were live, with faults if wanted."
     ),
+    "track mediapipe": _Place(
+        "live.cli",
+        "TrackMediapipe",
+        "Track a hand in a camera's picture or a video file with MediaPipe.",
+    ),
     "track record": _Place(
         "live.cli", "TrackRecord", "Record the human samples that lead a session of the service."
     ),

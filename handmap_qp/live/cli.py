@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import tyro
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.presets import PresetName
 from handmap_qp.tables import print_table
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _REPORT_PERIOD = 0.2
 """Period of the line that shows the present state [s]."""
 
-_RARE = ("not_in_order", "hand_lost", "flags", "refusals", "unanswered", "reopened")
+_RARE = ("not_in_order", "hand_lost", "flags", "refusals", "last_refusal", "unanswered", "reopened")
 """Rows of the table that are left out if there is nothing to count."""
 
 
@@ -96,10 +97,9 @@ class Target:
                 sample, or the file cannot be written.
         """
         summary = _lead(source, self._sinks(source), is_json=self.json)
-        # A sample without a hand is answered too.
-        if summary.get("refusals") and summary["commands"] <= summary["hand_lost"]:
+        if summary.get("refusals") and not summary["accepted"]:
             raise InvalidInputError(
-                problem=f"the service refused every sample: {next(iter(summary['refusals']))}"
+                problem=f"the service refused every sample: {summary['last_refusal']}"
             )
 
     def _sinks(self, source: Source) -> list[Sink]:
@@ -175,6 +175,59 @@ class TrackReplay:
                 seed=self.seed,
             )
         )
+
+
+@dataclass(frozen=True)
+class TrackMediapipe:
+    """Track a hand in a camera's picture or a video file with MediaPipe.
+
+    MediaPipe needs an older numpy, so it runs in an environment of its own: make it once by
+    --install (1 GB). A video is played at its own speed, or as fast as possible with --record
+    alone. The hand's distance follows from the camera's field of view.
+
+    Examples:
+        handmap track mediapipe --install
+        handmap track mediapipe --camera 0 --to 127.0.0.1 --robot allegro_right
+        handmap track mediapipe --video hand.mp4 --side left --record hand.npz
+
+    Attributes:
+        camera: Number of the camera.
+        video: Video file in place of a camera.
+        side: The hand to track.
+        mirrored: The pictures are mirrored, as a selfie's are.
+        fov: Horizontal field of view of the camera [deg].
+        install: Make the environment of MediaPipe, and end.
+        target: Where the samples go.
+    """
+
+    camera: int = 0
+    video: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the camera)")
+    ] = None
+    side: Side = "right"
+    mirrored: bool = False
+    fov: float = 65.0
+    install: bool = False
+    target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
+
+    def run(self) -> None:
+        """Track until the video ends or Ctrl-C."""
+        from handmap_qp.live.mediapipe_environment import install_environment
+        from handmap_qp.live.mediapipe_source import MediapipeSource
+
+        if self.install:
+            print(f"MediaPipe is ready in {install_environment(print)}")
+            return
+        self.target.check()
+        source = MediapipeSource(
+            camera=self.camera,
+            video=self.video,
+            side=self.side,
+            fov=self.fov,
+            is_mirrored=self.mirrored,
+            is_paced=self.target.to is not None,
+        )
+        self.target.lead(source)
 
 
 @dataclass(frozen=True)

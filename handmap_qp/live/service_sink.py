@@ -74,6 +74,8 @@ class ServiceSink:
         self._statuses: Counter[str] = Counter()
         self._flags: Counter[str] = Counter()
         self._refusals: Counter[str] = Counter()
+        self._refusal = ""
+        self._accepted = 0
         self._command: Command | None = None
         self._heard = self._told = time.monotonic()
 
@@ -101,8 +103,7 @@ class ServiceSink:
         if silence > _SILENCE:
             return f"{self._robot}: no answer for {silence:.0f} s"
         if command is None:
-            refusal = f", {next(iter(self._refusals))}" if self._refusals else ""
-            return f"{self._robot}: waiting{refusal}"
+            return f"{self._robot}: {self._refusal or 'waiting'}"
         flags = f" ({', '.join(command.flags)})" if command.flags else ""
         return f"{self._robot}: {command.status}{flags}"
 
@@ -114,9 +115,11 @@ class ServiceSink:
             "sent": self._sent,
             "hand_lost": self._lost,
             "commands": sum(self._statuses.values()),
+            "accepted": self._accepted,
             "statuses": dict(self._statuses),
             "flags": dict(self._flags),
             "refusals": dict(self._refusals),
+            "last_refusal": self._refusal,
             "unanswered": self._unanswered,
             "reopened": self._client.reopened,
         }
@@ -161,7 +164,7 @@ class ServiceSink:
             self._sent += 1
             self._told = time.monotonic()
         except ServiceError as error:
-            self._refusals[str(error)] += 1
+            self._note_refusal(error)
         except (ServiceTimeoutError, zmq.ZMQError):
             # The service is gone; `status` says so, and the next sample tries again.
             self._unanswered += 1
@@ -171,7 +174,7 @@ class ServiceSink:
         try:
             command = self._client.latest(timeout)
         except ServiceError as error:
-            self._refusals[str(error)] += 1
+            self._note_refusal(error)
             self._heard = time.monotonic()
             return
         if command is None:
@@ -180,6 +183,13 @@ class ServiceSink:
         if "watchdog" not in command.flags:
             self._statuses[command.status] += 1
             self._flags.update(command.flags)
+            self._accepted += not command.rule
+
+    def _note_refusal(self, error: ServiceError) -> None:
+        """Count a refusal by code and field; keep its text."""
+        code, field = error.error.code, error.error.field.partition("[")[0]
+        self._refusals[f"{code} {field}".strip()] += 1
+        self._refusal = str(error)
 
     def _asked(self, call: Callable[[], _T]) -> _T:
         """Call the service; report a failure as an error of `--to`."""

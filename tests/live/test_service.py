@@ -63,11 +63,12 @@ def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path
 
 def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(server: Server, person: Person) -> None:
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
+    session = next(iter(server.dispatcher.sessions.entries.values())).session
     summary = run(
         Replay(moving_hand(), faults=parse_faults("dropout@0.3+0.4,silence@0.8+0.05")), [sink]
     )
-    # 0.4 s without a sample is more than the watchdog's 0.25 s.
-    assert summary["flags"]["resumed"] == 1
+    # 0.4 s without a hand is more than the watchdog's 0.25 s.
+    assert session.counts["watchdog"] >= 1
     assert summary["hand_lost"] == pytest.approx(25, abs=2)
     assert summary["sent"] == summary["samples"]
 
@@ -77,7 +78,9 @@ def test_samples_that_are_no_hand_are_refused_and_counted(server: Server, person
     summary = run(Replay(moving_hand(), faults=parse_faults("noise@0.5+9:1")), [sink])
     assert sum(summary["refusals"].values()) > 0
     assert summary["commands"] > 0
-    assert "landmarks" in next(iter(summary["refusals"]))
+    assert list(summary["refusals"]) == ["invalid landmarks"]
+    assert "expected metres" in summary["last_refusal"]
+    assert summary["accepted"] > 0
 
 
 def test_a_lost_session_is_opened_again(server: Server, person: Person) -> None:
@@ -89,7 +92,7 @@ def test_a_lost_session_is_opened_again(server: Server, person: Person) -> None:
             sink.put(sample)
     summary = sink.summary()
     assert summary["reopened"] == 1
-    assert summary["commands"] > 20
+    assert summary["commands"] > 10
 
 
 def test_a_session_is_recorded_from_the_service(
