@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CONSTRAINTS := .ci/constraints.txt
+# Where `make lowest` installs.
+LOWEST := build/lowest
 
 # The interpreters to make .venv from, the first that will do; `make PYTHON=...` names another.
 PYTHONS := $(or $(PYTHON),python3.11 python3 python3.12 python3.13)
@@ -26,7 +28,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test fast lint docs bench peers lock clean
+.PHONY: help demo test fast lint docs lowest bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -55,6 +57,12 @@ lint: $(INSTALLED) ## Check style (ruff), types (pyright) and who imports whom (
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
+
+lowest: ## Run the tests that are not slow with the lowest versions that pyproject.toml allows; needs uv
+	@$(FIND_PYTHON); \
+	uv venv --quiet --clear --python "$$python" $(LOWEST) && \
+	uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[all]' --group dev && \
+	$(LOWEST)/bin/python -m pytest -m 'not slow' $(PARALLEL) $(ARGS)
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
 	@for script in benchmarks/bench_*.py; do \
