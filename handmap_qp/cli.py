@@ -81,6 +81,11 @@ COMMANDS: dict[str, _Place] = {
         "HandsInit",
         "Find a hand in a URDF or MJCF file and write its description, hand.yaml.",
     ),
+    "hands migrate": _Place(
+        "onboarding.cli",
+        "HandsMigrate",
+        "Turn a configuration of dex-retargeting into a hand.yaml.",
+    ),
     "hands check": _Place(
         "onboarding.cli",
         "HandsCheck",

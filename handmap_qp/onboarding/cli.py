@@ -1,4 +1,4 @@
-"""The commands `handmap hands`: list, show, init, check and match."""
+"""The commands `handmap hands`: list, show, init, migrate, check and match."""
 
 from __future__ import annotations
 
@@ -156,6 +156,52 @@ class HandsInit:
             print(f"note: {note}")
         for path in source.written:
             print(f"wrote {path}, with the kinematics of {self.urdf}")
+        print(f"wrote {self.out}; check it with: handmap hands check {self.out}")
+
+
+@dataclass(frozen=True)
+class HandsMigrate:
+    """Turn a configuration of dex-retargeting into a hand.yaml.
+
+    The links that the configuration names become reference points. Palm, rest posture and the rest
+    are found in its URDF, as by `handmap hands init`. Settings without a counterpart are named.
+
+    Examples:
+        handmap hands migrate allegro_hand_right.yml --urdf allegro_hand_right.urdf
+        handmap map recording.npz --robot hand.yaml
+
+    Attributes:
+        config: YAML file of dex-retargeting, with the table `retargeting`.
+        urdf: The URDF that it means.
+        name: Name of the hand.
+        out: File to write.
+        overwrite: Replace the file if it exists.
+    """
+
+    config: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG.yml")]]
+    urdf: Annotated[
+        Path | None, _optional("ROBOT.urdf", "as the configuration says, from its folder")
+    ] = None
+    name: Annotated[str | None, _optional("NAME", "the robot's name")] = None
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
+    overwrite: bool = False
+
+    def run(self) -> None:
+        """Read the configuration, write the description, and print what was taken over."""
+        from handmap_qp.hands.library import load_hand
+        from handmap_qp.onboarding.migrate import migrate, read_dex_configuration
+        from handmap_qp.onboarding.write import check_free, write_hand
+
+        check_free(self.out, overwrite=self.overwrite)
+        configuration = read_dex_configuration(self.config)
+        urdf = self.urdf or self.config.parent / configuration.urdf
+        found = migrate(configuration, urdf, name=self.name)
+        write_hand(found, self.out, overwrite=self.overwrite)
+        hand = load_hand(self.out)
+        rows = [{"reference point": point.name, "link": point.link} for point in hand.spec.points]
+        print_rows(f"{hand.name}: {len(hand.joint_names)} joints", rows)
+        for note in found.notes:
+            print(f"note: {note}")
         print(f"wrote {self.out}; check it with: handmap hands check {self.out}")
 
 
