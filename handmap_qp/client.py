@@ -33,7 +33,8 @@ import zmq
 import zmq.asyncio
 import zmq.auth
 
-PROTOCOL = 1
+PROTOCOL = 2
+OLDEST_PROTOCOL = 1
 ADDRESS = "tcp://127.0.0.1:5570"
 Numbers = tuple[float, ...]
 Names = tuple[str, ...]
@@ -160,6 +161,8 @@ class State(Reply, frozen=True):
     counts: dict[str, int] = {}
     robots: Names = ()
     is_released: bool = False
+    stop: int = 0
+    protocols: tuple[int, ...] = ()
     q: Numbers = ()
     stream_port: int = 0
     about: dict[str, Any] | None = None
@@ -175,6 +178,7 @@ class Error(Reply, frozen=True):
     code: str
     message: str
     field: str = ""
+    protocols: tuple[int, ...] = ()
 
 
 class ServiceError(RuntimeError):
@@ -212,6 +216,7 @@ def _plain(value: Any) -> Any:
     return plain.tolist()
 
 
+_ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
 
@@ -222,6 +227,11 @@ def _given(**fields: Any) -> Request:
     return given | {
         name: Pose.of(given[name], name) for name in ("wrist", "robot_wrist") if name in given
     }
+
+
+def _stop_request(name: str | None, reason: str) -> Request:
+    addressee = {} if name is None else {"session": "", "name": name}
+    return {"type": "stop", "reason": reason} | addressee
 
 
 class _Core:
@@ -241,7 +251,7 @@ class _Core:
         self.opened: Opened | None = None
         self.reopened = 0
         self._keys = None if keys is None else _load_keys(keys)
-        self._seq = 0
+        self._seq, self._protocol = 0, PROTOCOL
         self._addressee: Request = {"session": ""}  # or the public name of a watched session
         self._stream_name, self._stream_port = "", 0
         self._open_request: Request = {}  # as it must be repeated to reopen the session
@@ -256,7 +266,7 @@ class _Core:
         """Add the next number and the session to a request."""
         self._seq += 1
         addressee = {} if request["type"] == "open" else self._addressee
-        return addressee | request | {"protocol": PROTOCOL, "seq": self._seq}
+        return addressee | request | {"protocol": self._protocol, "seq": self._seq}
 
     def _reopen_request(self) -> Request:
         """Return a request that opens the session again, at the robot's last known posture.
@@ -297,6 +307,18 @@ class _Core:
                 self._open_request["is_released"] = "released" in reply.flags
         return reply
 
+    def _speaks_older(self, reply: Reply) -> bool:
+        """Return whether the server answers an older version only, and speak that from now on."""
+        if not (isinstance(reply, Error) and reply.code == "protocol"):
+            return False
+        # Servers of version 1 do not say which versions they answer.
+        known = range(OLDEST_PROTOCOL, self._protocol)
+        common = max(set(reply.protocols or (OLDEST_PROTOCOL,)) & set(known), default=None)
+        if common is None:
+            return False
+        self._protocol = common
+        return True
+
     def _is_lost(self, request: Request, reply: Reply) -> bool:
         """Return whether the server has lost the session, so that it must be reopened."""
         return (
@@ -321,8 +343,8 @@ class _Core:
             self._last_command, self._released_at = None, reply.seq
             self._addressee = {"session": request["session"]}
             self._stream_name, self._stream_port = reply.name, reply.stream_port
-        elif self._open_request and request["type"] in ("clutch", "release", "reset"):
-            self._open_request["is_released"] = request["type"] == "release"
+        elif self._open_request and request["type"] in _ENGAGING and "name" not in request:
+            self._open_request["is_released"] = request["type"] not in ("clutch", "reset")
             self._released_at = reply.seq
         elif self._open_request and request["type"] == "configure":
             self._note_options(request)
@@ -707,6 +729,24 @@ class Client(_Core):
         """Disengage: the robot holds its posture until `clutch`."""
         self._call({"type": "release"}, Done)
 
+    def stop(self, name: str | None = None, *, reason: str = "") -> None:
+        """Stop the robot: it brakes and holds, whatever comes, until `clear`.
+
+        Args:
+            name: Public name of a session; the client's own or the watched one if omitted, and all
+                sessions of the server if the client has none.
+            reason: Reason for the server's log.
+        """
+        self._call(_stop_request(name, reason), Done)
+
+    def clear(self, stop: int) -> None:
+        """Clear an emergency stop on purpose; the robot is then released, and `clutch` engages it.
+
+        Args:
+            stop: Its number, `status().stop`.
+        """
+        self._call({"type": "clear", "stop": stop}, Done)
+
     def reset(
         self,
         *,
@@ -770,6 +810,8 @@ class Client(_Core):
     def _exchange(self, request: Request, kind: type[R], deadline: float) -> R:
         """Send a request; if the server has lost the session, reopen it and send it again."""
         reply = self._ask(numbered := self._numbered(request), deadline)
+        if self._speaks_older(reply):
+            reply = self._ask(numbered := self._numbered(request), deadline)
         if self._is_lost(request, reply):
             self._reopen(deadline)
             reply = self._ask(numbered := self._numbered(request), deadline)
@@ -965,6 +1007,14 @@ class AsyncClient(_Core):
         """Disengage; see `Client.release`."""
         await self._call({"type": "release"}, Done)
 
+    async def stop(self, name: str | None = None, *, reason: str = "") -> None:
+        """Stop the robot; see `Client.stop`."""
+        await self._call(_stop_request(name, reason), Done)
+
+    async def clear(self, stop: int) -> None:
+        """Clear an emergency stop; see `Client.clear`."""
+        await self._call({"type": "clear", "stop": stop}, Done)
+
     async def reset(
         self,
         *,
@@ -1017,6 +1067,8 @@ class AsyncClient(_Core):
     async def _exchange(self, request: Request, kind: type[R], deadline: float) -> R:
         """Send a request; if the server has lost the session, reopen it and send it again."""
         reply = await self._ask(numbered := self._numbered(request), deadline)
+        if self._speaks_older(reply):
+            reply = await self._ask(numbered := self._numbered(request), deadline)
         if self._is_lost(request, reply):
             await self._reopen(deadline)
             reply = await self._ask(numbered := self._numbered(request), deadline)

@@ -156,8 +156,8 @@ class BoxLimits:
         least, most = lowest.copy(), highest.copy()
         # Past a limit there is no braking distance left; the box brings the joint back.
         above, below = np.maximum(self._upper - angles, 0.0), np.maximum(angles - self._lower, 0.0)
-        to_upper = _braking_displacement(above, change[joints])
-        to_lower = _braking_displacement(below, change[joints])
+        to_upper = braking_displacement(above, change[joints])
+        to_lower = braking_displacement(below, change[joints])
         if stop_times is not None:
             stretch = 1.0 + 0.5 * stop_times[joints] / dt
             to_upper = np.minimum(to_upper, above / stretch)
@@ -179,11 +179,14 @@ def as_slice(indices: np.ndarray) -> slice | np.ndarray:
     )
 
 
-def _braking_displacement(distance: np.ndarray, change: np.ndarray) -> np.ndarray:
+def braking_displacement(distance: np.ndarray, change: np.ndarray | float) -> np.ndarray:
     """Return the largest displacement x after which a joint can still stop within `distance`.
 
-    The root of `x + x^2 / (2 a dt^2) = distance`, in a form without cancellation; `change` is
-    `a dt^2`.
+    The root of `x + x^2 / (2 a dt^2) = distance`, in a form without cancellation.
+
+    Args:
+        distance: Distances [rad or m].
+        change: `a dt^2`, likewise.
     """
     return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / change))
 

@@ -40,6 +40,8 @@ class Serve:
         web_origin: Further origins of pages that may connect.
         state: File that keeps the postures last commanded, so that sessions can be restored after a
             restart.
+        audit: File of the audit log: one JSON line for each session that a client opens, engages,
+            releases, changes, stops or closes, with the client's name and address.
         hand: Further robot hands that clients may open: paths of hand.yaml files.
         sessions: Open sessions, at most 128.
         rate: Messages per second from one connection.
@@ -64,6 +66,7 @@ class Serve:
     web_key: Path | None = None
     web_origin: tuple[str, ...] = ()
     state: Path | None = None
+    audit: Path | None = None
     hand: tuple[Path, ...] = ()
     sessions: int = 64
     rate: float = 2000.0
@@ -109,6 +112,7 @@ class Serve:
             keys=self.keys,
             web=web,
             state=self.state,
+            audit=self.audit,
             hands=self.hand,
             caps=Caps(
                 sessions=self.sessions,

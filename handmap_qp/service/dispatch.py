@@ -11,14 +11,20 @@ import time
 from collections.abc import Callable, Hashable
 from importlib.metadata import version
 from logging import ERROR, INFO
+from typing import Any
+
+import msgspec
 
 from handmap_qp.errors import RefusedError
+from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.caps import Bucket, Caps, RateLimit
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.logs import Throttle
 from handmap_qp.service.messages import (
     AnyReply,
     AnyRequest,
+    Clear,
+    Close,
     Clutch,
     Command,
     Configure,
@@ -33,6 +39,7 @@ from handmap_qp.service.messages import (
     State,
     Status,
     Step,
+    Stop,
     Subscribe,
     decode_request,
     encode_reply,
@@ -48,6 +55,10 @@ Answer = Callable[[bytes], None]
 _MOST_REPEATS = 8
 
 
+def _nobody() -> str:
+    return "unknown"
+
+
 class Dispatcher:
     """Answer messages.
 
@@ -56,6 +67,7 @@ class Dispatcher:
         cache: The hands that clients may open.
         metrics: Counters.
         store: Record of the postures commanded; in memory if omitted.
+        audit: Record of who did what; none if omitted.
         clock: Monotonic clock [s].
 
     Attributes:
@@ -70,10 +82,12 @@ class Dispatcher:
         metrics: Metrics,
         *,
         store: PostureStore | None = None,
+        audit: AuditLog | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._store = store or PostureStore(None)
-        self.sessions = Sessions(caps, cache, metrics, self._store, clock)
+        self._audit, self._who = audit or AuditLog(), _nobody
+        self.sessions = Sessions(caps, cache, metrics, self._store, clock, self._audit)
         self.stream_port = 0
         self._caps, self._cache, self._metrics, self._clock = caps, cache, metrics, clock
         self._version = version("handmap-qp")
@@ -95,6 +109,7 @@ class Dispatcher:
         *,
         is_json: bool = False,
         subscribe: Callable[[str], None] | None = None,
+        who: Callable[[], str] = _nobody,
     ) -> bool:
         """Handle one message; call it from the event loop.
 
@@ -106,11 +121,12 @@ class Dispatcher:
             is_json: Whether message and answer are JSON.
             subscribe: Subscribes the connection to a stream; None if the transport has no such
                 streams.
+            who: Returns the client's name and address for the audit log.
 
         Returns:
             False if the rate limit rejected the message unread.
         """
-        now = self._clock()
+        now, self._who = self._clock(), who
         self._metrics.counts["requests"] += 1
         if not self._rates.take(peer, now):
             self._metrics.refusals["rate"] += 1
@@ -186,6 +202,8 @@ class Dispatcher:
         """Answer a request that needs no waiting."""
         if isinstance(request, Named) and request.name is not None:
             reply = self._answer_anyone(request, request.name, now)
+        elif isinstance(request, Stop) and not request.session:
+            reply = self._stop_all(request, now)
         elif isinstance(request, Status) and not request.session:
             reply = self._server_state(request.seq, now)
         else:
@@ -217,19 +235,26 @@ class Dispatcher:
     def _answer_anyone(self, request: Named, name: str, now: float) -> AnyReply:
         """Answer a request by a session's public name.
 
-        Everyone may ask for the status; other requests need `is_shared`.
+        Everyone may ask for the status, and stop the robot; other requests need `is_shared`.
         """
         try:
             if request.session:
                 raise RefusedError("invalid", "give session or name, not both", field="name")
             session = self.sessions.named(name)
-            if not (session.request.is_shared or isinstance(request, Status)):
+            if not (session.request.is_shared or isinstance(request, Status | Stop)):
                 raise RefusedError(
                     "denied", f"session {name!r} was not opened with is_shared", field="name"
                 )
         except RefusedError as error:
             return self._refusal(request.seq, error)
         return self._carry_out(session, request, now)
+
+    def _stop_all(self, request: Stop, now: float) -> AnyReply:
+        """Stop the robots of all sessions."""
+        self._audit.note("stop", self._who(), **_changes(request))
+        for entry in list(self.sessions.entries.values()):
+            self._carry_out(entry.session, request, now)
+        return Done(seq=request.seq)
 
     def _carry_out(self, session: Session, request: AnyRequest | Named, now: float) -> AnyReply:
         try:
@@ -240,19 +265,19 @@ class Dispatcher:
                 return command
             if isinstance(request, Status):
                 return session.state(request.seq, self._version, self.stream_port, now)
-            if isinstance(request, Reset):
-                session.reset(request, now)
-            elif isinstance(request, Configure):
+            if isinstance(request, Configure):
                 if not self._configures.take(now):
                     limit = f"more than {self._caps.configures:g} changes of options a second"
                     raise RefusedError("rate", f"{limit}: try again later")
                 session.configure(request)
-            elif isinstance(request, Clutch):
-                session.clutch()
-            elif isinstance(request, Release):
-                session.release()
+            elif isinstance(request, Close):
+                reason = "closed by its client"
+                self.sessions.end(request.session, "no_session", reason, by=self._who())
             else:
-                self.sessions.end(request.session, "no_session", "closed by its client")
+                self._steer(session, request, now)
+            if not isinstance(request, Close):
+                event, changes = type(request).__name__.lower(), _changes(request)
+                self._audit.note(event, self._who(), session=session.name, **changes)
             # A release must outlive the server as well as a posture.
             self._note(session)
             return Done(seq=request.seq)
@@ -260,6 +285,22 @@ class Dispatcher:
             return self._refusal(request.seq, error)
         except Exception as error:
             return self._bug(request.seq, error)
+
+    def _steer(self, session: Session, request: AnyRequest | Named, now: float) -> None:
+        """Engage, disengage, stop or start a session again."""
+        if isinstance(request, Reset):
+            session.reset(request, now)
+        elif isinstance(request, Clutch):
+            session.clutch()
+        elif isinstance(request, Release):
+            session.release()
+        elif isinstance(request, Clear):
+            session.clear(request.stop)
+        else:
+            session.stop()
+            # The stream must not wait for the next tick.
+            if (command := session.tick(now)) is not None:
+                self._send(session, command)
 
     def _receive_open(self, request: Open, payload: bytes, answer: Answer, is_json: bool) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
@@ -280,14 +321,15 @@ class Dispatcher:
             )
             return
         self._opening[request.session] = payload, [answer]
-        task = asyncio.get_running_loop().create_task(self._open(request, payload, is_json))
+        opening = self._open(request, payload, is_json, self._who())
+        task = asyncio.get_running_loop().create_task(opening)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _open(self, request: Open, payload: bytes, is_json: bool) -> None:
+    async def _open(self, request: Open, payload: bytes, is_json: bool, by: str) -> None:
         reply: AnyReply
         try:
-            session = await self.sessions.open(request, payload)
+            session = await self.sessions.open(request, payload, by)
             reply = session.opened(request.seq, self.stream_port)
         except RefusedError as error:
             reply = self._refusal(request.seq, error)
@@ -356,3 +398,10 @@ class Dispatcher:
         self._refusals.report(
             INFO, "refused", code=error.code, field=error.field, message=error.message
         )
+
+
+def _changes(request: AnyRequest | Named) -> dict[str, Any]:
+    """Return the fields of a request that the audit log keeps: those that were given."""
+    left_out = {"type", "protocol", "seq", "session", "name"}
+    given = msgspec.to_builtins(request)
+    return {name: value for name, value in given.items() if name not in left_out and value}

@@ -47,6 +47,8 @@ class ClientKeys:
         self._folder = folder
         self._seen: dict[Path, tuple[int, int, int]] = {}
         self._keys: frozenset[bytes] = frozenset()
+        # Names stay when a client is shut out, because its connections stay too.
+        self._names: dict[str, str] = {}
         self._refusals = Throttle()
 
     def read(self) -> frozenset[bytes]:
@@ -58,9 +60,15 @@ class ClientKeys:
                 status = file.stat()
                 seen[file] = (status.st_ino, status.st_mtime_ns, status.st_size)
         if seen != self._seen:
-            self._seen, self._keys = seen, frozenset(filter(None, map(_read_public, seen)))
+            keys = {file: key for file in seen if (key := _read_public(file))}
+            self._seen, self._keys = seen, frozenset(keys.values())
+            self._names |= {key.decode("ascii", "replace"): f.stem for f, key in keys.items()}
             report(INFO, "keys", clients=len(self._keys))
         return self._keys
+
+    def name_of(self, key: str) -> str:
+        """Return the name of a client by its public key, Z85; the key if it was never read."""
+        return self._names.get(key, key)
 
     def callback(self, domain: str, key: bytes) -> bool:
         """Return whether a client is admitted; pyzmq gives the method its name.
@@ -138,8 +146,8 @@ def read_server_keys(folder: Path) -> ServerKeys:
         raise _unreadable(file, error) from error
     except InvalidInputError:
         raise
-    except ValueError:
-        # pyzmq raises ValueError if the file has no key.
+    except (ValueError, IndexError):
+        # pyzmq raises them if the file has no key.
         public, secret = b"", None
     if secret is None or not len(public) == len(secret) == _KEY_LENGTH:
         raise InvalidInputError(
@@ -201,6 +209,6 @@ def _read_public(file: Path) -> bytes | None:
     """
     try:
         return load_certificate(file)[0]
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, IndexError) as error:
         report(WARNING, "no_key", file=str(file), error=str(error))
         return None

@@ -13,8 +13,10 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-PROTOCOL = 1
-"""Version of the messages; the server answers no other."""
+PROTOCOL = 2
+"""Version of the messages."""
+PROTOCOLS = (1, 2)
+"""Versions that the server answers. Version 2 adds `stop` and `clear`."""
 TOPIC_END = b"\0"
 """Separator between a session's name and the message in its stream."""
 
@@ -237,6 +239,22 @@ class Release(Named, frozen=True):
     """Disengage: the robot holds its posture until `clutch`."""
 
 
+class Stop(Named, frozen=True):
+    """Emergency stop: the robot brakes and holds its posture, whatever comes, until `clear`.
+
+    Every client that is admitted may stop every session by its name. Without name and session, all
+    sessions are stopped. The stop outlives the client, the session and, with `--state`, the server.
+    """
+
+    reason: Annotated[str, _doc("Reason for the log.", max_length=200)] = ""
+
+
+class Clear(Named, frozen=True):
+    """Clear an emergency stop on purpose. The robot is then released: `clutch` engages it."""
+
+    stop: Annotated[int, _doc("Number of the stop, as `status` reports it.", ge=1)]
+
+
 class Configure(Named, frozen=True):
     """Change options: the reference stays, and the robot continues from where it is."""
 
@@ -360,7 +378,7 @@ class Command(Reply, frozen=True):
         str,
         _doc(
             "converged, limited, unreachable, unsettled, failed, released, held, gliding, "
-            "hold, returning or calibrating."
+            "hold, returning, stopped or calibrating."
         ),
     ]
     flags: Annotated[
@@ -434,7 +452,10 @@ class State(Reply, frozen=True):
     names: Annotated[tuple[str, ...], _doc("The session's name, or those of all open sessions.")]
     mode: Annotated[
         str,
-        _doc("waiting, following, released, hold, returning, calibrating; of the server: serving."),
+        _doc(
+            "waiting, following, released, hold, returning, stopped, calibrating; of the server: "
+            "serving."
+        ),
     ] = "serving"
     counts: Annotated[
         dict[str, int],
@@ -446,6 +467,12 @@ class State(Reply, frozen=True):
     is_released: Annotated[
         bool, _doc("Whether the robot is released, also while the watchdog holds it.")
     ] = False
+    stop: Annotated[
+        int, _doc("Number of the emergency stop in force, which `clear` takes; 0 for none.")
+    ] = 0
+    protocols: Annotated[
+        tuple[int, ...], _doc("Versions of the messages that the server answers.")
+    ] = PROTOCOLS
     q: Annotated[Numbers, _doc("Joint angles of the last command [rad].")] = ()
     stream_port: Annotated[int, _doc("Port of the streams (ZeroMQ PUB).")] = 0
     about: Annotated[About | None, _doc("Hands and options of the session.")] = None
@@ -463,11 +490,25 @@ class Error(Reply, frozen=True):
     field: Annotated[
         str, _doc("The field at fault, such as `q[3]` or `mapping.ridge`; empty if there is none.")
     ] = ""
+    protocols: Annotated[
+        tuple[int, ...], _doc("With the code `protocol`: the versions that the server answers.")
+    ] = ()
 
 
 AnyReply = Opened | Command | State | Done | Error
 AnyRequest = (
-    Open | Step | Sample | Clutch | Release | Configure | Reset | Status | Close | Subscribe
+    Open
+    | Step
+    | Sample
+    | Clutch
+    | Release
+    | Stop
+    | Clear
+    | Configure
+    | Reset
+    | Status
+    | Close
+    | Subscribe
 )
 
 LARGEST = 1e3
@@ -477,6 +518,7 @@ _LARGEST_VALUE = 1e6
 LATEST = 1e15
 """Largest time stamp [s]."""
 _QUAT_TOLERANCE = 1e-2
+_STOP_PROTOCOL = 2
 
 
 class _Head(msgspec.Struct):
@@ -514,14 +556,15 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
         request = _DECODE[is_json](payload)
     except msgspec.ValidationError as error:
         protocol, seq = _head(payload, is_json)
-        if type(protocol) is int and protocol != PROTOCOL:
+        if type(protocol) is int and protocol not in PROTOCOLS:
             return _wrong_protocol(seq, protocol)
         message, path = split_validation_error(error)
         return Error(seq=seq, code="invalid", message=_explain(message, path), field=path)
     except _UNREADABLE as error:
         kind = "JSON" if is_json else "msgpack"
         return Error(code="invalid", message=f"not a {kind} message: {error}"[:200])
-    if request.protocol != PROTOCOL:
+    is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
+    if request.protocol not in PROTOCOLS or is_newer:
         return _wrong_protocol(request.seq, request.protocol)
     found = _bad_number(request)
     if found is not None:
@@ -549,7 +592,8 @@ def _wrong_protocol(seq: int, protocol: int) -> Error:
         seq=seq,
         code="protocol",
         field="protocol",
-        message=f"expected version {PROTOCOL}, got {protocol}",
+        message=f"expected version {' or '.join(map(str, PROTOCOLS))}, got {protocol}",
+        protocols=PROTOCOLS,
     )
 
 

@@ -1,13 +1,14 @@
-"""Speed limits of the commands that leave a session.
+"""Speed and acceleration limits of the commands that leave a session.
 
 A mapper respects its limits between its own steps only. It does not know how much time has really
 passed, that it was reset, that the former session left the robot elsewhere, or that a client
 switched speed limits off. So every command passes a `SpeedGuard`, which owns the posture last
-commanded, and `StepClock` limits the time that the next command may account for.
+commanded and its velocity, and `StepClock` limits the time that the next command may account for.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.limits import braking_displacement
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Pose
 
@@ -36,7 +38,8 @@ class SpeedGuard:
 
     Between two commands, no joint moves farther than its speed limit times the time granted. The
     displacement of a floating wrist (its twist in body axes, as in the QP) respects the limits of
-    `hand.yaml`.
+    `hand.yaml`. With an acceleration limit, no coordinate's velocity changes faster, and a posture
+    is approached only as fast as the robot can brake.
 
     Args:
         robot: The robot hand.
@@ -46,9 +49,11 @@ class SpeedGuard:
 
     Attributes:
         q: Joint angles last commanded [rad], shape (n,).
+        max_acceleration: Limit of every coordinate [rad/s^2, m/s^2]; None for none.
     """
 
     def __init__(self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> None:
+        self.max_acceleration: float | None = None
         self._robot = robot
         self._workspace = robot.configuration()
         # Mimic joints are limited through their leaders.
@@ -61,6 +66,12 @@ class SpeedGuard:
         self._wrist = wrist.copy() if wrist is not None and robot.is_floating else None
         self._last, self._wanted = np.empty(robot.model.nq), np.empty(robot.model.nq)
         self._is_written = False
+        self._velocity = np.zeros(robot.model.nv)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last command moved, and acceleration limits keep the robot from standing."""
+        return self.max_acceleration is not None and bool(self._velocity.any())
 
     @property
     def wrist(self) -> np.ndarray | None:
@@ -98,26 +109,76 @@ class SpeedGuard:
             self._robot.write_configuration(self._last, self.q, start)
         self._robot.write_configuration(self._wanted, q, goal)
         change = pin.difference(self._robot.model, self._last, self._wanted)
-        limit = self._speed * (dt * share)
-        if (np.abs(change) <= limit * (1.0 + _ROUNDING) + _ROUNDING).all():
+        lower, upper = self._box(change, dt, share)
+        slack = _ROUNDING * (upper - lower) + (1e-12 if self.max_acceleration else _ROUNDING)
+        if ((change <= upper + slack) & (change >= lower - slack)).all():
+            self._velocity = change / dt
             self.q = q.copy()
             self._wrist = None if self._wrist is None else goal.copy()
             # Reuse the configuration: the next motion starts here.
             self._last, self._wanted, self._is_written = self._wanted, self._last, True
             return True
-        allowed = np.clip(change, -limit, limit)
+        self._displace(self._on_the_way(change, lower, upper, dt, share), dt)
+        return False
+
+    def stand(self) -> None:
+        """Note that the robot has come to a stop: no command was sent for some time."""
+        self._velocity = np.zeros_like(self._velocity)
+
+    def brake(self, dt: float) -> None:
+        """Come to a stop: at once, or on a straight line within the acceleration limit.
+
+        Args:
+            dt: Time since the last command [s].
+        """
+        if not self.is_moving:
+            self.stand()
+            return
+        stop = float(np.abs(self._velocity).max()) / (self.max_acceleration or math.inf)
+        if not self._is_written:
+            start = np.eye(4) if self._wrist is None else self._wrist
+            self._robot.write_configuration(self._last, self.q, start)
+        self._displace(self._velocity * (max(0.0, 1.0 - dt / stop) * dt), dt)
+
+    def _box(self, change: np.ndarray, dt: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of the next displacement from speed and acceleration limits."""
+        limit = self._speed * (dt * share)
+        if self.max_acceleration is None:
+            return -limit, limit
+        reach = self.max_acceleration * dt**2
+        middle = np.where(np.isfinite(self._speed), self._velocity * dt, 0.0)
+        # Coordinates without a speed of their own follow their leaders.
+        reach = np.where(np.isfinite(self._speed), reach, np.inf)
+        full = self._speed * dt
+        # The speed before may exceed the share; braking from there has priority.
+        upper = np.clip(np.maximum(limit, middle - reach), middle - reach, middle + reach)
+        lower = np.clip(np.minimum(-limit, middle + reach), middle - reach, middle + reach)
+        return np.maximum(lower, -full), np.minimum(upper, full)
+
+    def _on_the_way(
+        self, change: np.ndarray, lower: np.ndarray, upper: np.ndarray, dt: float, share: float
+    ) -> np.ndarray:
+        """Return the displacement towards a posture that is too far for one command."""
+        allowed = change
+        if self.max_acceleration is not None:
+            most = braking_displacement(np.abs(change), self.max_acceleration * dt**2)
+            allowed = np.where(np.isfinite(self._speed), np.sign(change) * most, change)
         if self._robot.is_floating:
             # Scale all six coordinates alike, so that the wrist stays on its path.
-            allowed[:6] = change[:6] * (limit[:6] / np.maximum(np.abs(change[:6]), 1e-300)).min(
-                initial=1.0
-            )
-        reached = pin.integrate(self._robot.model, self._last, allowed)
+            limit = self._speed[:6] * (dt * share)
+            part = (limit / np.maximum(np.abs(allowed[:6]), 1e-300)).min(initial=1.0)
+            allowed = np.concatenate([part * allowed[:6], allowed[6:]])
+        return np.clip(allowed, lower, upper)
+
+    def _displace(self, displacement: np.ndarray, dt: float) -> None:
+        """Move the posture last commanded, whose configuration is written."""
+        self._velocity = displacement / dt
+        reached = pin.integrate(self._robot.model, self._last, displacement)
         self._is_written = False
         self.q = reached[self._robot.q_indices].copy()
         if self._wrist is not None:
             self._workspace.place_frames(reached)
             self._wrist = self._workspace.wrist.homogeneous.copy()
-        return False
 
 
 class StepClock:

@@ -40,17 +40,20 @@ FLAGS = {
     "at_rest": "the robot is at its rest posture",
     "resumed": "the first command after a hold",
     "released": "the robot is released and holds until `clutch`, whatever `status` says",
+    "stopped": "an emergency stop is in force, until `clear`",
 }
 """Flags of a command, besides the rule that a sample broke."""
 
 CODES = {
     "invalid": "a field is missing, unknown, of another type or unusable; `field` names it",
-    "protocol": "the message is of another version of the protocol",
+    "protocol": "the message is of another version of the protocol; `protocols` has the versions "
+    "that the server answers",
     "no_session": "the server does not know the session: it was restarted, or closed the session",
     "taken": "another client took the session over (`restore`)",
     "stale": "the number is not above the last one, and the request is not a repetition",
     "busy": "all sessions are in use, or this one is",
     "rate": "too many messages, openings or changes of options per second; `seq` may be 0",
+    "stopped": "an emergency stop is in force: clear it first",
     "denied": "the server or the client of the session does not allow it",
     "internal": "the server failed and logged the reason",
 }

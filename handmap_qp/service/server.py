@@ -27,6 +27,7 @@ from zmq.auth.asyncio import AsyncioAuthenticator
 
 from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.hand_cache import HandCache
@@ -60,6 +61,7 @@ class Settings:
         keys: Folder that `handmap keys` made; None for unencrypted connections.
         web: The WebSocket transport; None for none.
         state: File that keeps the postures last commanded; None for none.
+        audit: File of the audit log; None for none.
         hands: Further robot hands: paths of `hand.yaml` files.
         caps: Limits of what clients may do.
     """
@@ -71,6 +73,7 @@ class Settings:
     keys: Path | None = None
     web: WebSettings | None = None
     state: Path | None = None
+    audit: Path | None = None
     hands: tuple[Path, ...] = ()
     caps: Caps = field(default_factory=Caps)
 
@@ -118,7 +121,12 @@ class Server:
             if settings.state is None
             else self._closing.enter_context(PostureStore(settings.state))
         )
-        self.dispatcher = Dispatcher(settings.caps, cache, self.metrics, store=store)
+        self._audit = AuditLog(settings.audit)
+        self._closing.callback(self._audit.close)
+        self.dispatcher = Dispatcher(
+            settings.caps, cache, self.metrics, store=store, audit=self._audit
+        )
+        self._clients: ClientKeys | None = None
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._bugs = Throttle()
@@ -170,6 +178,7 @@ class Server:
             for socket in (self._router, self._stream)
         ]
         self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
+        self._audit.note("started", "server", ports=self.ports)
         report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
 
     async def stop(self) -> None:
@@ -215,7 +224,7 @@ class Server:
 
     def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
         """Admit only clients whose public keys are in the folder at their handshake."""
-        clients = ClientKeys(folder)
+        clients = self._clients = ClientKeys(folder)
         if not clients.read():
             raise InvalidInputError(
                 argument=str(folder),
@@ -238,23 +247,31 @@ class Server:
         self._is_draining = True
         try:
             for _ in range(_BATCH):
-                self._receive(self._router.recv_multipart(zmq.NOBLOCK))
+                self._receive(self._router.recv_multipart(zmq.NOBLOCK, copy=False))
             self._loop.call_soon(self._drain)
         except zmq.Again:
             pass
         finally:
             self._is_draining = False
 
-    def _receive(self, frames: Sequence[bytes]) -> None:
+    def _receive(self, frames: Sequence[zmq.Frame]) -> None:
         """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
-        *envelope, payload = frames
+        *envelope, payload = (frame.bytes for frame in frames)
         if len(envelope) > 2 or (len(envelope) == 2 and envelope[1]):
             self.metrics.refusals["frames"] += 1
             return
         try:
-            self.dispatcher.receive(payload, envelope[0], partial(self._reply, envelope))
+            answer, who = partial(self._reply, envelope), partial(self._who, frames[-1])
+            self.dispatcher.receive(payload, envelope[0], answer, who=who)
         except Exception as error:
             self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+
+    def _who(self, frame: zmq.Frame) -> str:
+        """Return name and address of the client that sent a frame."""
+        address = str(frame.get("Peer-Address"))
+        if self._clients is None:
+            return address
+        return f"{self._clients.name_of(str(frame.get('User-Id')))}@{address}"
 
     def _reply(self, envelope: list[bytes], payload: bytes) -> None:
         try:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError
+from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.mapping.stages import residual_norms
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.calibration import Calibration
@@ -101,6 +101,7 @@ class Session:
         )
         q, wrist = start if former is None else former.posture
         self._guard = SpeedGuard(self.robot, q, wrist)
+        self._guard.max_acceleration = hands.choice.ik.max_acceleration
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._watchdog = Watchdog(request.watchdog, request.return_after, now)
         self._state = SessionState.WAITING
@@ -112,6 +113,9 @@ class Session:
         # The server's record is newer than the client's belief.
         if request.is_released if former is None else former.is_released:
             self.release()
+        self._stop = 0
+        if former is not None and former.stop:
+            self._latch(former.stop)
 
     @property
     def posture(self) -> Posture:
@@ -130,7 +134,9 @@ class Session:
         q, wrist = self.posture
         pose = None if wrist is None else tuple(wrist.ravel().tolist())
         is_released = self._state.is_released
-        return Record(self.name, self.robot.name, to_row(q), pose, self._epoch, is_released)
+        return Record(
+            self.name, self.robot.name, to_row(q), pose, self._epoch, is_released, self._stop
+        )
 
     @property
     def is_attended(self) -> bool:
@@ -190,6 +196,7 @@ class Session:
             names=(self.name,),
             mode=self.mode,
             is_released=self._state.is_released,
+            stop=self._stop,
             counts=dict(self.counts),
             q=to_row(self._guard.q),
             stream_port=stream_port,
@@ -230,15 +237,19 @@ class Session:
             flags.append(mapped.step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(mapped)
+        else:
+            self._brake()
         if mapped.step.is_clamped:
             flags.append("stretch_clamped")
         self.counts["steps"] += 1
-        return self._command(now, mapped.step.status, flags, **self._diagnostics(mapped))
+        status = self._state.mode if self._state.is_stopped else mapped.step.status
+        return self._command(now, status, flags, **self._diagnostics(mapped))
 
     def _held(self, sample: Step, step: MapStep, now: float, flags: list[str]) -> Command:
         """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
         self._stamp, self._seq = sample.time, sample.seq
         self.counts["held"] += 1
+        self._brake()
         return self._command(now, step.status, [*flags, step.rule], **_trust(step))
 
     def tick(self, now: float) -> Command | None:
@@ -253,8 +264,9 @@ class Session:
         while event := self._watchdog.event(self._state, now, is_at_rest=self._is_at_rest):
             if event is Event.SILENCE:
                 self.counts["watchdog"] += 1
+                self._guard.stand()
             self._handle(event)
-        if not self._watchdog.take_turn(self._state, now):
+        if not self._watchdog.take_turn(self._state, now, is_braking=self._guard.is_moving):
             return None
         status = self._state.mode
         # A heartbeat counts too: the driver starts its next motion there.
@@ -265,6 +277,8 @@ class Session:
             self._mapper_state = MapperState.STALE
             if self._is_at_rest:
                 self._handle(Event.ARRIVAL)
+        else:
+            self._brake()
         flags = ["watchdog", "at_rest"] if self._is_at_rest else ["watchdog"]
         return self._command(now, status, flags)
 
@@ -273,8 +287,33 @@ class Session:
         self._hands.mapper.release()
         self._handle(Event.RELEASE)
 
+    def stop(self) -> None:
+        """Stop the robot until `clear`, whatever comes; a second stop changes nothing."""
+        if not self._state.is_stopped:
+            self._latch(_new_epoch())
+
+    def clear(self, number: int) -> None:
+        """Clear an emergency stop; the robot is then released.
+
+        Args:
+            number: Number of the stop, so that nobody clears another one than the one seen.
+
+        Raises:
+            RefusedError: If no such stop is in force.
+        """
+        if number != self._stop:
+            got = f"stop {self._stop} is" if self._stop else "no stop is"
+            raise RefusedError("invalid", f"{got} in force, not {number}", field="stop")
+        self._stop = 0
+        self._handle(Event.CLEAR)
+
     def clutch(self) -> None:
-        """Make the next sample the reference; the robot continues from where it is."""
+        """Make the next sample the reference; the robot continues from where it is.
+
+        Raises:
+            RefusedError: If an emergency stop is in force.
+        """
+        self._check_not_stopped()
         if self._mapper_state is MapperState.ALIGNED:
             self._hands.mapper.clutch()
         else:
@@ -299,8 +338,9 @@ class Session:
             now: The present [s].
 
         Raises:
-            RefusedError: If the robot cannot be there.
+            RefusedError: If the robot cannot be there, or an emergency stop is in force.
         """
+        self._check_not_stopped()
         if request.robot_q is None and request.robot_wrist is None:
             self._reset_mapper(self.robot.rest)
             self._mapper_state = MapperState.SLEWING
@@ -311,6 +351,7 @@ class Session:
             if request.robot_wrist is not None:
                 wrist = start_wrist(self.robot, request.robot_wrist)
             self._guard = SpeedGuard(self.robot, q, wrist)
+            self._guard.max_acceleration = self._choice.ik.max_acceleration
             self._reset_mapper()
             self._epoch = _new_epoch()
         self._watchdog.restart(now)
@@ -323,6 +364,25 @@ class Session:
     @property
     def _is_slewing(self) -> bool:
         return self._mapper_state is MapperState.SLEWING
+
+    def _latch(self, number: int) -> None:
+        """Bring an emergency stop into force; its command is due at once."""
+        self._stop = number
+        self._hands.mapper.release()
+        self._handle(Event.STOP)
+        self._watchdog.hasten()
+
+    def _check_not_stopped(self) -> None:
+        if self._state.is_stopped:
+            message = f"the robot was stopped: clear the stop {self._stop} first"
+            raise RefusedError("stopped", message)
+
+    def _brake(self) -> None:
+        """Bring a robot that is not led to a stop, within its acceleration limit."""
+        if self._guard.is_moving:
+            # The mapper stopped at once, so the robot ends elsewhere.
+            self._mapper_state = MapperState.SLEWING
+        self._guard.brake(self._dt)
 
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
@@ -359,6 +419,7 @@ class Session:
         method = None if choice.options == before.options else choice.method
         with_option_errors(hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik))
         self._wanted, self._choice = wanted, choice
+        self._guard.max_acceleration = choice.ik.max_acceleration
 
     def _prepare_mapper(self) -> None:
         """Reset the mapper if it must start again from the robot's posture."""
@@ -415,6 +476,7 @@ class Session:
 
     def _command(self, now: float, status: str, flags: list[str], **diagnostics: Any) -> Command:
         released = ["released"] if self._state.is_released else []
+        released += ["stopped"] if self._state.is_stopped else []
         return Command(
             seq=self._seq,
             name=self.name,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from logging import INFO
 
 from handmap_qp.errors import RefusedError
+from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.calibration import Calibration
 from handmap_qp.service.caps import Bucket, Caps
 from handmap_qp.service.hand_cache import HandCache
@@ -56,6 +57,7 @@ class Sessions:
         metrics: Counters.
         store: Records of former sessions.
         clock: Monotonic clock [s].
+        audit: Record of who did what.
 
     Attributes:
         entries: Sessions by their secrets.
@@ -69,9 +71,11 @@ class Sessions:
         metrics: Metrics,
         store: PostureStore,
         clock: Callable[[], float],
+        audit: AuditLog,
     ) -> None:
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
+        self._audit = audit
         self._caps, self._cache, self._metrics, self._store, self._clock = (
             caps,
             cache,
@@ -115,8 +119,13 @@ class Sessions:
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
-    async def open(self, request: Open, payload: bytes) -> Session:
+    async def open(self, request: Open, payload: bytes, by: str = "") -> Session:
         """Open a session.
+
+        Args:
+            request: The request.
+            payload: The request as received.
+            by: The client, for the audit log.
 
         Raises:
             RefusedError: With the field at fault, or `busy`, `rate`, `denied`.
@@ -140,28 +149,31 @@ class Sessions:
         for secret in [
             secret for secret, entry in self.entries.items() if entry.session.name == name
         ]:
-            self.end(secret, "taken", "another client took this session over")
+            self.end(secret, "taken", "another client took this session over", by=by)
         self.entries[request.session] = Entry(session, request.seq, payload)
         if self._store.is_persistent:
             self._store.note(session.record)
         self._metrics.counts["opened"] += 1
+        is_restored = former is not None
+        self._audit.note("opened", by, session=name, robot=robot.name, restored=is_restored)
         report(
             INFO,
             "opened",
             session=name,
             robot=robot.name,
             input=request.input,
-            restored=former is not None,
+            restored=is_restored,
         )
         return session
 
-    def end(self, secret: str, code: str, reason: str) -> None:
+    def end(self, secret: str, code: str, reason: str, *, by: str = "server") -> None:
         """Close a session.
 
         Args:
             secret: Secret of the session.
             code: Error code for clients that go on using it.
             reason: The reason for stream and log.
+            by: Who ends it, for the audit log.
         """
         session = self.entries.pop(secret).session
         self._store.note(session.record)
@@ -169,6 +181,7 @@ class Sessions:
         if len(self._ended) > _REMEMBERED:
             self._ended.popitem(last=False)
         self.send(session.name, encode_reply(Error(code=code, message=reason)))
+        self._audit.note("closed", by, session=session.name, reason=reason)
         report(INFO, "closed", session=session.name, reason=reason, counts=dict(session.counts))
 
     def send(self, name: str, payload: bytes) -> None:

@@ -1,7 +1,8 @@
 """The states of a session and their transitions.
 
 A client moves a session between waiting, following and released. While no samples arrive, the
-watchdog moves it to a hold, and by option on to a return to the rest posture.
+watchdog moves it to a hold, and by option on to a return to the rest posture. An emergency stop
+outlasts everything but its clearing, which leaves the robot released.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import Literal
 
-Mode = Literal["waiting", "following", "released", "hold", "returning"]
+Mode = Literal["waiting", "following", "released", "hold", "returning", "stopped"]
 """A state as clients read it."""
 
 
@@ -28,11 +29,22 @@ class SessionState(Enum):
     """As `HOLDING`, but released: the next sample does not move the robot."""
     RETURNING = auto()
     """The robot moves to its rest posture because samples stay away."""
+    STOPPED = auto()
+    """The robot holds its posture because of an emergency stop, which is latched."""
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether an emergency stop is in force."""
+        return self is SessionState.STOPPED
 
     @property
     def is_released(self) -> bool:
-        """Whether a client released the robot."""
-        return self in (SessionState.RELEASED, SessionState.HOLDING_RELEASED)
+        """Whether the robot holds until `clutch`: a client released it, or stopped it."""
+        return self in (
+            SessionState.RELEASED,
+            SessionState.HOLDING_RELEASED,
+            SessionState.STOPPED,
+        )
 
     @property
     def is_silent(self) -> bool:
@@ -59,6 +71,10 @@ class Event(Enum):
     """The watchdog: the hold has lasted long enough."""
     ARRIVAL = auto()
     """The robot is at its rest posture."""
+    STOP = auto()
+    """An emergency stop."""
+    CLEAR = auto()
+    """The emergency stop is cleared on purpose."""
 
 
 _TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
@@ -92,6 +108,9 @@ _TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
         Event.RELEASE: SessionState.HOLDING_RELEASED,
         Event.ARRIVAL: SessionState.HOLDING,
     },
+    SessionState.STOPPED: {
+        Event.CLEAR: SessionState.RELEASED,
+    },
 }
 _MODES: dict[SessionState, Mode] = {
     SessionState.WAITING: "waiting",
@@ -100,11 +119,17 @@ _MODES: dict[SessionState, Mode] = {
     SessionState.HOLDING: "hold",
     SessionState.HOLDING_RELEASED: "hold",
     SessionState.RETURNING: "returning",
+    SessionState.STOPPED: "stopped",
 }
 
 
 def next_state(state: SessionState, event: Event) -> SessionState:
-    """Return the state after an event; an event that is not in the table changes nothing."""
+    """Return the state after an event; an event that is not in the table changes nothing.
+
+    An emergency stop applies in every state.
+    """
+    if event is Event.STOP:
+        return SessionState.STOPPED
     return _TRANSITIONS[state].get(event, state)
 
 

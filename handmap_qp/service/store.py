@@ -46,6 +46,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         wrist: Pose of the wrist row by row, 16 numbers; None if it was not known.
         epoch: Epoch of the last command.
         is_released: Whether a client had released the robot.
+        stop: Number of the emergency stop in force; 0 for none.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     wrist: tuple[float, ...] | None
     epoch: int
     is_released: bool = False
+    stop: int = 0
 
     @property
     def posture(self) -> tuple[np.ndarray, np.ndarray | None]:

@@ -59,11 +59,23 @@ class Watchdog:
             return Event.RETURN if now - self._held_since >= self._return_after else None
         return None
 
-    def take_turn(self, state: SessionState, now: float) -> bool:
-        """Return whether a command is due, and note that it is sent."""
-        if not state.is_silent:
+    def hasten(self) -> None:
+        """Make the next command due at once."""
+        self._last_command = -math.inf
+
+    def take_turn(self, state: SessionState, now: float, *, is_braking: bool = False) -> bool:
+        """Return whether a command is due, and note that it is sent.
+
+        Args:
+            state: SessionState of the session.
+            now: The present [s].
+            is_braking: Whether the robot must still come to a stop.
+        """
+        is_braking = is_braking and state is not SessionState.FOLLOWING
+        if not (state.is_silent or state.is_stopped or is_braking):
             return False
-        period = RETURN_PERIOD if state is SessionState.RETURNING else HEARTBEAT
+        is_moving = is_braking or state is SessionState.RETURNING
+        period = RETURN_PERIOD if is_moving else HEARTBEAT
         if now - self._last_command < period:
             return False
         self._last_command = now

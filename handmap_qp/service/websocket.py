@@ -206,6 +206,7 @@ class WebSocketTransport:
                     partial(outbox.answer, is_json=is_json),
                     is_json=is_json,
                     subscribe=partial(outbox.subscribe, is_json=is_json),
+                    who=partial(_who, connection),
                 )
                 # Back-pressure: stop reading from clients that do not drain replies, and throttle
                 # those over the rate limit.
@@ -312,6 +313,12 @@ def _has_token(request: Request, token: str) -> bool:
             if part.strip().startswith("bearer.")
         ]
     return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
+
+
+def _who(connection: ServerConnection) -> str:
+    """Return the address of a client."""
+    address = connection.remote_address
+    return f"web@{address[0]}" if address else "web"
 
 
 def _as_json(payload: bytes) -> str:

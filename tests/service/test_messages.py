@@ -92,7 +92,7 @@ def test_a_sample_is_a_step_without_an_answer() -> None:
     assert isinstance(request, Step)
 
 
-@pytest.mark.parametrize("message", [STEP | {"protocol": 2}, STEP | {"protocol": 2, "new": 1}])
+@pytest.mark.parametrize("message", [STEP | {"protocol": 9}, STEP | {"protocol": 9, "new": 1}])
 def test_another_version_of_the_messages_is_named_as_such(message: dict[str, Any]) -> None:
     answer = decode_request(msgspec.msgpack.encode(message))
     assert isinstance(answer, Error)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from handmap_qp.service.states import Event, SessionState, next_state
 
 WATCHDOG_EVENTS = (Event.SILENCE, Event.RETURN, Event.ARRIVAL)
-every_state = pytest.mark.parametrize("state", SessionState, ids=lambda state: state.name)
+STATES = [state for state in SessionState if state is not SessionState.STOPPED]
+every_state = pytest.mark.parametrize("state", STATES, ids=lambda state: state.name)
 
 
 @every_state
@@ -52,7 +53,7 @@ def test_only_an_engaged_hold_starts_a_return(state: SessionState) -> None:
     assert (arrived is not state) == (state is SessionState.RETURNING)
 
 
-@given(st.lists(st.sampled_from(Event)))
+@given(st.lists(st.sampled_from([event for event in Event if event is not Event.STOP])))
 def test_the_watchdog_never_acts_before_the_first_sample_or_release(events: list[Event]) -> None:
     state, has_begun = SessionState.WAITING, False
     for event in events:
@@ -68,7 +69,22 @@ def test_a_released_robot_stays_released_until_it_is_clutched_or_reset(
     state = SessionState.RELEASED
     for event in events:
         state = next_state(state, event)
-        if event in (Event.CLUTCH, Event.RESET):
+        if event in (Event.CLUTCH, Event.RESET) and not state.is_stopped:
             break
         assert state.is_released
         assert state is not SessionState.RETURNING
+
+
+@given(st.sampled_from(SessionState), st.lists(st.sampled_from(Event)))
+def test_a_stop_outlasts_everything_but_its_clearing(
+    state: SessionState, events: list[Event]
+) -> None:
+    state = next_state(state, Event.STOP)
+    for event in events:
+        assert state is SessionState.STOPPED
+        assert state.is_released
+        state = next_state(state, event)
+        if event is Event.CLEAR:
+            # The robot does not move before a clutch as well.
+            assert state is SessionState.RELEASED
+            break

@@ -145,14 +145,14 @@ class McapFormat:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag, and turn what rosbags raises inside the block into `RecordingError`."""
-    bags = require("rosbags.rosbag2")
+    bags, serde = require("rosbags.rosbag2"), require("rosbags.serde")
     try:
         with bags.Reader(path) as bag:
             yield bag
     except HandmapError:
         raise
     # rosbags asserts on damaged records.
-    except (bags.ReaderError, AssertionError, *DAMAGES) as error:
+    except (bags.ReaderError, serde.SerdeError, AssertionError, *DAMAGES) as error:
         text = " ".join(str(error).split())
         raise RecordingError(f"cannot be read as MCAP: {text[:160]}", file=path) from error
 
