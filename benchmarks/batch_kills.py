@@ -21,7 +21,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from common import find_recordings
+from common import ROOT, find_recordings
 from made_recordings import make_recordings
 
 from handmap_qp.datasets.manifest import read_manifests
@@ -53,7 +53,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--recordings", type=Path, help="folder of real recordings")
+    usual = Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings")
+    parser.add_argument("--recordings", type=Path, default=usual, help="real recordings")
     parser.add_argument("--count", type=int, default=1000, help="recordings to make")
     parser.add_argument("--frames", type=int, default=90, help="mean number of samples")
     parser.add_argument("--every", type=float, default=8.0, help="mean time between kills [s]")

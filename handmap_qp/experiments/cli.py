@@ -151,7 +151,8 @@ class Compare:
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoothed
-            samples. Peers may be named too, such as dex-vector; then --peers runs those only.
+            samples, with +look-ahead for smoothing with the future too. Peers may be named too,
+            such as dex-vector; then --peers runs those only.
         peers: Run the peers too.
         peers_from: Folder of the program that runs the peers, compare.py.
         out: Folder to write to; created if it does not exist.

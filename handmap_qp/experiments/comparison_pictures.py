@@ -11,7 +11,7 @@ import numpy as np
 
 from handmap_qp.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.drawing.hands import require_matplotlib
-from handmap_qp.offline.compared_methods import SMOOTH, own_methods
+from handmap_qp.offline.compared_methods import base_name, own_methods
 from handmap_qp.offline.comparison import Comparison
 from handmap_qp.offline.metrics import METRICS, Metric
 from handmap_qp.offline.poses import POSES, rank_poses
@@ -171,7 +171,7 @@ def _draw_panel(panel: Axes, metric: Metric, comparison: Comparison, *, has_name
     best = metric.best(means)
     low, high = _range(metric, means)
     for y, method in enumerate(methods):
-        is_own = method.removesuffix(SMOOTH) in own
+        is_own = base_name(method) in own
         colour = _OWN if is_own else _OUTSIDE
         values = [run.values[metric.key] for run in comparison.of_method(method)]
         panel.plot(

@@ -15,7 +15,13 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.comparison_report import as_json, markdown, notes_of, overall_rows
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.offline.compared_methods import SMOOTH, outside_methods, own_method, own_methods
+from handmap_qp.offline.compared_methods import (
+    LOOK_AHEAD,
+    SMOOTH,
+    outside_methods,
+    own_method,
+    own_methods,
+)
 from handmap_qp.offline.comparison import ComparedMethod, Comparison, compare_methods
 from handmap_qp.offline.metrics import GROUPS
 from handmap_qp.offline.takes import Take, prepare_take
@@ -82,13 +88,14 @@ def _methods(request: ComparisonRequest) -> list[ComparedMethod]:
         folder = request.peers_from or Path(handmap_qp.__file__).parents[1] / "benchmarks" / "peers"
         outside = {method.name: method for method in outside_methods(folder, request.robot)}
     named = [name for name in request.methods if name in outside]
-    own = (*own_methods(), *(name + SMOOTH for name in own_methods()))
+    endings = ("", SMOOTH, LOOK_AHEAD)
+    own = [name + ending for name in own_methods() for ending in endings]
     unknown = [name for name in request.methods if name not in outside and name not in own]
     if unknown:
         known = ", ".join([*own_methods(), *outside])
         raise InvalidInputError(
             argument="--methods",
-            expected=f"some of {known}, or one of ours with {SMOOTH}",
+            expected=f"some of {known}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
             got=unknown[0],
             advice="" if request.has_peers else "peers need --peers",
         )

@@ -31,6 +31,7 @@ from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.offline.comparison import RobotMotion
+from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses
 from handmap_qp.offline.takes import Take
 from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.transform import as_floats
@@ -39,6 +40,8 @@ PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
 SMOOTH = "+smooth"
 """Ending of a name that asks for smoothed samples and motion, as `--smooth` of `handmap map`."""
+LOOK_AHEAD = "+look-ahead"
+"""Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
 _FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
 # The preset `paper` is the method homogeneous; fixed_wrist is for hands that cannot follow a palm.
 _LEFT_OUT = ("homogeneous", "fixed_wrist")
@@ -54,14 +57,14 @@ class OwnMethod:
 
     Attributes:
         name: Name of a preset, or of a method of `handmap_qp.mapping.methods`; with `+smooth` for
-            smoothed samples.
+            smoothed samples, with `+look-ahead` for smoothing with the future too.
     """
 
     name: str
 
     def map_take(self, take: Take, robot: Hand) -> RobotMotion:
         """Map the landmarks of a take, with the palm that it is measured against."""
-        name = self.name.removesuffix(SMOOTH)
+        name = base_name(self.name)
         if name in PRESETS:
             method, ik = PRESETS[name].method, PRESETS[name].ik
         else:
@@ -72,7 +75,12 @@ class OwnMethod:
         if self.name.endswith(SMOOTH):
             smoothing, ik = Smoothing(), replace(ik, **SMOOTH_IK)
         mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
-        trajectory = map_recording(mapper, take.recording, wrist_poses=take.wrist)
+        recording, wrist = take.recording, take.wrist
+        if self.name.endswith(LOOK_AHEAD):
+            options = LookAhead()
+            wrist = smooth_poses(recording.time, wrist, recording.valid, options)
+            recording = look_ahead(recording, options)
+        trajectory = map_recording(mapper, recording, wrist_poses=wrist)
         return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 
@@ -134,11 +142,16 @@ def own_method(name: str) -> OwnMethod:
     Raises:
         InvalidInputError: If there is no such method.
     """
-    if name.removesuffix(SMOOTH) not in own_methods():
+    if base_name(name) not in own_methods():
         raise InvalidInputError(
             argument="--methods", expected=f"some of {', '.join(own_methods())}", value=name
         )
     return OwnMethod(name)
+
+
+def base_name(name: str) -> str:
+    """Return the name of a method without its ending."""
+    return name.removesuffix(SMOOTH).removesuffix(LOOK_AHEAD)
 
 
 class _Listed(msgspec.Struct):

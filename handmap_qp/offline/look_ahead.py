@@ -76,6 +76,26 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
     return replace(recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None)
 
 
+def smooth_poses(
+    time: np.ndarray, poses: np.ndarray, valid: np.ndarray, options: LookAhead
+) -> np.ndarray:
+    """Smooth poses forwards and backwards in time.
+
+    Args:
+        time: Instants, strictly increasing [s], shape (T,), T >= 3.
+        poses: Poses, shape (T, 4, 4); ignored where not valid.
+        valid: Poses to use, at least two of them, shape (T,).
+        options: How; gaps of any length are filled.
+
+    Returns:
+        The smoothed poses, shape (T, 4, 4).
+    """
+    rows = np.zeros((len(time), 7))
+    rows[valid] = np.hstack([_quats(poses[valid, :3, :3]), poses[valid, :3, 3]])
+    smooth = whittaker(time, rows, valid.astype(float), options.cutoff)
+    return poses_from_quats(smooth[:, 4:], smooth[:, :4], "poses")
+
+
 def whittaker(
     time: np.ndarray, values: np.ndarray, weight: np.ndarray, cutoff: float
 ) -> np.ndarray:

@@ -1,0 +1,93 @@
+"""Smoothing with look-ahead: no lag, filled gaps, a hand that keeps its size, limits that hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handmap_qp import InvalidInputError, Recording, load_hand
+from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses, whittaker
+from handmap_qp.transform import rotation_from_rpy
+
+
+def turning_hand(count: int = 120, rate: float = 60.0) -> Recording:
+    """A hand in its rest posture that turns by 3 rad and moves, without noise."""
+    human = load_hand("human", points="landmarks")
+    time = np.arange(count) / rate
+    landmarks = []
+    for t in time:
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_from_rpy([0.2 * np.sin(2 * t), 1.5 * t, 0.1])
+        pose[:3, 3] = [0.1 * np.sin(3 * t), 0.2 * t, 0.0]
+        landmarks.append(human.points(human.rest, pose))
+    return Recording("turn", time, np.array(landmarks), np.ones(count), "right")
+
+
+@pytest.mark.parametrize("cutoff", [2.0, 6.0])
+def test_the_cutoff_passes_at_half_and_without_phase(cutoff: float) -> None:
+    time = np.arange(2000) / 250.0
+    for share, expected in ((0.25, 1.0 / (1.0 + 0.25**4)), (1.0, 0.5), (2.0, 1.0 / 17.0)):
+        angle = 2.0 * np.pi * share * cutoff * time
+        waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        found = whittaker(time, waves, np.ones(2000), cutoff)[500:1500]
+        gain, *_ = np.linalg.lstsq(waves[500:1500], found, rcond=None)
+        np.testing.assert_allclose(gain, expected * np.eye(2), atol=5e-3)
+
+
+def test_uneven_instants_do_not_bend_a_straight_line() -> None:
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.005, 0.05, 80))
+    line = np.stack([3.0 * time - 1.0, -time], axis=1)
+    weight = (rng.uniform(size=80) < 0.7).astype(float)
+    weight[[0, -1]] = 1.0
+    found = whittaker(time, np.where(weight[:, None] > 0.0, line, np.nan), weight, 5.0)
+    np.testing.assert_allclose(found, line, atol=1e-9)
+
+
+def test_a_turning_hand_keeps_its_size_also_in_a_gap() -> None:
+    given = turning_hand()
+    valid = given.valid.copy()
+    valid[40:60] = False
+    landmarks = given.landmarks.copy()
+    landmarks[~valid] = np.nan
+    found = look_ahead(replace(given, valid=valid, landmarks=landmarks))
+    assert found.valid.all()
+    bones = [np.linalg.norm(np.diff(r.landmarks[:, 5:9], axis=1), axis=2) for r in (found, given)]
+    np.testing.assert_allclose(bones[0], bones[1], atol=1e-6)
+    error = np.linalg.norm(found.landmarks - given.landmarks, axis=2)
+    # 7 mm would be the sag of the chord that lines between landmarks are.
+    assert error[40:60].max() < 2e-3
+    assert error[10:-10].max() < 2e-3
+
+
+def test_noise_falls_and_long_gaps_stay() -> None:
+    given = turning_hand()
+    rng = np.random.default_rng(1)
+    noisy = given.landmarks + rng.normal(0.0, 1e-3, given.landmarks.shape)
+    valid = given.valid.copy()
+    valid[30:70] = False
+    found = look_ahead(replace(given, landmarks=noisy, valid=valid))
+    np.testing.assert_array_equal(found.valid, valid)
+    inner = np.r_[5:25, 75:115]
+    before = np.square(noisy - given.landmarks)[inner].mean()
+    after = np.square(found.landmarks - given.landmarks)[inner].mean()
+    assert after < 0.35 * before
+    poses = np.tile(np.eye(4), (120, 1, 1))
+    poses[:, 0, 3] = np.sin(given.time)
+    smooth = smooth_poses(given.time, poses, valid, LookAhead())
+    np.testing.assert_allclose(smooth[:, 0, 3], np.sin(given.time), atol=2e-3)
+    np.testing.assert_allclose(smooth[:, :3, :3], poses[:, :3, :3], atol=1e-12)
+
+
+def test_too_few_samples_are_left_as_they_are() -> None:
+    given = turning_hand(5)
+    valid = np.array([True, False, False, True, False])
+    found = look_ahead(replace(given, valid=valid))
+    np.testing.assert_array_equal(found.valid, valid)
+    np.testing.assert_array_equal(found.landmarks, given.landmarks)
+    for wrong in ({"cutoff": 0.0}, {"cutoff": np.nan}, {"longest_gap": -1.0}):
+        with pytest.raises(InvalidInputError) as caught:
+            LookAhead(**wrong)
+        assert caught.value.argument == next(iter(wrong))
