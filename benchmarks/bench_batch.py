@@ -44,7 +44,16 @@ from handmap_qp.trackers.recording import Recording, mirrored, read_recording
 
 HOURS, EPISODES, RATE = 829.0, 338_000, 30.0
 """EgoDex as published (Hoque et al. 2025): hours, episodes, frames per second."""
-STAGES = ("read", "measure person", "scale human", "bind method", "map", "measure", "write")
+STAGES = (
+    "read",
+    "check",
+    "measure person",
+    "scale human",
+    "bind method",
+    "map",
+    "measure",
+    "write",
+)
 _SHORT = 65
 
 
@@ -151,6 +160,7 @@ def timed_stages(clock: dict[str, float]) -> Any:
         return run
 
     places = {
+        "check_recording": "check",
         "measure_person": "measure person",
         "scaled_human": "scale human",
         "HandMapper": "bind method",

@@ -28,6 +28,7 @@ from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording, save_npz
 from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import Person, measure_person
+from handmap_qp.trackers.plausibility import check_recording
 from handmap_qp.trackers.recording import Recording
 
 
@@ -129,6 +130,7 @@ def _run(job: Job, started: float) -> Line:
             argument="--robot", problem=f"there is no robot for the {task.side} hand"
         )
     recording = task.source.read()
+    check_recording(recording)
     robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
     recording, trajectory, person = map_episode(recording, robot, job.options)
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))

@@ -23,7 +23,7 @@ from scipy.linalg import solveh_banded
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.trackers.landmarks import PALM
 from handmap_qp.trackers.recording import Recording
-from handmap_qp.transform import poses_from_quats
+from handmap_qp.transform import poses_from_quats, rigid_fits
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +147,8 @@ def _smoothed(
 def _palms(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation (T, 3, 3) and centre (T, 3) of the palm from that of the first sample."""
     points = landmarks[:, PALM]
-    centres = points.mean(axis=1)
-    offsets = points - centres[:, None]
-    left, _, right = np.linalg.svd(offsets.transpose(0, 2, 1) @ offsets[0])
-    sign = np.linalg.det(left @ right)
-    left[:, :, 2] *= sign[:, None]
-    return left @ right, centres
+    rotations, _ = rigid_fits(points, points[0])
+    return rotations.transpose(0, 2, 1), points.mean(axis=1)
 
 
 def _quats(rotations: np.ndarray) -> np.ndarray:

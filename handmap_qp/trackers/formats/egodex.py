@@ -21,6 +21,7 @@ from handmap_qp.trackers.formats.base import SIDES, Entry, check_one_per_hand, e
 from handmap_qp.trackers.formats.columns import finite_samples
 from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, numbers, opened
 from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.wrist_axes import palm_axes
 
 RATE = 30.0
 """Frames per second of all files."""
@@ -112,7 +113,10 @@ class EgoDexFormat:
         return tuple(lost)
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
-        """Write one hand or both; the fingers' joints have no orientation of their own."""
+        """Write one hand or both; the fingers' joints have no orientation of their own.
+
+        Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.
+        """
         check_one_per_hand(recordings, self.name)
         if len({recording.time.tobytes() for recording in recordings}) > 1:
             raise InvalidInputError(
@@ -141,11 +145,22 @@ class EgoDexFormat:
         share = np.where(recording.valid, given, 0.0)
         for i, name in enumerate(joint_names(recording.side)):
             poses = np.tile(np.eye(4), (count, 1, 1))
-            if i == 0 and recording.wrist is not None:
-                poses[:, :3, :3] = recording.wrist[:, :3, :3]
+            if i == 0:
+                poses[:, :3, :3] = _wrist_rotations(recording)
             poses[:, :3, 3] = recording.landmarks[:, i]
             file[f"transforms/{name}"] = poses
             file[f"confidences/{name}"] = share
+
+
+def _wrist_rotations(recording: Recording) -> np.ndarray:
+    """Return the wrist's rotations, the tracker's or those of the palm's landmarks, (T, 3, 3)."""
+    if recording.wrist is not None:
+        return recording.wrist[:, :3, :3]
+    rotations = np.tile(np.eye(3), (len(recording), 1, 1))
+    seen = recording.valid
+    sign = 1.0 if recording.side == "right" else -1.0
+    rotations[seen] = palm_axes(recording.landmarks[seen], sign)
+    return rotations
 
 
 def _is_apart(recording: Recording) -> bool:
