@@ -113,11 +113,18 @@ class WristCheck:
 
 
 def _mean_relative(palms: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the mean rotation from wrist to palm, and the cosine of the usual angle from it."""
-    relative = np.einsum("tji,tjk->tik", palms, rotations)
-    mean = nearest_rotation(relative.sum(axis=0))
-    cosines = (np.einsum("tik,ik->t", relative, mean) - 1.0) / 2.0
-    return mean, float(np.sort(cosines)[len(cosines) // 4])
+    """Return the mean rotation from wrist to palm, and how steady it is.
+
+    Steady means that the means of both halves of the samples agree: the cosine of the angle between
+    them. Noise of the landmarks cancels in the means.
+    """
+    half = len(palms) // 2
+    first = np.einsum("tji,tjk->ik", palms[:half], rotations[:half])
+    second = np.einsum("tji,tjk->ik", palms[half:], rotations[half:])
+    mean = nearest_rotation(first + second)
+    if half == 0:
+        return mean, 1.0
+    return mean, _cosine(nearest_rotation(first), nearest_rotation(second))
 
 
 def _cosine(a: np.ndarray, b: np.ndarray) -> float:
