@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.drawing.hands import draw_hands, load_shape, require_matplotlib, spheres, tube
-from handmap_qp.drawing.raster import Camera, Triangles, merged
+from handmap_qp.drawing.hands import draw_hands, load_shape, require_matplotlib
+from handmap_qp.drawing.raster import Camera, Triangles
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
@@ -25,7 +25,6 @@ _LANDMARK = (0.13, 0.40, 0.85)
 _OTHER = (0.55, 0.57, 0.60)
 _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 _AXIS_LENGTH = 0.045  # m
-_RADIUS = 0.0035  # m
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 _TO_PICTURE = np.block([[_UPRIGHT, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
@@ -78,26 +77,37 @@ def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
     places = transform_points(_TO_PICTURE, points)
     directions = _wrist_axes(layout, side)
     ends = transform_points(_TO_PICTURE, _AXIS_LENGTH * directions)
-    parts = [spheres(places[is_used], _RADIUS, _LANDMARK)]
-    if not is_used.all():
-        parts.append(spheres(places[~is_used], 0.8 * _RADIUS, _OTHER))
-    for end, colour in zip(ends, _AXIS_COLOURS, strict=False):
-        if np.linalg.norm(end) > 0.0:
-            parts.append(tube(np.array([np.zeros(3), end]), 0.0016, colour))
     around = np.concatenate([solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))])
     camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
-    draw_hands(axes, solid, camera, marks=merged(parts))
+    draw_hands(axes, solid, camera)
+    shown = camera.project(places)[:, :2]
+    colours = np.where(is_used[:, None], _LANDMARK, _OTHER)
+    sizes = np.where(is_used, 34.0, 16.0)
+    axes.scatter(*shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3)
+    _draw_axes(axes, camera, ends, directions)
     # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
     # so their labels are turned and go below.
-    for place, label, is_own in zip(camera.project(places)[:, :2], labels, is_used, strict=True):
-        style = {"fontsize": 8, "color": "0.1", **_halo()}
+    for place, label, is_own in zip(shown, labels, is_used, strict=True):
+        style = {"fontsize": 8, "color": "0.1", "zorder": 5, **_halo()}
         if is_own:
             axes.text(place[0] + 6, place[1] - 6, label, **style)
         else:
-            style |= {"rotation": 90, "ha": "center", "va": "top", "color": "0.35"}
-            axes.text(place[0] + 1, place[1] + 7, label, **style)
-    for end, name, colour in zip(camera.project(ends)[:, :2], "xyz", _AXIS_COLOURS, strict=False):
-        axes.text(end[0] + 4, end[1] + 10, name, fontsize=11, color=colour, **_halo())
+            style |= {"rotation": 90, "ha": "center", "va": "top", "color": "0.35", "fontsize": 7}
+            axes.text(place[0] + 1, place[1] + 6, label, **style)
+
+
+def _draw_axes(axes: Any, camera: Camera, ends: np.ndarray, directions: np.ndarray) -> None:
+    """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
+    origin = camera.project(np.zeros(3))[:2]
+    for end, direction, name, colour in zip(ends, directions, "xyz", _AXIS_COLOURS, strict=True):
+        if not direction.any():
+            continue
+        place = camera.project(end)[:2]
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", xy=place, xytext=origin, arrowprops=arrow, zorder=4)
+        sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
+        text = name + sides.get(float(np.round(direction[2], 6)), "")
+        axes.text(place[0] + 5, place[1] + 11, text, fontsize=9, color=colour, zorder=6, **_halo())
 
 
 def _halo() -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -300,3 +301,10 @@ def test_bad_files_are_one_clear_line(changes: dict[str, Any], word: str, tmp_pa
         read_with_layout(path, layout)
     assert word in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_page_of_trackers_is_that_of_the_tables() -> None:
+    folder = TABLES.parents[2] / "docs"
+    page = runpy.run_path(str(folder / "layouts.py"), run_name="layouts")
+    text = (folder / "trackers.md").read_text(encoding="utf-8")
+    assert page["page_text"](text) == text, "run python docs/layouts.py"

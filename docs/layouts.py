@@ -1,0 +1,103 @@
+"""Write the sections of `trackers.md` from the tables of layouts, and draw their pictures.
+
+Run `python docs/layouts.py` after a table has changed; a test compares the page with the tables.
+`--no-pictures` leaves the pictures as they are.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+from PIL import Image
+
+from handmap_qp.drawing.layout_pictures import save_layout_picture
+from handmap_qp.trackers.layout import Layout, all_layouts
+
+PAGE = Path(__file__).with_name("trackers.md")
+PICTURES = Path(__file__).with_name("images")
+BEGIN, END = "<!-- sections: docs/layouts.py -->", "<!-- end of sections -->"
+
+
+def section(layout: Layout) -> str:
+    """Return the section of one layout as Markdown."""
+    table = layout.table
+    lines = [f"### {layout.name}", "", f"{table.title}.", ""]
+    lines += [f"![{layout.name}](images/layout_{layout.name}.png)", ""]
+    facts = {
+        "one sample": table.values,
+        "shapes": " or ".join(f"`{shape}`" for shape in layout.shapes),
+        "unit": table.unit,
+        "axes": table.axes,
+    }
+    if table.mirror:
+        facts["handedness"] = f"left-handed; {table.mirror} is negated"
+    facts["wrist pose"] = _wrist(layout)
+    facts["does not have"] = "; ".join(table.missing) or "-"
+    lines += ["| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in facts.items()), ""]
+    lines += ["| index | there | here |", "|---|---|---|"]
+    lines += [f"| {a} | {b} | {c} |" for a, b, c in _order(layout)]
+    sources = ", ".join(_link(source) for source in table.sources)
+    return "\n".join([*lines, "", f"Sources: {sources}", ""])
+
+
+def page_text(text: str) -> str:
+    """Return the page with new sections."""
+    head, _, rest = text.partition(BEGIN)
+    _, _, tail = rest.partition(END)
+    sections = "\n".join(section(layout) for layout in all_layouts())
+    return f"{head}{BEGIN}\n\n{sections}\n{END}{tail}"
+
+
+def _wrist(layout: Layout) -> str:
+    table = layout.wrist_table
+    if table is None:
+        return "fitted" if layout.has_wrist else "none; the palm is fitted to the landmarks"
+    where = f"in the values (`{table.joint}`)" if layout.has_wrist else "beside the values"
+    axes = f"fingers along {table.right.distal}, back of the hand along {table.right.dorsal}"
+    if table.left is not None:
+        axes += f"; of a left hand {table.left.distal} and {table.left.dorsal}"
+    return f"{where}; {axes}; quaternions {getattr(layout.table, 'quaternion', table.quaternion)}"
+
+
+def _order(layout: Layout) -> list[tuple[str, str, str]]:
+    """Return index, the tracker's name and ours; joints that are not read in one row."""
+    rows = []
+    for row in layout.rows():
+        index, name, *ours = row.values()
+        own = " / ".join(str(value) for value in ours if value)
+        rows.append((str(index), str(name), own.replace("|", "")))
+    merged: list[tuple[str, str, str]] = []
+    for is_used, group in groupby(rows, key=lambda row: bool(row[2])):
+        found = list(group)
+        if is_used or len(found) == 1:
+            merged += [(a, b, c or "-") for a, b, c in found]
+        else:
+            merged.append((f"{found[0][0]}-{found[-1][0]}", f"{found[0][1]} ...", "-"))
+    return merged
+
+
+def _link(source: str) -> str:
+    return f"<{source}>" if source.startswith("http") else f"`{source}`"
+
+
+def main(words: Sequence[str]) -> None:
+    """Write the page, and the pictures."""
+    PAGE.write_text(page_text(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    print(f"wrote {PAGE}")
+    if "--no-pictures" in words:
+        return
+    for layout in all_layouts():
+        file = PICTURES / f"layout_{layout.name}.png"
+        save_layout_picture(layout, file)
+        # A palette takes a third of the space.
+        Image.open(file).convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE).save(
+            file, optimize=True
+        )
+        print(f"wrote {file}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
