@@ -40,13 +40,11 @@ class PathStart(NamedTuple):
     Attributes:
         q: Pinocchio configuration, shape (nq,).
         near: The pairs within the horizon.
-        horizon: Distance beyond which pairs were not measured [m].
         jacobian: Spatial velocity at the world's origin per velocity of the model, shape (6, nv).
     """
 
     q: np.ndarray
     near: NearPairs
-    horizon: float
     jacobian: np.ndarray
 
 
@@ -93,9 +91,7 @@ class ClearPath:
         """
         step = displacement if self._expansion is None else self._expansion.dot(displacement)
         turns = np.abs(step)
-        travel = self._levers.dot(turns)
-        distances = np.full(len(travel), start.horizon)
-        distances[start.near.pairs] = start.near.distances
+        travel, distances = self._levers.dot(turns), start.near.bounds
         is_open = (distances < travel + _KEPT) & (distances > 0.0)
         if not is_open.any():
             return True
@@ -109,9 +105,9 @@ class ClearPath:
             return True
         way = _Way(start.q, step[self._first_v :], self._first_q)
         before = distances[pairs]
-        is_far = before >= start.horizon
-        if is_far.any():
-            before[is_far] = self._measure(start.q, pairs[is_far])
+        is_unknown = ~start.near.is_measured[pairs]
+        if is_unknown.any():
+            before[is_unknown] = self._measure(start.q, pairs[is_unknown])
         kept = np.minimum(_KEPT, before)
         after = self._measure(way.at(1.0), pairs)
         if (after < kept).any():

@@ -71,7 +71,7 @@ class CollisionLimit:
         found = named_pairs(hand) if pairs is None else pairs
         self.pairs = found.links
         self.path = ClearPath(hand, found)
-        self._gain, self._horizon = gain, horizon
+        self._gain = gain
         geometry = found.geometry
         self._distances = ShapeDistances(hand.model, geometry, horizon)
         joints = [shape.parentJoint for shape in geometry.geometryObjects]
@@ -96,7 +96,7 @@ class CollisionLimit:
             configuration: Of the hand, where it was measured.
         """
         jacobian = configuration.joint_jacobian().copy()
-        return PathStart(configuration.q.copy(), self._measured, self._horizon, jacobian)
+        return PathStart(configuration.q.copy(), self._measured, jacobian)
 
     def rows(
         self, configuration: Configuration, margins: np.ndarray | None = None
@@ -111,7 +111,8 @@ class CollisionLimit:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        near, distances, wrenches = self._measured = self._distances.measure(configuration)
+        self._measured = measured = self._distances.measure(configuration)
+        near, distances, wrenches = measured.pairs, measured.distances, measured.wrenches
         kept = self.margin if margins is None else margins[near]
         relative = self._relative_support.take(near, 0)
         G = configuration.contracted(-wrenches.dot(configuration.joint_jacobian()) * relative)

@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.placements import homogeneous, placement_views
+from handmap_qp.transform import lengths
 
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
 _TOLERANCE = 1e-9
@@ -29,11 +30,15 @@ class NearPairs(NamedTuple):
         distances: Signed distances, negative where shapes overlap [m], shape (r,).
         wrenches: Unit force along the normal from the first to the second shape, and its moment
             about the world's origin: `(n, p x n)`, shape (r, 6).
+        bounds: Lower bounds of the distances of all pairs [m], shape (k,).
+        is_measured: Where the bound is the distance itself, shape (k,).
     """
 
     pairs: np.ndarray
     distances: np.ndarray
     wrenches: np.ndarray
+    bounds: np.ndarray
+    is_measured: np.ndarray
 
 
 class ShapeDistances:
@@ -46,7 +51,7 @@ class ShapeDistances:
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel, horizon: float) -> None:
-        self._model, self._geometry, self._horizon = model, geometry, horizon
+        self._model, self._geometry = model, geometry
         self._data = geometry.createData()
         for request in self._data.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
@@ -58,7 +63,7 @@ class ShapeDistances:
         centres = np.array([shape.geometry.aabb_center for shape in shapes]).reshape(-1, 3)
         self._centres = homogeneous(centres)
         radii = np.array([shape.geometry.aabb_radius for shape in shapes])
-        self._reaches = np.square(radii[self._first] + radii[self._second] + horizon)
+        self._radii, self._horizon = radii[self._first] + radii[self._second], horizon
         self._placed = placement_views(self._data.oMg)
         self._results = _result_views(model, geometry, self._data)
         self._distances = self._results[:, 0]
@@ -71,16 +76,19 @@ class ShapeDistances:
             configuration: Of the hand, placed.
         """
         pin.updateGeometryPlacements(self._model, configuration.data, self._geometry, self._data)
-        self._activate(self._may_be_near())
+        gaps = self._ball_gaps()
+        may_be_near = gaps <= self._horizon
+        self._activate(may_be_near)
         pin.computeDistances(self._geometry, self._data)
-        pairs = (self._is_active & (self._distances <= self._horizon)).nonzero()[0]
+        bounds = np.where(may_be_near, self._distances, gaps)
+        pairs = (bounds <= self._horizon).nonzero()[0]
         results = self._results[pairs]
         wrenches = results[:, 1:].copy()
         # np.cross takes three times as long.
         moments = results.take(_POINT_NEXT, 1) * results.take(_NORMAL_LAST, 1)
         moments -= results.take(_POINT_LAST, 1) * results.take(_NORMAL_NEXT, 1)
         wrenches[:, 3:] = moments
-        return NearPairs(pairs, results[:, 0], wrenches)
+        return NearPairs(pairs, results[:, 0], wrenches, bounds, may_be_near)
 
     def measure_all(self, configuration: Configuration) -> np.ndarray:
         """Return the signed distances of all pairs [m], shape (k,).
@@ -107,11 +115,10 @@ class ShapeDistances:
         pin.computeDistances(self._geometry, self._data)
         return self._distances[pairs]
 
-    def _may_be_near(self) -> np.ndarray:
-        """Return whether the bounding balls of each pair are within the horizon, shape (k,)."""
+    def _ball_gaps(self) -> np.ndarray:
+        """Return the distances of the bounding balls of all pairs [m], shape (k,)."""
         centres = self._placed.points(self._centres)
-        offsets = centres.take(self._first, 0) - centres.take(self._second, 0)
-        return np.square(offsets).dot(_ONES) <= self._reaches
+        return lengths(centres.take(self._first, 0) - centres.take(self._second, 0)) - self._radii
 
     def _activate(self, wanted: np.ndarray) -> None:
         """Choose the pairs that `computeDistances` measures."""
@@ -165,4 +172,3 @@ def _view_results(data: pin.GeometryData) -> np.ndarray:
 # Columns of the results, in the order of the factors of p x n.
 _NORMAL_NEXT, _NORMAL_LAST = np.array([2, 3, 1]), np.array([3, 1, 2])
 _POINT_NEXT, _POINT_LAST = np.array([5, 6, 4]), np.array([6, 4, 5])
-_ONES = np.ones(3)
