@@ -92,7 +92,7 @@ class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     pairs: tuple[tuple[str, str], ...]
-    margin: float = 0.002
+    margin: float = 0.0005
 
 
 class LimitSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

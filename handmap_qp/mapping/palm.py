@@ -15,9 +15,9 @@ _ORIGIN = frozen(np.zeros(3))
 class PalmFollower:
     """Moves the robot's palm as the human's palm moves from a reference on.
 
-    Both palms have the same rotation and the same translation in world axes; the translation is
-    that of an anchor point on each palm. If anchors and axes coincide at the reference, they stay
-    together. A robot with a fixed wrist keeps its palm.
+    Both palms have the same rotation, and the same translation (or `scale` times it) in world axes;
+    the translation is that of an anchor point on each palm. If anchors and axes coincide at the
+    reference, they stay together. A robot with a fixed wrist keeps its palm.
 
     Args:
         human: The hand that leads.
@@ -26,6 +26,7 @@ class PalmFollower:
         posture: The robot hand at the reference.
         human_anchor: The human's anchor in its palm frame [m], shape (3,); the origin if omitted.
         robot_anchor: The robot's, likewise.
+        scale: Factor on the translation.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class PalmFollower:
         posture: RobotPosture,
         human_anchor: np.ndarray = _ORIGIN,
         robot_anchor: np.ndarray = _ORIGIN,
+        scale: float = 1.0,
     ) -> None:
         self._human_wrist_to_palm = human.wrist_to_palm
         self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
@@ -44,9 +46,9 @@ class PalmFollower:
         self._rotation = before[:3, :3].T @ self._start[:3, :3]
         # The robot's palm seen from the human's: its origin there, and the rest in world axes.
         self._origin = human_anchor - self._rotation.dot(robot_anchor)
-        self._offset = transform_point(self._start, robot_anchor) - transform_point(
-            before, human_anchor
-        )
+        self._human_start = transform_point(before, human_anchor)
+        self._offset = transform_point(self._start, robot_anchor) - self._human_start
+        self._human_anchor, self._further = human_anchor, scale - 1.0
 
     def palms(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray]:
         """Return the human's palm and the target of the robot's palm, shape (4, 4) each."""
@@ -57,6 +59,9 @@ class PalmFollower:
         if self._is_still:
             return human_palm, self._start
         origin = transform_point(human_palm, self._origin) + self._offset
+        if self._further:
+            moved = transform_point(human_palm, self._human_anchor) - self._human_start
+            origin = origin + self._further * moved
         return human_palm, affine(human_palm[:3, :3].dot(self._rotation), origin)
 
     def wrist(self, palm: np.ndarray) -> np.ndarray:

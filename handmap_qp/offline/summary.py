@@ -11,6 +11,8 @@ from handmap_qp.offline.trajectory import Trajectory
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `speed_note` says so."""
+# A wrist this far from its target is out of reach [m], in more than this share of the samples.
+_WRIST_OFF, _LATE_SHARE = 0.02, 0.05
 _NAMED_JOINTS = 3
 _NAMED_HOLDS = 5
 
@@ -27,7 +29,9 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         many samples broke each rule, and `events` lists the holds. `consistency_mm_mean` is the
         mean RMS difference of bones and palm from the person's. `speed_limited_share` is the share
         of the followed samples in which a speed limit held a joint; `speed_limited_joints` has the
-        joints held most often, with share and limit [rad/s or m/s].
+        joints held most often, with share and limit [rad/s or m/s]. `arm_out_of_reach` has the
+        share of samples, the largest error, the extent of the motion and a scale to try, of an
+        arm that does not reach the motion; None if it does.
     """
     seen = trajectory.valid
     points = 1e3 * trajectory.point_error[seen]
@@ -50,6 +54,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "limit_violation_max": trajectory.limit_violation,
         "speed_limited_share": float(trajectory.at_speed_limit[seen].any(axis=1).mean()),
         "speed_limited_joints": _slow_joints(trajectory),
+        "arm_out_of_reach": _arm(trajectory),
     }
 
 
@@ -69,6 +74,47 @@ def speed_note(summary: dict[str, Any]) -> str:
         f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often {joints}: "
         "move more slowly, or give the robot's true limits in `limits` of its hand.yaml"
     )
+
+
+def arm_note(summary: dict[str, Any]) -> str:
+    """Return a line about an arm that is too short for the motion; empty if it follows.
+
+    Args:
+        summary: Result of `summarise`.
+    """
+    arm = summary["arm_out_of_reach"]
+    if arm is None:
+        return ""
+    return (
+        f"the arm does not reach the motion of about {arm['motion_mm']:.0f} mm: the wrist is up to "
+        f"{arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of the samples; "
+        f"try --teleoperation.scale {arm['scale']:.2g} (--scale with other presets), or start in "
+        "the middle of the arm's range"
+    )
+
+
+def _arm(trajectory: Trajectory) -> dict[str, float] | None:
+    """Measure how far a motion leaves the reach of an arm; None if the arm follows.
+
+    The scale is the largest one at which no target is farther from the first sample than the wrist
+    got.
+    """
+    robot, seen = trajectory.robot, trajectory.valid
+    if robot.is_floating or not robot.has_moving_wrist or not seen.any():
+        return None
+    places, errors = trajectory.wrist[seen, :3, 3], trajectory.wrist_error[seen]
+    late = errors > _WRIST_OFF
+    if not late.mean() > _LATE_SHARE:
+        return None
+    moved = np.linalg.norm(places - places[0], axis=1)
+    wanted = np.maximum(moved + errors, 1e-6)
+    scale = float((moved[late] / wanted[late]).min())
+    return {
+        "share": float(late.mean()),
+        "error_mm": 1e3 * float(errors.max()),
+        "motion_mm": 1e3 * float(wanted.max()),
+        "scale": max(0.05, float(np.floor(20.0 * scale) / 20.0)),
+    }
 
 
 def _slow_joints(trajectory: Trajectory) -> list[dict[str, Any]]:

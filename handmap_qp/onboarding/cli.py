@@ -121,6 +121,7 @@ class HandsInit:
     def run(self) -> None:
         """Find the hand, write its description, load it, and print how each part was found."""
         from handmap_qp.hands.library import load_hand
+        from handmap_qp.onboarding.collision_pairs import with_collision_pairs
         from handmap_qp.onboarding.detect import detect
         from handmap_qp.onboarding.source import open_source
         from handmap_qp.onboarding.write import check_free, write_hand
@@ -137,6 +138,8 @@ class HandsInit:
         ).from_source(source.reference, source.notes)
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
+        found = with_collision_pairs(found, hand)
+        write_hand(found, self.out, overwrite=True)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
             for c in found.clues

@@ -95,6 +95,15 @@ def hand_text(detection: Detection, folder: Path) -> str:
         ]
         lines += [f"  {_quoted(joint)}: null" for joint in spec.mimic]
     lines += _points(spec, clues)
+    if spec.collision is not None:
+        lines += [
+            "# Links that self-collision avoidance keeps apart: thumb and fingers, thumb and palm,",
+            "# and neighbouring fingers.",
+            "collision:",
+            f"  margin: {_number(spec.collision.margin)}  # m",
+            "  pairs:",
+            *(f"    - [{_quoted(one)}, {_quoted(other)}]" for one, other in spec.collision.pairs),
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -67,6 +67,7 @@ _TELEOPERATION_SLIDERS = (
     _Slider("extension_weight", 0.0, 10.0, 0.1, "Weight of the fingers' extension, per 10 mm"),
     _Slider("thumb_extension_weight", 0.0, 10.0, 0.1, "Weight of the thumb's extension, per 10 mm"),
     _Slider("pinch_weight", 0.0, 20.0, 0.1, "Weight of a pinch, per 10 mm between pads; 0: none"),
+    _Slider("scale", 0.0, 2.0, 0.05, "Factor on the palm's translation"),
     _Slider(
         "contact_gap",
         0.0,

@@ -23,10 +23,12 @@ from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import TeleoperationDiagnostics, smoothstep
+from handmap_qp.mapping.palm import PalmFollower
 from handmap_qp.mapping.presets import PRESETS, default_preset
 from handmap_qp.offline.surface_gaps import measure_gaps
-from handmap_qp.transform import affine, inverse_pose, transform_points
+from handmap_qp.transform import affine, inverse_pose, rotation_from_rpy, transform_points
 
 HUMAN = load_hand("human")
 LANDMARKS = load_hand("human", points="landmarks")
@@ -335,3 +337,25 @@ def test_the_step_from_0_to_1_is_smooth() -> None:
     assert (y[x <= 0.0] == 0.0).all()
     assert (y[x >= 1.0] == 1.0).all()
     assert np.abs(np.diff(y, 2)).max() < 1e-5
+
+
+def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
+    """A robot's anchor on its palm moves by the scale times the human's anchor."""
+    human, robot = load_hand("human"), load_hand("allegro_right")
+    anchors = np.array([0.01, 0.09, 0.0]), np.array([0.0, 0.1, 0.01])
+    points = human.points(human.rest)
+    start = HumanPose(points, np.eye(4))
+    turned = affine(rotation_from_rpy(np.array([0.3, -0.2, 0.5])), np.array([0.2, 0.1, -0.3]))
+    posture = RobotPosture(robot.rest, robot.points(robot.rest), np.eye(4))
+
+    def moved(scale: float) -> tuple[np.ndarray, np.ndarray]:
+        follower = PalmFollower(human, robot, start, posture, anchors[0], anchors[1], scale)
+        before = follower.palms(start)[1]
+        palm = follower.palms(HumanPose(points, turned))[1]
+        place, origin = (pose[:3, :3] @ anchors[1] + pose[:3, 3] for pose in (palm, before))
+        return place - origin, palm[:3, :3]
+
+    (full, rotation), (half, same) = moved(1.0), moved(0.5)
+    np.testing.assert_allclose(half, 0.5 * full, atol=1e-12)
+    np.testing.assert_allclose(same, rotation, atol=1e-12)
+    assert np.linalg.norm(full) > 0.1

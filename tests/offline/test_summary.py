@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
 
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.hands.spec import LimitSpec
-from handmap_qp.offline.summary import speed_note, summarise, table_rows
+from handmap_qp.offline.summary import _arm, arm_note, speed_note, summarise, table_rows
 from handmap_qp.offline.trajectory import Trajectory, map_recording
 from handmap_qp.trackers.recording import Recording
 
@@ -65,3 +67,22 @@ def test_a_large_share_is_one_line_with_joint_and_limit(speed: float, is_noted: 
         worst = summary["speed_limited_joints"][0]
         assert f"{worst['joint']} (0.3 per s)" in note
         assert "hand.yaml" in note
+
+
+def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
+    """A wrist that stops 50 mm short of a target 100 mm away: half the scale."""
+    trajectory = mapped(1.0)
+    seen = len(trajectory.time)
+    wrist = np.repeat(np.eye(4)[None], seen, axis=0)
+    wrist[1:, 0, 3] = 0.05
+    error = np.where(np.arange(seen) > 0, 0.05, 0.0)
+    arm = load_hand("ur5_allegro")
+    found = _arm(replace(trajectory, robot=arm, wrist=wrist, wrist_error=error))
+    assert found is not None
+    assert found["scale"] == pytest.approx(0.5)
+    assert found["motion_mm"] == pytest.approx(100.0)
+    assert "--teleoperation.scale 0.5" in arm_note({"arm_out_of_reach": found})
+    # A floating hand, and an arm that arrives, need no line.
+    floating = summarise(replace(trajectory, wrist=wrist, wrist_error=error))
+    assert arm_note(floating) == ""
+    assert _arm(replace(trajectory, robot=arm, wrist=wrist, wrist_error=0.1 * error)) is None

@@ -7,13 +7,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.onboarding.check import check_hand
+from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
 from handmap_qp.onboarding.detect import detect
 from handmap_qp.onboarding.gestures import make_fist, measure_pinches
 from handmap_qp.onboarding.measure import try_motion
@@ -221,3 +224,33 @@ def test_axes_of_leap_that_were_called_certain_are_refuted(tmp_path: Path) -> No
     fist = make_fist(load_hand(tmp_path / "old.yaml"))
     assert fist is not None
     assert fist.across_deg > 30.0
+
+
+def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
+    hand = load_hand("allegro_right")
+    collision = find_collision_pairs(hand)
+    assert collision is not None
+    described_hand = load_hand(msgspec.structs.replace(hand.spec, collision=collision))
+    limit = CollisionLimit(described_hand)
+    configuration = described_hand.configuration()
+    configuration.place_frames(described_hand.configuration_vector(described_hand.rest))
+    assert limit.distances(configuration).min() > collision.margin
+    links = {frozenset(pair) for pair in collision.pairs}
+    # Thumb and every fingertip; index and ring are no neighbours.
+    assert {frozenset({"link_15.0_tip", f"link_{i}.0_tip"}) for i in (3, 7, 11)} <= links
+    assert frozenset({"link_3.0_tip", "link_11.0_tip"}) not in links
+
+
+def test_pairs_for_self_collision_let_pinches_close() -> None:
+    hand = load_hand("allegro_right")
+    collision = find_collision_pairs(hand)
+    assert collision is not None
+    # A pinch counts as closed with surfaces nearer than 3 mm.
+    assert collision.margin < 0.001
+
+
+def test_a_hand_without_shapes_has_no_pairs(made: MadeHand, tmp_path: Path) -> None:
+    hand = load_hand(described(tmp_path, made.urdf))
+    assert find_collision_pairs(hand) is None
+    found = detect(tmp_path / "hand.urdf")
+    assert with_collision_pairs(found, hand).spec.collision is None

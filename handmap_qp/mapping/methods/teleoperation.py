@@ -49,6 +49,7 @@ class Teleoperation:
         contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
             1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
         ridge: Pull of T towards a rotation.
+        scale: Factor on the palm's translation, for arms that reach less far than a person's.
         avoids_contact: Whether links of the robot are kept apart.
 
     Raises:
@@ -61,6 +62,7 @@ class Teleoperation:
     pinch_weight: float = 5.0
     contact_gap: float = 0.013
     ridge: float = 0.1
+    scale: float = 1.0
     avoids_contact: bool = True
 
     def __post_init__(self) -> None:
@@ -178,7 +180,13 @@ class TeleoperationMap:
         self.rest = pair.matched
         self._method, self._pair = method, pair
         self._follower = PalmFollower(
-            method.human, pair.robot, sample, robot, pair.human_knuckles, pair.robot_knuckles
+            method.human,
+            pair.robot,
+            sample,
+            robot,
+            pair.human_knuckles,
+            pair.robot_knuckles,
+            method.choices.scale,
         )
         self._palm_before = palm_of(sample, method.human)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the

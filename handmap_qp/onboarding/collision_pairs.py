@@ -1,0 +1,108 @@
+"""Pairs of links that self-collision avoidance keeps apart on a new hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import HandmapError
+from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.hands.spec import CollisionSpec
+from handmap_qp.onboarding.detect import Detection
+
+MARGIN = 0.0005
+"""Least distance between links [m]: pinches close, and the linearised rows hold."""
+# Random postures, and the distance below which a pair may collide if it comes that near in one of
+# them [m].
+_SAMPLES, _NEAR = 60, 0.01
+# Pairs that overlap in more postures than this overlap by design.
+_BY_DESIGN = 0.5
+
+
+def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
+    """Add the pairs of links to keep apart to a detected hand.
+
+    Args:
+        found: The detection.
+        hand: Its hand.
+
+    Returns:
+        The detection with `collision`; with a note instead if there are no shapes.
+    """
+    try:
+        collision = find_collision_pairs(hand)
+    except HandmapError as error:
+        return replace(found, notes=(*found.notes, f"no pairs for self-collision: {error}"))
+    if collision is None:
+        return found
+    return replace(found, spec=msgspec.structs.replace(found.spec, collision=collision))
+
+
+def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
+    """Find the pairs of links that may collide: thumb and fingers, thumb and palm, neighbours.
+
+    Pairs on one finger, pairs that overlap at rest, stretched or in most postures, and pairs that
+    never come near each other are left out.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        The pairs; None if there are none.
+
+    Raises:
+        HandError: If a collision shape cannot be read.
+    """
+    chains = find_fingers(hand)
+    pairs = all_pairs(hand, chains)
+    wanted = [_is_wanted(hand, chains, links) for links in pairs.links]
+    distances = _distances(hand, pairs)
+    touches = distances[0] < 2.0 * MARGIN
+    pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
+    is_near = pinches | (distances.min(axis=0) < _NEAR)
+    overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
+    named = [(min(links), max(links)) for links in pairs.links]
+    # A link has several shapes: its pair is left out if one pair of them touches.
+    bad = {named[i] for i in np.flatnonzero(touches | overlaps)}
+    good = dict.fromkeys(named[i] for i in np.flatnonzero(np.array(wanted, dtype=bool) & is_near))
+    found = tuple(pair for pair in good if pair not in bad)
+    return CollisionSpec(found, MARGIN) if found else None
+
+
+def _is_wanted(hand: Hand, chains: dict[str, FingerChain], links: tuple[str, str]) -> bool:
+    """Return whether links are of the thumb and another finger or the palm, or of neighbours."""
+    owners = {_owner(hand, chains, link) for link in links}
+    if THUMB in owners:
+        return len(owners) == 2
+    if None in owners or len(owners) < 2:
+        return False
+    row = [finger for finger in FINGERS if finger in chains and finger != THUMB]
+    places = sorted(row.index(finger) for finger in owners if finger in row)
+    return len(places) == 2 and places[1] - places[0] == 1
+
+
+def _owner(hand: Hand, chains: dict[str, FingerChain], link: str) -> str | None:
+    """Return the finger that a link is on; None for the palm and the arm."""
+    joint = hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    owners = [finger for finger, chain in chains.items() if joint in chain.joints]
+    return owners[0] if len(owners) == 1 else None
+
+
+def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:
+    """Return the distance of each pair at rest and in random postures [m], shape (1 + n, k)."""
+    data, geometry_data = hand.model.createData(), pairs.geometry.createData()
+    parts = np.random.default_rng(0).random((_SAMPLES, len(hand.rest)))
+    random = hand.lower_limits + parts * (hand.upper_limits - hand.lower_limits)
+    found = []
+    for q in (hand.rest, *random):
+        vector = hand.configuration_vector(q)
+        pin.updateGeometryPlacements(hand.model, data, pairs.geometry, geometry_data, vector)
+        pin.computeDistances(pairs.geometry, geometry_data)
+        found.append([result.min_distance for result in geometry_data.distanceResults])
+    return np.array(found, dtype=float).reshape(_SAMPLES + 1, -1)
