@@ -106,6 +106,11 @@ COMMANDS: dict[str, _Place] = {
         "Figures",
         "Repeat the paper's numerical experiment (Sec. IV) and draw its figures.",
     ),
+    "simulate": _Place(
+        "simulation.cli",
+        "Simulate",
+        "Simulate a mapped hand that holds an object, with contacts, friction and gravity.",
+    ),
     "serve": _Place(
         "service.cli", "Serve", "Serve the mapper to trackers and robots over ZeroMQ and WebSocket."
     ),

@@ -1,0 +1,217 @@
+"""The command `handmap simulate`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from handmap_qp.arguments import HandName
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import check_output
+from handmap_qp.tables import print_rows, progress
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.hand import Hand
+    from handmap_qp.simulation.episode import Episode
+    from handmap_qp.simulation.physics import Body, Physics
+
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+_FILMS = (".gif", ".webp", ".png")
+
+
+def _optional(metavar: str, default: str) -> Any:
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate a mapped hand that holds an object, with contacts, friction and gravity.
+
+    With a recording of a pinch: an object stands where the robot's pads meet. It must stay between
+    them until the human opens the hand. With --trials, random objects and places are tried, and the
+    table shows how many were held by every mapping.
+
+    Without a recording: the paper's experiment (Sec. IV). The human's and the robot's hand hold the
+    object in planned grasps. The human's wrist follows an arc while a synergy is activated.
+
+    Links touch the object, not each other. Actuators are springs with critical damping. The hand's
+    own weight is compensated.
+
+    Examples:
+        handmap simulate pinch.npz --robot allegro_right --film pinch.gif
+        handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
+        handmap simulate --robot three_finger --gamma 0.5 --picture arc.png
+
+    Attributes:
+        recording: Recording with a pinch of thumb and index finger; the paper's arc if omitted.
+        robot: Robot hand, by name or by the path of its hand.yaml.
+        methods: Mappings, as of `handmap compare`; for a recording.
+        peers: Folder of the program that runs outside methods, such as benchmarks/peers.
+        object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
+        mass: Mass of the object [kg].
+        friction: Coulomb coefficient.
+        stiffness: Stiffness of the fingers' actuators [N m/rad].
+        up: World axis against gravity.
+        trials: Random objects and places, for every mapping; for a recording.
+        objects: Random objects (varied), or the same cube at random places (nominal).
+        seed: Seed of the random numbers.
+        synergy: Synergy that the human activates, for the arc.
+        gamma: Its activation at the end.
+        fingers: Inverse kinematics of the robot's fingers, for the arc.
+        squeeze: Planned normal force of every contact [N], for the arc.
+        out: File of the robot's simulation, .npz.
+        picture: Picture of four instants, .png.
+        film: Moving picture, .gif or .webp.
+        json: Print one JSON object instead of a table.
+    """
+
+    recording: tyro.conf.Positional[
+        Annotated[Path | None, _optional("[RECORDING]", "the paper's arc")]
+    ] = None
+    robot: HandName = "three_finger"
+    methods: tuple[str, ...] = ("teleoperation",)
+    peers: Annotated[Path | None, _optional("FOLDER", "none")] = None
+    object: Annotated[str | None, _optional("OBJECT", "box:0.03, or box:0.05 on the arc")] = None
+    mass: Annotated[float | None, _optional("KG", "0.05, or 0.1 on the arc")] = None
+    friction: float = 0.8
+    stiffness: float = 3.0
+    up: Annotated[Up | None, _optional("AXIS", "y for a recording, z for the arc")] = None
+    trials: int = 0
+    objects: Literal["nominal", "varied"] = "varied"
+    seed: int = 0
+    synergy: Literal[1, 2, 3] = 1
+    gamma: float = 0.5
+    fingers: Literal["pseudoinverse", "clipped", "damped", "qp", "frozen"] = "qp"
+    squeeze: float = 4.0
+    out: Annotated[Path | None, _optional("FILE.npz", "none")] = None
+    picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
+    film: Annotated[Path | None, _optional("FILE.gif", "none")] = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Simulate, print a table, and write the files."""
+        for option, path, suffixes in (
+            ("--out", self.out, (".npz",)),
+            ("--picture", self.picture, (".png",)),
+            ("--film", self.film, _FILMS),
+        ):
+            if path is not None:
+                check_output(option, path, suffixes)
+        if self.trials and (self.recording is None or self.out or self.picture or self.film):
+            raise InvalidInputError(
+                argument="--trials",
+                problem="needs a recording, and writes no file",
+                value=self.trials,
+            )
+        if self.recording is None:
+            rows, episode = self._arc()
+        else:
+            rows, episode = self._pinches(self.recording)
+        if self.json:
+            print(json.dumps({"robot": self.robot, "seed": self.seed, "rows": rows}))
+        else:
+            print_rows(f"{self.robot}: simulated", rows)
+        if episode is not None:
+            self._write(episode)
+
+    def _physics(self) -> Physics:
+        from handmap_qp.simulation.physics import Physics
+
+        axis = self.up or ("z" if self.recording is None else "y")
+        sign = 9.81 if axis.startswith("-") else -9.81
+        gravity = tuple(sign * (axis[-1] == name) + 0.0 for name in "xyz")
+        return Physics(
+            friction=self.friction,
+            joint_stiffness=self.stiffness,
+            gravity=(gravity[0], gravity[1], gravity[2]),
+        )
+
+    def _body(self) -> Body:
+        from handmap_qp.simulation.physics import Body
+        from handmap_qp.simulation.shapes import parse_object
+
+        size, mass = ("box:0.05", 0.1) if self.recording is None else ("box:0.03", 0.05)
+        return Body(parse_object(self.object or size), mass if self.mass is None else self.mass)
+
+    def _robot(self) -> Hand:
+        from handmap_qp.hands.library import load_hand
+
+        return load_hand(self.robot)
+
+    def _arc(self) -> tuple[list[dict[str, Any]], Episode]:
+        """Carry the object with both hands along the paper's arc."""
+        from handmap_qp.experiments.section_four import Setting
+        from handmap_qp.simulation.arc import ArcOptions, arc_row, carry_along_arc, planned_scene
+
+        setting = Setting(
+            synergy=self.synergy, gamma=self.gamma, fingers=self.fingers, ridge=_RIDGE
+        )
+        body, physics, robot = self._body(), self._physics(), self._robot()
+        with progress("planning grasps") as advance:
+            scene = planned_scene(robot, body.shape, seed=self.seed, progress=advance)
+        options = ArcOptions(normal_force=self.squeeze)
+        outcome = carry_along_arc(scene, setting, body.mass, physics, options)
+        return [arc_row(outcome)], outcome.robot.episode
+
+    def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], Episode | None]:
+        """Pinch one object, or many, by every mapping."""
+        from handmap_qp.offline.takes import prepare_take
+        from handmap_qp.simulation.mapped import chosen_methods, map_commands
+        from handmap_qp.simulation.pinch import PinchTrial, find_pinch, run_pinch
+        from handmap_qp.simulation.trials import outcome_row, random_trials, run_trials, trial_row
+        from handmap_qp.trackers.recording import read_recording
+
+        read, robot, physics, body = (
+            read_recording(recording),
+            self._robot(),
+            self._physics(),
+            self._body(),
+        )
+        methods = chosen_methods(self.methods, self.peers, self.robot)
+        window = find_pinch(read)
+        take = prepare_take(read, robot.side)
+        rows, first = [], None
+        for method in methods:
+            commands = map_commands(method, take, robot)
+            if self.trials:
+                drawn = random_trials(self.trials, self.seed, self.objects)
+                with progress(method.name, len(drawn)) as advance:
+                    outcomes = run_trials(commands, window, drawn, physics, advance)
+                rows.append(trial_row(method.name, outcomes))
+            else:
+                trial = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
+                outcome = run_pinch(commands, window, trial, physics)
+                rows.append(outcome_row(method.name, outcome))
+                first = first or outcome.episode
+        return rows, first
+
+    def _write(self, episode: Episode) -> None:
+        import numpy as np
+
+        from handmap_qp.offline.trajectory import save_npz
+        from handmap_qp.simulation.film import Stage, film, picture
+
+        written = []
+        if self.out is not None:
+            save_npz(self.out, episode.columns)
+            written.append(self.out)
+        if self.picture is not None or self.film is not None:
+            stage = Stage(episode, -np.array(self._physics().gravity))
+            if self.picture is not None:
+                picture(stage, self.picture)
+                written.append(self.picture)
+            if self.film is not None:
+                with progress("rendering") as advance:
+                    film(stage, self.film, progress=advance)
+                written.append(self.film)
+        if not self.json:
+            for path in written:
+                print(f"wrote {path}")
+
+
+# Three contacts do not determine T without a ridge, nor do contacts in one plane.
+_RIDGE = 0.1

@@ -1,0 +1,78 @@
+"""Forces that hold an object, and the commands that make them: `holding_forces`, `squeeze`."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import finite_array, positive_number
+from handmap_qp.grasp.contacts import Grasp
+
+# Share of the cost of tangential forces; they use up friction, normal forces do not.
+_TANGENTIAL = 4.0
+
+
+def holding_forces(grasp: Grasp, load: npt.ArrayLike, normal_force: float) -> np.ndarray:
+    """Find contact forces that balance a load and press on the object.
+
+    The forces minimise `sum_c (f_n - f_0)^2 + 4 |f_t|^2` subject to `G f + w = 0`.
+
+    Args:
+        grasp: The grasp, with at least three contacts that are not on one line.
+        load: Wrench on the object about its centre, w, world axes [N, N m], shape (6,).
+        normal_force: Wanted normal force at every contact, f_0 [N].
+
+    Returns:
+        Forces of the hand on the object, world axes [N], shape (n_c, 3).
+
+    Raises:
+        InvalidInputError: If the grasp cannot balance every load.
+    """
+    wrench = finite_array(load, (6,), "load")
+    force = positive_number(normal_force, "normal_force")
+    G, normals = grasp.matrix, grasp.normals
+    count = len(normals)
+    if count < 3 or np.linalg.matrix_rank(G, tol=1e-6) < 6:
+        raise InvalidInputError(
+            argument="grasp", expected="three contacts that are not on one line", got=f"{count}"
+        )
+    projector = np.einsum("ci,cj->cij", normals, normals)
+    weight = np.zeros((3 * count, 3 * count))
+    for c in range(count):
+        weight[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = projector[c] + _TANGENTIAL * (
+            np.eye(3) - projector[c]
+        )
+    # Lengths of the order of the object keep the rows of G alike.
+    system = np.block([[weight, G.T], [G, np.zeros((6, 6))]])
+    right = np.concatenate([force * normals.ravel(), -wrench])
+    return np.linalg.solve(system, right)[: 3 * count].reshape(-1, 3)
+
+
+def friction_use(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
+    """Return the share |f_t| / f_n of every contact, infinite where it does not press.
+
+    Args:
+        grasp: The grasp.
+        forces: Forces of the hand on the object [N], shape (n_c, 3).
+    """
+    normal = np.einsum("ci,ci->c", forces, grasp.normals)
+    tangential = np.linalg.norm(forces - normal[:, None] * grasp.normals, axis=1)
+    return np.where(normal > 1e-9, tangential / np.maximum(normal, 1e-9), np.inf)
+
+
+def squeeze(grasp: Grasp, forces: np.ndarray, stiffness: float) -> np.ndarray:
+    """Return the displacement of a position command that makes contact forces.
+
+    Actuators of stiffness k give the torques `J^T f` if they are commanded `J^T f / k` beyond the
+    posture in which the hand is held up by the object.
+
+    Args:
+        grasp: The grasp.
+        forces: Forces of the hand on the object [N], shape (n_c, 3).
+        stiffness: Stiffness of the actuators [N m/rad].
+
+    Returns:
+        Displacement of the joints [rad], shape (n,).
+    """
+    return grasp.jacobian.T @ forces.ravel() / positive_number(stiffness, "stiffness")

@@ -1,0 +1,264 @@
+"""Physics of the simulation: momentum, friction, statics, couplings, determinism."""
+
+from __future__ import annotations
+
+import msgspec
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulation_cases import CUBE, cube_grasp
+
+from handmap_qp import InvalidInputError, load_hand
+from handmap_qp.grasp.contacts import Contact, Grasp
+from handmap_qp.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.grasp.statics import quasistatic
+from handmap_qp.simulation.arc import take_hold
+from handmap_qp.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.simulation.simulator import Simulator
+from handmap_qp.simulation.squeeze import friction_use, holding_forces, squeeze
+from handmap_qp.transform import affine
+
+MASS = 0.1
+WEIGHT = np.array([0.0, 0.0, -9.81 * MASS, 0.0, 0.0, 0.0])
+FAR = affine(np.eye(3), np.array([0.0, 0.0, 2.0]))
+
+
+def held(physics: Physics, normal_force: float = 6.0) -> tuple[Simulator, Grasp, np.ndarray]:
+    """The cube in the hand, with its weight."""
+    grasp = cube_grasp()
+    load = MASS * np.array([*physics.gravity, 0.0, 0.0, 0.0])
+    forces = holding_forces(grasp, load, normal_force)
+    offset = squeeze(grasp, forces, physics.joint_stiffness)
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics)
+    take_hold(simulator, grasp, offset)
+    return simulator, grasp, offset
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        CUBE,
+        Sphere(0.03),
+        Cylinder(0.02, 0.08),
+        MeshShape(np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) - 0.025),
+    ],
+    ids=lambda shape: type(shape).__name__,
+)
+def test_a_free_object_falls_as_galileo_said(shape: Box | Sphere | Cylinder | MeshShape) -> None:
+    grasp = cube_grasp()
+    simulator = Simulator(grasp.hand, Body(shape, MASS))
+    simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+    simulator.hold(0.3)
+    step, time = simulator.physics.time_step, simulator.time
+    fallen = 2.0 - simulator.object_pose[2, 3]
+    # The semi-implicit scheme falls half a step's speed farther than g t^2 / 2.
+    assert fallen == pytest.approx(0.5 * 9.81 * time * (time + step), abs=1e-9)
+    assert simulator.object_velocity[2] == pytest.approx(-9.81 * time, abs=1e-9)
+
+
+def test_forces_on_the_object_are_its_weight_once_it_rests() -> None:
+    simulator, _, _ = held(Physics(torsion=0.0))
+    simulator.hold(0.5)
+    contacts = simulator.contacts()
+    np.testing.assert_allclose(contacts.forces.sum(axis=0), -WEIGHT[:3], atol=2e-3)
+    arms = contacts.points - simulator.object_pose[:3, 3]
+    np.testing.assert_allclose(np.cross(arms, contacts.forces).sum(axis=0), 0.0, atol=2e-4)
+
+
+def test_momentum_changes_by_the_impulse_of_contacts_and_gravity() -> None:
+    """Tilted and carried: m dv = (sum f + m g) dt, summed over every step."""
+    simulator, _, _ = held(Physics(friction=1.2))
+    model, data, dt = simulator.parts.model, simulator.data, simulator.physics.time_step
+    before, impulse = simulator.object_velocity[:3], np.zeros(3)
+    for k in range(60):
+        data.mocap_pos[0] += (4e-6 * k, 0.0, 2e-6 * k)
+        mujoco.mj_step(model, data)
+        # The forces with which MuJoCo made this step.
+        impulse += (simulator.contacts().forces.sum(axis=0) + WEIGHT[:3]) * dt
+    mujoco.mj_forward(model, data)
+    gained = MASS * (simulator.object_velocity[:3] - before)
+    assert np.linalg.norm(gained) > 5e-3
+    np.testing.assert_allclose(gained, impulse, atol=1e-6)
+
+
+@settings(max_examples=4)
+@given(st.floats(0.3, 1.5), st.floats(2.0, 10.0))
+def test_contact_forces_stay_in_their_friction_cones(friction: float, force: float) -> None:
+    simulator, grasp, offset = held(Physics(friction=friction, torsion=0.0), force)
+    assert grasp.wrist_pose is not None
+    target = grasp.wrist_pose.copy()
+    target[0, 3] += 0.02
+    for _ in range(10):
+        simulator.follow(grasp.q + offset, target, 0.02)
+        contacts = simulator.contacts()
+        normal = np.einsum("ci,ci->c", contacts.forces, contacts.normals)
+        tangential = np.linalg.norm(contacts.forces - normal[:, None] * contacts.normals, axis=1)
+        assert (normal >= -1e-9).all()
+        assert (tangential <= friction * normal * (1.0 + 1e-6) + 1e-9).all()
+
+
+def test_too_little_friction_drops_the_object_and_enough_holds_it() -> None:
+    """Around the friction that the planned forces use, in the direction that uses most."""
+    grasp = cube_grasp()
+    directions = [sign * axis for axis in np.eye(3) for sign in (-9.81, 9.81)]
+    uses = [
+        friction_use(grasp, holding_forces(grasp, MASS * np.array([*g, 0, 0, 0]), 1.5)).max()
+        for g in directions
+    ]
+    gravity = directions[int(np.argmax(uses))]
+    moved = {}
+    for share in (0.02, 2.0):
+        physics = Physics(
+            friction=float(share * max(uses)), torsion=0.0, gravity=tuple(map(float, gravity))
+        )
+        simulator, _, _ = held(physics, 1.5)
+        simulator.hold(0.6)
+        moved[share] = np.linalg.norm(grasp.centre - simulator.object_pose[:3, 3])
+    assert moved[0.02] > 0.01
+    assert moved[2.0] < 3e-3
+
+
+def test_planned_forces_balance_the_load_and_are_found_in_the_simulation() -> None:
+    physics = Physics(gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=1.5)
+    grasp = cube_grasp()
+    forces = holding_forces(grasp, np.zeros(6), 6.0)
+    np.testing.assert_allclose(grasp.matrix @ forces.ravel(), 0.0, atol=1e-9)
+    simulator, _, _ = held(physics)
+    found = simulator.contacts().forces
+    assert len(found) == len(forces)
+    nearest = [np.linalg.norm(found - force, axis=1).min() for force in forces]
+    assert max(nearest) < 0.05 * np.linalg.norm(forces, axis=1).max()
+
+
+@pytest.mark.slow
+def test_slow_motion_changes_forces_and_object_as_the_statics_predict() -> None:
+    """Eq. of the paper's [22] with rigid contacts, against MuJoCo's own dynamics."""
+    physics = Physics(
+        gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=2.0, time_step=1e-3, contact_time=2e-3
+    )
+    simulator, grasp, offset = held(physics)
+    simulator.hold(1.0)
+    start, q, pose = simulator.contacts(), simulator.q, simulator.object_pose
+    links = [name.replace("f", "finger", 1) for name in start.joints]
+    frames = grasp.hand.link_poses(links, q, simulator.wrist)
+    contacts = tuple(
+        Contact(link, tuple(f[:3, :3].T @ (p - f[:3, 3])), tuple(f[:3, :3].T @ n))
+        for link, f, p, n in zip(links, frames, start.points, start.normals, strict=True)
+    )
+    now = Grasp(grasp.hand, q, pose, contacts, simulator.wrist)
+    predicted = quasistatic(
+        now.jacobian,
+        now.matrix,
+        np.eye(len(q)),
+        contact_stiffness=1e5,
+        joint_stiffness=physics.joint_stiffness,
+        synergy_stiffness=np.inf,
+    )
+    for joint in (0, 1, 3, 6):
+        change = 0.01 * np.eye(len(q))[joint]
+        base, rest = simulator.object_pose[:3, 3], simulator.contacts().forces
+        simulator.follow(grasp.q + offset + change, grasp.wrist_pose, 0.5)
+        simulator.hold(0.2)
+        forces = (simulator.contacts().forces - rest).ravel()
+        wanted = predicted.contact_forces @ change
+        cosine = forces @ wanted / np.linalg.norm(forces) / np.linalg.norm(wanted)
+        assert cosine > 0.95, joint
+        assert np.linalg.norm(forces) == pytest.approx(np.linalg.norm(wanted), rel=0.25), joint
+        moved = simulator.object_pose[:3, 3] - base
+        error = np.linalg.norm(moved - predicted.object_motion[:3] @ change)
+        assert error < 1e-4, joint
+        simulator.follow(grasp.q + offset, grasp.wrist_pose, 0.3)
+
+
+def test_the_same_commands_give_the_same_motion() -> None:
+    poses = []
+    for _ in range(2):
+        simulator, grasp, offset = held(Physics())
+        simulator.follow(grasp.q + 0.5 * offset, grasp.wrist_pose, 0.2)
+        poses.append(np.concatenate([simulator.data.qpos, simulator.data.qvel]))
+    np.testing.assert_array_equal(poses[0], poses[1])
+
+
+def test_a_stand_holds_the_object_until_it_lets_go() -> None:
+    grasp = cube_grasp()
+    pose = FAR.copy()
+    pose[:3, :3] = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    simulator = Simulator(grasp.hand, Body(CUBE, 0.3))
+    simulator.reset(grasp.q, grasp.wrist_pose, pose)
+    simulator.set_stand(holds=True)
+    simulator.hold(0.3)
+    np.testing.assert_allclose(simulator.object_pose, pose, atol=1e-3)
+    simulator.set_stand(holds=False)
+    simulator.hold(0.3)
+    assert simulator.object_pose[2, 3] < 1.7
+
+
+def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall() -> None:
+    grasp = cube_grasp()
+    assert grasp.wrist_pose is not None
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS))
+    simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+    np.testing.assert_allclose(simulator.wrist, grasp.wrist_pose, atol=1e-12)
+    target = grasp.wrist_pose.copy()
+    target[:3, 3] += 0.1
+    simulator.follow(grasp.q, target, 0.5)
+    simulator.hold(0.3)
+    np.testing.assert_allclose(simulator.wrist, target, atol=1e-3)
+    np.testing.assert_allclose(simulator.q, grasp.q, atol=1e-3)
+
+
+def test_mimic_joints_follow_their_leaders() -> None:
+    """The TIAGo's Hey5 bends each finger by one motor."""
+    spec = msgspec.structs.replace(load_hand("hey5").spec)
+    hand = load_hand(spec)
+    simulator = Simulator(hand, Body(CUBE, MASS))
+    simulator.reset(hand.rest, np.eye(4), FAR)
+    q = hand.rest + 0.2 * (hand.upper_limits - hand.rest)
+    simulator.follow(q, np.eye(4), 0.4)
+    simulator.hold(0.4)
+    places = simulator.parts.all_q
+    found = simulator.data.qpos[places[places >= 0]]
+    wanted = hand.all_joints(simulator.q)[places >= 0]
+    np.testing.assert_allclose(found, wanted, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"friction": -0.1},
+        {"joint_stiffness": 0.0},
+        {"time_step": float("nan")},
+        {"gravity": (0.0, 0.0, float("inf"))},
+        {"contact_time": 1e-3},
+        {"density": "heavy"},
+        {"armature": float("inf")},
+    ],
+    ids=str,
+)
+def test_impossible_physics_is_refused(change: dict) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        Physics(**change)
+    assert caught.value.argument == next(iter(change))
+
+
+def test_impossible_bodies_and_starts_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="mass"):
+        Body(CUBE, 0.0)
+    with pytest.raises(InvalidInputError, match="shape"):
+        Body("cube", 1.0)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match="points"):
+        MeshShape(np.zeros((4, 3)))
+    grasp = cube_grasp()
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS))
+    with pytest.raises(InvalidInputError, match="wrist"):
+        simulator.reset(grasp.q, None, FAR)
+    with pytest.raises(InvalidInputError, match="q"):
+        simulator.reset(grasp.q[1:], grasp.wrist_pose, FAR)
+    with pytest.raises(InvalidInputError, match="three contacts"):
+        holding_forces(
+            Grasp(grasp.hand, grasp.q, grasp.object_pose, grasp.contacts[:2], grasp.wrist_pose),
+            WEIGHT,
+            1.0,
+        )

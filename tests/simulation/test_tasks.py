@@ -1,0 +1,216 @@
+"""The arc, pinches, trials, films and the command."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulation_cases import CUBE, cube_grasp
+
+from handmap_qp import HandError, InvalidInputError, cli, load_hand
+from handmap_qp.experiments.section_four import HandMotion
+from handmap_qp.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.hands.hand import Hand
+from handmap_qp.simulation.arc import ArcOptions, Carried, carry
+from handmap_qp.simulation.film import Stage, film, picture
+from handmap_qp.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.simulation.pinch import Commands, PinchTrial, PinchWindow, find_pinch, run_pinch
+from handmap_qp.simulation.shapes import parse_object
+from handmap_qp.simulation.simulator import Simulator
+from handmap_qp.simulation.trials import random_trials, success_rate
+from handmap_qp.trackers.recording import Recording
+
+WINDOW = PinchWindow("index", 0, 10, 60)
+
+
+@pytest.fixture(scope="module")
+def pinching() -> Commands:
+    """A gripper that closes within a fifth of a second, and then rises."""
+    hand = load_hand("panda_gripper")
+    time = np.arange(61) / 50.0
+    q = np.interp(time, [0.0, 0.2], [0.04, 0.0])[:, None]
+    wrist = np.tile(np.eye(4), (61, 1, 1))
+    wrist[:, :3, :3] = np.diag([1.0, -1.0, -1.0])
+    wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
+    return Commands("closing", hand, time, q, wrist)
+
+
+PHYSICS = Physics(joint_stiffness=2000.0)
+
+
+def test_a_closing_gripper_lifts_the_object(pinching: Commands) -> None:
+    outcome = run_pinch(pinching, WINDOW, PinchTrial(), PHYSICS)
+    poses = outcome.episode.object_pose[:, :3, 3]
+    assert outcome.is_held
+    assert poses[-1, 2] - poses[0, 2] == pytest.approx(0.1, abs=0.005)
+    assert outcome.held_time == pytest.approx(outcome.pinch_time)
+
+
+@pytest.mark.parametrize(
+    "trial",
+    [
+        PinchTrial(friction=0.01, mass=0.2),
+        PinchTrial(offset=(0.0, 0.0, -0.06)),
+        PinchTrial(shape=Sphere(0.008), offset=(0.03, 0.0, 0.0)),
+    ],
+    ids=["slippery", "below", "beside"],
+)
+def test_what_is_not_gripped_falls(pinching: Commands, trial: PinchTrial) -> None:
+    outcome = run_pinch(pinching, WINDOW, trial, PHYSICS)
+    assert not outcome.is_held
+    assert outcome.held_time < outcome.pinch_time
+
+
+def test_trials_repeat_with_their_seed(pinching: Commands) -> None:
+    one, same, other = (random_trials(20, seed) for seed in (3, 3, 4))
+    for a, b in zip(one, same, strict=True):
+        assert (a.offset, a.yaw, a.mass, a.friction) == (b.offset, b.yaw, b.mass, b.friction)
+        assert type(a.shape) is type(b.shape)
+    assert [t.mass for t in one] != [t.mass for t in other]
+    assert all(0.02 <= trial.size <= 0.045 for trial in one)
+    assert {trial.mass for trial in random_trials(5, 0, "nominal")} == {0.05}
+    results = [run_pinch(pinching, WINDOW, one[0], PHYSICS) for _ in range(2)]
+    np.testing.assert_array_equal(*(result.episode.object_pose for result in results))
+
+
+def test_intervals_hold_the_rate_and_shrink_with_trials() -> None:
+    for held, count in ((0, 10), (5, 10), (10, 10), (190, 200)):
+        rate, low, high = success_rate(held, count)
+        assert 0.0 <= low <= rate + 1e-12
+        assert rate <= high + 1e-12 <= 1.0 + 1e-9
+    assert np.ptp(success_rate(100, 200)[1:]) < np.ptp(success_rate(10, 20)[1:])
+    # Wilson's interval of 8 of 10, as in Newcombe 1998 for other counts: (p + z^2/2n +- ...) / ...
+    np.testing.assert_allclose(success_rate(8, 10)[1:], (0.4902, 0.9433), atol=1e-4)
+
+
+def test_a_pinch_is_found_in_landmarks() -> None:
+    time = np.arange(200) / 100.0
+    landmarks = np.tile(load_landmarks(), (200, 1, 1))
+    landmarks[:, 8] = landmarks[:, 4] + np.array([0.08, 0.0, 0.0])
+    landmarks[50:150, 8] = landmarks[50:150, 4] + np.array([0.01, 0.0, 0.0])
+    recording = Recording("made", time, landmarks, np.ones(200, dtype=bool), "right")
+    window = find_pinch(recording)
+    assert (window.closed, window.end) == (50, 149)
+    assert time[window.start] == pytest.approx(0.25, abs=0.02)
+    landmarks[:, 8] = landmarks[:, 4] + np.array([0.08, 0.0, 0.0])
+    with pytest.raises(InvalidInputError, match="no pinch"):
+        find_pinch(Recording("open", time, landmarks, np.ones(200, dtype=bool), "right"))
+
+
+def load_landmarks() -> np.ndarray:
+    """Landmarks of the resting human hand."""
+    human = load_hand("human", points="landmarks")
+    return human.points(human.rest, np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def carried() -> Carried:
+    """A cube, carried 100 mm by a wrist that does not turn."""
+    grasp = cube_grasp()
+    assert grasp.wrist_pose is not None
+    wrist = np.tile(grasp.wrist_pose, (11, 1, 1))
+    wrist[:, 0, 3] += np.linspace(0.0, 0.1, 11)
+    motion = HandMotion(np.tile(grasp.q, (11, 1)), wrist, np.zeros((11, 3, 3)))
+    return carry(grasp, motion, 0.1, Physics(), ArcOptions(duration=1.0))
+
+
+def test_a_carried_object_goes_where_the_wrist_goes(carried: Carried) -> None:
+    assert not carried.is_lost
+    np.testing.assert_allclose(carried.displacement, [0.1, 0.0, 0.0], atol=2e-3)
+    np.testing.assert_allclose(carried.rotation, np.eye(3), atol=0.03)
+    assert carried.slip.max() < 2e-3
+    assert (carried.episode.touching == 3).all()
+
+
+def test_pictures_and_films_show_the_object(carried: Carried, tmp_path: Path) -> None:
+    from PIL import Image
+
+    stage = Stage(carried.episode, np.array([0.0, 0.0, 1.0]))
+    picture(stage, tmp_path / "strip.png", count=2)
+    strip = np.asarray(Image.open(tmp_path / "strip.png").convert("RGB")).astype(int)
+    assert strip.shape == (360, 960, 3)
+    is_orange = (strip[..., 0] > strip[..., 2] + 60) & (strip[..., 1] > strip[..., 2])
+    left, right = np.split(is_orange, 2, axis=1)
+    assert min(left.sum(), right.sum()) > 300
+    assert abs(np.argwhere(left)[:, 1].mean() - np.argwhere(right)[:, 1].mean()) > 20
+    film(stage, tmp_path / "film.gif", rate=3.0)
+    duration = carried.episode.time[-1] - carried.episode.time[0]
+    with Image.open(tmp_path / "film.gif") as frames:
+        assert getattr(frames, "n_frames", 1) == int(np.ceil(3.0 * duration))
+
+
+@pytest.mark.parametrize(
+    ("text", "shape"),
+    [
+        ("box:0.05", CUBE),
+        ("box:0.01x0.02x0.03", Box((0.01, 0.02, 0.03))),
+        ("sphere:0.04", Sphere(0.02)),
+        ("cylinder:0.04x0.1", Cylinder(0.02, 0.1)),
+    ],
+)
+def test_objects_are_read_from_words(text: str, shape: Any) -> None:
+    assert parse_object(text) == shape
+
+
+def test_a_mesh_is_its_convex_hull_about_its_centre(tmp_path: Path) -> None:
+    import trimesh
+
+    file = tmp_path / "cube.stl"
+    solid = trimesh.creation.box((0.02, 0.02, 0.06))
+    solid.apply_translation((1.0, 2.0, 3.0))
+    solid.export(file)
+    shape = parse_object(str(file))
+    assert isinstance(shape, MeshShape)
+    np.testing.assert_allclose(np.ptp(shape.points, axis=0), (0.02, 0.02, 0.06), atol=1e-6)
+    np.testing.assert_allclose(shape.points.mean(axis=0), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["", "box", "box:", "box:-1", "sphere:1x2", "gone.stl", "box:0"])
+def test_other_words_are_no_objects(text: str) -> None:
+    with pytest.raises(InvalidInputError):
+        parse_object(text)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--trials", "5"], "--trials"),
+        (["--out", "a.txt"], "--out"),
+        (["gone.npz"], "gone.npz"),
+        (["--object", "brick"], "--object"),
+        (["--robot", "gone"], "gone"),
+        (["--friction", "-1"], "friction"),
+    ],
+)
+def test_wrong_arguments_are_one_line(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["simulate", *words]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len([line for line in lines if line.startswith("handmap:")]) == 1
+    assert says in lines[-1]
+
+
+@pytest.mark.slow
+def test_the_command_repeats_the_papers_experiment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "arc.npz"
+    assert cli.main(["simulate", "--gamma", "0.2", "--json", "--out", str(out)]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row["robot lost"] == "no"
+    columns = np.load(out)
+    moved = columns["object_pose"][-1, :3, 3] - columns["object_pose"][0, :3, 3]
+    np.testing.assert_allclose(moved, [0.47, 0.0, 0.0], atol=0.03)
+
+
+def test_a_hand_without_shapes_cannot_touch() -> None:
+    hand = load_hand("three_finger")
+    text = re.sub(r"<collision[ >].*?</collision>", "", hand.urdf_text, flags=re.DOTALL)
+    text = re.sub(r"<collision_checking>.*?</collision_checking>", "", text, flags=re.DOTALL)
+    with pytest.raises(HandError, match="no collision shapes"):
+        Simulator(Hand(hand.spec, urdf_text=text), Body(CUBE))

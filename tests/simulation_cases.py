@@ -1,0 +1,18 @@
+"""Grasps and hands that the tests of the simulation share."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from handmap_qp import load_hand
+from handmap_qp.grasp.contacts import Grasp
+from handmap_qp.grasp.objects import Box
+from handmap_qp.grasp.planning import plan_grasps
+
+CUBE = Box((0.05, 0.05, 0.05))
+
+
+@cache
+def cube_grasp() -> Grasp:
+    """The best of a few planned grasps of the paper's cube."""
+    return plan_grasps(load_hand("three_finger"), CUBE, samples=20)[0].grasp
