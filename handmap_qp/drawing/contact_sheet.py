@@ -161,6 +161,39 @@ def contact_sheet(
         InvalidInputError: If there are no rows, or shapes do not fit.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
+    canvas, lefts, tops = _drawn(columns, rows, side)
+    return _figure(canvas, lefts, tops, columns, rows, title=title, footnote=footnote)
+
+
+def pose_pictures(
+    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow], *, side: Side = "right"
+) -> np.ndarray:
+    """Draw the poses without labels, such as the frames of an animation.
+
+    Args:
+        columns: Name and robot of every mapping.
+        rows: The poses.
+        side: Which hand the landmarks are of.
+
+    Returns:
+        Red, green and blue from 0 to 1, shape (rows, 1 + columns, views, height, width, 3); the
+        human's column comes first.
+
+    Raises:
+        InvalidInputError: If there are no rows, or shapes do not fit.
+        MissingExtraError: If trimesh is not installed.
+    """
+    canvas, lefts, tops = _drawn(columns, rows, side)
+    width, height = CELL
+    cells = canvas[tops[0] : tops[-1] + height, lefts[0] :]
+    cells = cells.reshape(len(rows), height, len(lefts), len(VIEWS), width, 3)
+    return np.moveaxis(cells, 1, 3)
+
+
+def _drawn(
+    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow], side: Side
+) -> tuple[np.ndarray, list[int], list[int]]:
+    """Return the picture without labels, its columns' left edges and its rows' tops."""
     _check(columns, rows)
     canvas, lefts, tops = _canvas(columns, rows)
     human = [_human_triangles(row.landmarks) for row in rows]
@@ -168,7 +201,7 @@ def contact_sheet(
     _paste(canvas, lefts[0], tops, human, _cameras(frame, side))
     for hand in {id(hand): hand for _, hand in columns}.values():
         _draw_robot(canvas, lefts, tops, columns, rows, hand)
-    return _figure(canvas, lefts, tops, columns, rows, title=title, footnote=footnote)
+    return canvas, lefts, tops
 
 
 def save_contact_sheet(
