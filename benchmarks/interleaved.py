@@ -27,7 +27,8 @@ from peers import build
 from handmap_qp import Hand, Recording, read_recording
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.presets import default_preset
-from handmap_qp.trackers.landmarks import fit_recording, scaled_human
+from handmap_qp.trackers.fit import fit_recording
+from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import measure_person
 from handmap_qp.trackers.recording import HumanMotion
 

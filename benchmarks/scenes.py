@@ -12,7 +12,7 @@ import numpy as np
 
 from handmap_qp import Hand, HandSpec, load_hand, read_recording
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.landmarks import fit_recording
+from handmap_qp.trackers.fit import fit_recording
 from handmap_qp.trackers.recording import HumanMotion
 
 ROBOTS = ("three_finger", "allegro")

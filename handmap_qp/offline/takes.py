@@ -13,12 +13,8 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.offline.finger_traces import HandTrace, trace_human
-from handmap_qp.trackers.landmarks import (
-    fit_recording,
-    human_name,
-    measure_contact_gap,
-    measure_hand,
-)
+from handmap_qp.trackers.fit import fit_recording
+from handmap_qp.trackers.landmarks import human_name, measure_contact_gap, measure_hand
 from handmap_qp.trackers.recording import Recording, mirrored
 from handmap_qp.transform import inverse_pose
 

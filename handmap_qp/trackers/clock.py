@@ -11,8 +11,11 @@ from typing import Literal, NamedTuple
 TimeRule = Literal["", "duplicate", "disorder", "gap", "clock_jump"]
 """What is unusual about a time stamp; empty if nothing is."""
 
-LONGEST_STEP = 0.1
-"""Longest time that one sample accounts for [s]."""
+LONGEST_STEP = 3.0
+"""Longest time that one sample accounts for, in usual periods.
+
+After a longer one the robot has stood still, and must not make up for it in one command.
+"""
 GAP = 0.25
 """A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
 _SET_BACK = 1.0
@@ -33,7 +36,8 @@ class Tick(NamedTuple):
     Attributes:
         rule: What is unusual about it. Samples of `duplicate` and `disorder` bring nothing new.
         elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
-        dt: Time that this sample accounts for [s], from 0 to `LONGEST_STEP`.
+        dt: Time that this sample accounts for [s], from 0 to `LONGEST_STEP` periods; one period at
+            most after a sample that brought nothing new, for its command has taken the time.
     """
 
     rule: TimeRule
@@ -49,12 +53,14 @@ class SampleClock(NamedTuple):
         period: Usual time between samples [s].
         late_stamp: Stamp of the last late sample [s].
         late_count: Late samples in a row.
+        is_idle: Whether the last sample brought nothing new.
     """
 
     stamp: float | None = None
     period: float = 1.0 / 60.0
     late_stamp: float = 0.0
     late_count: int = 0
+    is_idle: bool = False
 
     def advance(self, stamp: float) -> tuple[Tick, SampleClock]:
         """Judge the time stamp of a sample.
@@ -70,19 +76,20 @@ class SampleClock(NamedTuple):
             return Tick("", period, period), self._replace(stamp=stamp)
         step = stamp - self.stamp
         if step == 0.0:
-            return Tick("duplicate", 0.0, 0.0), self
+            return Tick("duplicate", 0.0, 0.0), self._replace(is_idle=True)
         if -_SET_BACK <= step < 0.0:
             is_next = self.late_count > 0 and stamp > self.late_stamp
             count = self.late_count + 1 if is_next else 1
             if count < _LATE_SAMPLES:
-                late = self._replace(late_stamp=stamp, late_count=count)
+                late = self._replace(late_stamp=stamp, late_count=count, is_idle=True)
                 return Tick("disorder", 0.0, 0.0), late
         if step < 0.0 or step > _SET_FORWARD:
             return Tick("clock_jump", period, period), SampleClock(stamp, period)
         if step > GAP:
-            return Tick("gap", step, LONGEST_STEP), SampleClock(stamp, period)
+            return Tick("gap", step, period), SampleClock(stamp, period)
         usual = period + _SHARE * (step - period)
-        return Tick("", step, min(step, LONGEST_STEP)), SampleClock(stamp, usual)
+        longest = period if self.is_idle else LONGEST_STEP * period
+        return Tick("", step, min(step, longest)), SampleClock(stamp, usual)
 
     @property
     def shortest(self) -> float:

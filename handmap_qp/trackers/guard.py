@@ -15,6 +15,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.clock import SampleClock, Tick
 from handmap_qp.trackers.landmarks import PALM, PalmShape
 from handmap_qp.trackers.plausibility import Finding, InputCheck
@@ -52,7 +53,7 @@ RULES: dict[Rule, str] = {
     "jump": "the hand moved faster, or from one speed to another, than hands do",
     "flip": "the hand turned over or became its mirror image from one sample to the next",
     "frozen": "the landmarks have repeated exactly for 0.25 s",
-    "gap": "no sample for more than 0.25 s, and the hand is elsewhere",
+    "gap": "no sample came for more than 0.25 s; it is followed where the hand has not moved",
     "settling": "the samples make sense again, but not yet for long enough",
     "duplicate": "the time stamp is the same as that of the sample before",
     "disorder": "the time stamp is earlier than that of the sample before",
@@ -127,7 +128,7 @@ class Verdict(NamedTuple):
     Attributes:
         rule: What is wrong with it; empty if nothing is.
         is_held: The robot must hold: the sample is not to be followed.
-        is_return: The first sample to follow after a hold.
+        is_return: The first sample to follow after a hold, a gap, or samples that came too late.
         dt: Time that the sample accounts for [s].
         consistency: RMS difference of the distances that cannot change (bones, and neighbours in
             the palm) from the person's [m]; NaN if there are no landmarks.
@@ -241,8 +242,8 @@ class StreamGuard:
 
     def __init__(self, human: Hand) -> None:
         self.state = GuardState()
-        self._input = InputCheck(human.side)
-        self._side = human.side
+        self._side: Side = "left" if human.side == "left" else "right"
+        self._input = InputCheck(self._side)
         self._palm = PalmShape(human)
         points = human.with_points("landmarks").points(human.rest)
         self._lengths = _lengths(points)
@@ -282,7 +283,8 @@ class StreamGuard:
         if unusable:
             self.state = _holding(state, unusable)
             return Verdict(unusable, True, False, tick.dt, math.nan)
-        verdict, self.state = self._follow(sample.landmarks, state, tick)
+        was_late = self.state.clock.late_count > 0
+        verdict, self.state = self._follow(sample.landmarks, state, tick, was_late)
         if self.state.cause and not state.cause:
             self._input.alert()
         return verdict
@@ -299,7 +301,7 @@ class StreamGuard:
         return "" if self._palm.fits_size(size) else "size"
 
     def _follow(
-        self, landmarks: np.ndarray, state: GuardState, tick: Tick
+        self, landmarks: np.ndarray, state: GuardState, tick: Tick, was_late: bool
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
         centre = landmarks[PALM].mean(axis=0)
@@ -325,7 +327,8 @@ class StreamGuard:
             state = _holding(state._replace(last=fresh), rule)
         if not state.cause:
             state = state._replace(good=change.track)
-            return Verdict(_info(tick), False, False, tick.dt, consistency), state
+            is_return = tick.rule == "gap" or was_late
+            return Verdict(_info(tick), False, is_return, tick.dt, consistency), state
         if self._has_returned(fresh, rule, state):
             state = state._replace(good=state.last, cause="")
             return Verdict(_info(tick), False, True, tick.dt, consistency), state
@@ -354,7 +357,8 @@ def _holding(state: GuardState, rule: Rule) -> GuardState:
 
 
 def _info(tick: Tick) -> Rule:
-    return "clock_jump" if tick.rule == "clock_jump" else ""
+    """Return what is to be said of a sample that is followed all the same."""
+    return tick.rule if tick.rule in ("clock_jump", "gap") else ""
 
 
 def _first(now: float, points: np.ndarray, centre: np.ndarray, lengths: np.ndarray) -> _Track:

@@ -1,28 +1,22 @@
-"""From 21 hand landmarks to joint angles and a wrist pose of the human hand.
+"""Measures of a person's hand in its landmarks: bone lengths, the palm's shape, the contact gap.
 
-First, measure the hand: bone lengths and the shape of the palm are medians over the recording.
-Then, fit the model of these lengths to every sample by inverse kinematics (the same QP that moves
-robots), with joint limits, starting from the sample before.
+`fit` fits the hand of these lengths to samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cache
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import PointSpec, Side, check_side
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk
-from handmap_qp.trackers.recording import LANDMARK_COUNT, HumanMotion, Recording
-from handmap_qp.transform import as_floats, frozen, rigid_fit, rigid_fits
+from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.trackers.recording import LANDMARK_COUNT, Recording
+from handmap_qp.transform import as_floats, frozen, rigid_fits
 
 PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
@@ -37,17 +31,6 @@ HAND_LENGTHS = (0.08, 0.35)
 (0.32). Landmarks outside them are in other units than metres."""
 _PALM_RATIOS = (0.5, 2.0)
 """Size of a sample's palm over the hand's own, which is constant; 0.87 to 1.12 in recordings."""
-
-# The mapping uses fingertips most, so fit them closer than the joints on the way to them.
-_TIP_WEIGHT = 4.0
-_FIT = IkOptions(
-    rest_weight=0.02,
-    damping=0.05,
-    max_iterations=40,
-    step_tolerance=1e-4,
-    wrist_position_weight=0.0,
-    wrist_orientation_weight=0.0,
-)
 
 
 class PalmShape:
@@ -120,56 +103,6 @@ class PalmShape:
                 value=landmarks,
                 got=f"one {ratio:.3g} times as large",
             )
-
-
-class LandmarkFitter:
-    """Fits a human hand to landmarks, sample by sample.
-
-    Args:
-        side: Which hand.
-        lengths: The person's segment lengths; the model's own if omitted.
-
-    Attributes:
-        human: The human hand, its reference points the 21 landmarks.
-
-    Raises:
-        InvalidInputError: If the side is unknown, or `lengths` is something else.
-    """
-
-    def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
-        self.human = load_hand(human_name(side), points=_landmark_points(side), lengths=lengths)
-        self._ik = PointIk(self.human, _FIT)
-        self._palm = PalmShape(self.human)
-        self._is_warm = False
-
-    def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fit one sample, starting from the one before.
-
-        Args:
-            landmarks: Measured landmarks [m], shape (21, 3), finite.
-
-        Returns:
-            Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark
-            [m], shape (21,).
-
-        Raises:
-            InvalidInputError: On a wrong shape, anything but finite numbers, or a palm less than
-                half or more than twice as large as the hand's.
-        """
-        shape = (LANDMARK_COUNT, 3)
-        landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-        self._palm.check(landmarks)
-        if not self._is_warm:
-            wrist = rigid_fit(self._palm.points, landmarks[PALM])
-            self._ik.place(self.human.configuration_vector(self.human.rest, wrist))
-            self._is_warm = True
-        result = self._ik.solve(landmarks, None, 1.0)
-        hand = self._ik.configuration
-        return (
-            hand.q[self.human.q_indices],
-            hand.wrist.homogeneous,
-            np.linalg.norm(result.errors, axis=1),
-        )
 
 
 def human_name(side: Side) -> str:
@@ -282,62 +215,6 @@ def smallest_gap(recording: Recording) -> float:
     landmarks = recording.landmarks[recording.valid]
     gaps = np.linalg.norm(landmarks[:, TIPS[1:]] - landmarks[:, TIPS[:1]], axis=2).min(axis=1)
     return float(np.percentile(gaps, 1.0))
-
-
-def fit_recording(
-    recording: Recording,
-    progress: Callable[[int], None] | None = None,
-    *,
-    lengths: HumanLengths | None = None,
-) -> HumanMotion:
-    """Fit joint angles and wrist poses of a hand scaled to the person to a recording.
-
-    Args:
-        recording: The recording.
-        progress: Called with the number of samples done after each one.
-        lengths: The person's lengths; measured in the recording if omitted.
-
-    Returns:
-        The motion; samples that are not valid, or whose palm is not of the hand's size, hold the
-        posture before them.
-
-    Raises:
-        InvalidInputError: If the landmarks are not a plausible hand in metres, or no sample's palm
-            is of the hand's size.
-    """
-    lengths = measure_hand(recording) if lengths is None else lengths
-    fitter = LandmarkFitter(recording.side, lengths)
-    valid = recording.valid.copy()
-    valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
-    if not valid.any():
-        raise InvalidInputError(
-            argument="landmarks",
-            expected="a hand that keeps its size",
-            got="no sample as large as the median of all",
-        )
-    count = len(recording)
-    q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
-    error = np.full((count, LANDMARK_COUNT), np.nan)
-    first = int(np.argmax(valid))
-    for i in range(first, count):
-        if valid[i]:
-            q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
-        else:
-            q[i], wrist[i] = q[i - 1], wrist[i - 1]
-        if progress is not None:
-            progress(i + 1)
-    q[:first], wrist[:first] = q[first], wrist[first]
-    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, valid, error)
-
-
-def _landmark_points(side: Side) -> tuple[PointSpec, ...]:
-    """Return the 21 landmarks as reference points, the tips with more weight."""
-    points = load_hand(human_name(side), points="landmarks").reference_points
-    tips = {points[i].name for i in TIPS}
-    return tuple(
-        msgspec.structs.replace(point, weight=_TIP_WEIGHT) if point.name in tips else point
-        for point in points
-    )
 
 
 @cache

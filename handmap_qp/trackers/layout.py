@@ -27,7 +27,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.trackers.landmarks import LandmarkFitter, human_name
+from handmap_qp.trackers.fit import LandmarkFitter
+from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample
 from handmap_qp.trackers.wrist_axes import axes_convention

@@ -180,7 +180,7 @@ class View:
             webbrowser.open(address)
 
     def _replay(self, file: Path, name: str) -> Replay:
-        from handmap_qp.trackers.landmarks import fit_recording
+        from handmap_qp.trackers.fit import fit_recording
         from handmap_qp.trackers.person import measure_person, read_person
         from handmap_qp.viewer.replay import Replay
 

@@ -22,7 +22,8 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.presets import Choice
-from handmap_qp.trackers.landmarks import LandmarkFitter, human_name
+from handmap_qp.trackers.fit import LandmarkFitter
+from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.transform import rigid_fit
 from handmap_qp.viewer.replay import ViewSample
 

@@ -16,7 +16,7 @@ import pytest
 from handmap_qp import Hand, HandMapper, Recording, hand_names, load_hand, read_recording
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.onboarding.detect import detect
-from handmap_qp.trackers.landmarks import fit_recording
+from handmap_qp.trackers.fit import fit_recording
 from handmap_qp.trackers.recording import HumanMotion
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"

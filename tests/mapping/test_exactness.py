@@ -22,7 +22,7 @@ from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand, read_re
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.trackers.landmarks import fit_recording
+from handmap_qp.trackers.fit import fit_recording
 from handmap_qp.trackers.recording import HumanMotion
 
 # No term pulls away from the targets, there is no speed limit, and time suffices to arrive. The

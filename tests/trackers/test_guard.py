@@ -108,13 +108,14 @@ def test_rules_count_in_time_and_not_in_samples(rate: float) -> None:
     assert held.sum() / rate == pytest.approx(0.5 + SETTLING, abs=2.5 / rate)
 
 
-def test_late_and_repeated_samples_are_skipped_and_do_not_end_the_following() -> None:
+def test_late_and_repeated_samples_are_skipped_and_the_next_one_is_rejoined() -> None:
     samples = moving()
     swapped = [*samples[:60], samples[61], samples[60], *samples[62:], samples[-1]]
     verdicts = judged(swapped)
     rules = {i: verdict.rule for i, verdict in enumerate(verdicts) if verdict.rule}
     assert rules == {61: "disorder", 240: "duplicate"}
-    assert not any(verdict.is_return for verdict in verdicts)
+    # The robot has stood still for the late sample, but not for the repeated one.
+    assert [i for i, verdict in enumerate(verdicts) if verdict.is_return] == [62]
 
 
 @pytest.mark.parametrize("shift", [-100.0, 100.0])

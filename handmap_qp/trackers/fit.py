@@ -1,0 +1,309 @@
+"""Joint angles of the human hand from its landmarks: `LandmarkFitter` and `fit_recording`.
+
+The palm is rigid, so its pose is the rigid fit of its five landmarks (Kabsch 1976). In its frame
+the five fingers are independent chains of four joints each. Each finger minimises
+
+    sum_k w_k^2 |p_k(q) - y_k|^2  +  rest^2 |q - q_rest|^2      subject to   lower <= q <= upper
+
+by Newton steps with Levenberg-Marquardt damping, all fingers at once. The second derivatives count:
+on noisy video, where lengths of bones change, Gauss-Newton steps take five times as many
+iterations. Joints at a limit that the gradient pushes further out are held there (projected
+Newton, Bertsekas 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.configuration import CROSS
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side
+from handmap_qp.ik.options import LENGTH_UNIT
+from handmap_qp.trackers.landmarks import PALM, PalmShape, human_name, measure_hand
+from handmap_qp.trackers.recording import HumanMotion, Recording
+from handmap_qp.trackers.sample import LANDMARK_COUNT
+from handmap_qp.transform import affine, as_floats, nearest_rotation
+
+MOST_ITERATIONS = 12
+"""Most steps for one sample; a hand that moves takes two to four, the next sample goes on."""
+_FIRST_ITERATIONS = 40
+"""Most steps from each start of a first sample."""
+TOLERANCE = 1e-3
+"""A step that turns no joint by more ends the iterations [rad]."""
+_TIP_WEIGHT = 2.0
+"""Weight of a fingertip, which the mapping uses most; other landmarks have 1, per 10 mm."""
+_REST_WEIGHT = 0.02
+"""Pull of each joint to its rest angle, per rad: decides what the landmarks do not."""
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-6, 1e6
+"""Levenberg-Marquardt damping at the start of a sample, and its bounds."""
+_BETTER, _WORSE = 0.1, 10.0
+"""Change of the damping after a step that lowers the cost, and after one that does not."""
+_LONGEST = 0.6
+"""Longest turn of a joint in one step [rad]."""
+_STUCK_COST = 2.0
+"""Cost of a finger above which its abduction at a limit is not believed: errors of 5 mm."""
+_JOINTS = 4
+"""Joints of a finger."""
+_POINTS = 3
+"""Landmarks of a finger that its joints move."""
+
+
+class LandmarkFitter:
+    """Fits a human hand to landmarks, sample by sample.
+
+    Args:
+        side: Which hand.
+        lengths: The person's segment lengths; the model's own if omitted.
+
+    Attributes:
+        human: The human hand, its reference points the 21 landmarks.
+        iterations: Steps that the last fit took.
+
+    Raises:
+        InvalidInputError: If the side is unknown, or `lengths` is something else.
+    """
+
+    def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
+        self.human = human = load_hand(human_name(side), points="landmarks", lengths=lengths)
+        self.iterations = 0
+        self._palm = PalmShape(human)
+        self._centre = self._palm.points.mean(axis=0)
+        self._shape = self._palm.points - self._centre
+        self._configuration = human.configuration()
+        self._order = _finger_joints(human)
+        self._columns = human.joint_columns[self._order]
+        shape = (len(FINGERS), _JOINTS)
+        self._lower = human.lower_limits[self._order].reshape(shape)
+        self._upper = human.upper_limits[self._order].reshape(shape)
+        self._rest = human.rest[self._order].reshape(shape)
+        weights = np.array([1.0, 1.0, _TIP_WEIGHT]) / LENGTH_UNIT
+        self._weights = np.repeat(weights, 3)
+        # A joint moves the landmarks beyond it.
+        self._scale = weights[:, None, None] * self._moves()[:, :, None]
+        self._vector = human.configuration_vector(human.rest, np.eye(4))
+        self._q: np.ndarray | None = None
+
+    def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Fit one sample, starting from the one before.
+
+        Args:
+            landmarks: Measured landmarks [m], shape (21, 3), finite.
+
+        Returns:
+            Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark
+            [m], shape (21,).
+
+        Raises:
+            InvalidInputError: On a wrong shape, anything but finite numbers, or a palm less than
+                half or more than twice as large as the hand's.
+        """
+        shape = (LANDMARK_COUNT, 3)
+        landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
+        self._palm.check(landmarks)
+        wrist = self._wrist(landmarks)
+        # In wrist axes the fingers alone move.
+        local = (landmarks - wrist[:3, 3]).dot(wrist[:3, :3])
+        targets = local[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
+        before = self._q
+        self._q = q = self._best_start(targets) if before is None else self._follow(before, targets)
+        self._place(q)
+        errors = self._configuration.points - local
+        angles = np.empty(q.size)
+        angles[self._order] = q.ravel()
+        return angles, wrist, np.sqrt(np.einsum("ij,ij->i", errors, errors))
+
+    def _wrist(self, landmarks: np.ndarray) -> np.ndarray:
+        """Lay the palm's shape on its landmarks; return the wrist pose, shape (4, 4)."""
+        palm = landmarks[PALM]
+        centre = palm.mean(axis=0)
+        rotation = nearest_rotation((palm - centre).T.dot(self._shape))
+        return affine(rotation, centre - rotation.dot(self._centre))
+
+    def _moves(self) -> np.ndarray:
+        """Return 1 where a joint of a finger moves one of its landmarks, shape (5, 3, 4)."""
+        rows = self._configuration.support[3 : 3 * LANDMARK_COUNT : 3, self._columns]
+        rows = rows.reshape(len(FINGERS), 1 + _POINTS, len(FINGERS), _JOINTS)
+        return rows[_EACH, 1:, _EACH]
+
+    def _best_start(self, targets: np.ndarray) -> np.ndarray:
+        """Fit a first sample from several postures, and take each finger's best fit."""
+        best = np.full(len(FINGERS), np.inf)
+        chosen = self._rest.copy()
+        for share in _FIRST_SHARES:
+            start = self._rest + share * (
+                np.where(share > 0, self._upper, self._lower) - self._rest
+            )
+            q, cost = self._solve(start, targets, _FIRST_ITERATIONS)
+            is_better = cost < best
+            chosen[is_better], best[is_better] = q[is_better], cost[is_better]
+        return chosen
+
+    def _follow(self, q: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Fit a sample from the one before; fingers that got stuck start from their rest abduction.
+
+        At 90 degrees of flexion, abduction does not move the bones before the next joint, and a
+        finger can come back on the wrong side.
+        """
+        q, cost = self._solve(q, targets, MOST_ITERATIONS)
+        is_stuck = (cost > _STUCK_COST) & ((q <= self._lower) | (q >= self._upper))[:, 0]
+        left = MOST_ITERATIONS - self.iterations
+        if is_stuck.any() and left > 0:
+            start = q.copy()
+            start[is_stuck, 0] = self._rest[is_stuck, 0]
+            iterations = self.iterations
+            other, other_cost = self._solve(start, targets, left)
+            self.iterations += iterations
+            q = np.where((other_cost < cost)[:, None], other, q)
+        return q
+
+    def _solve(
+        self, q: np.ndarray, targets: np.ndarray, most: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Minimise the cost of every finger from a posture, shape (5, 4).
+
+        Args:
+            q: Joint angles of each finger, inside their limits [rad].
+            targets: Landmarks in wrist axes [m], shape (5, 3, 3).
+            most: Most iterations.
+
+        Returns:
+            Joint angles [rad], shape (5, 4), and the cost of each finger, shape (5,).
+        """
+        damping = np.full(len(FINGERS), _DAMPING)
+        is_newton = np.ones(len(FINGERS), dtype=bool)
+        residual, cost = self._cost(q, targets)
+        H, g = self._normal_equations(q, residual, is_newton)
+        self.iterations = 0
+        while self.iterations < most:
+            self.iterations += 1
+            step = np.clip(self._step(q, H, g, damping), -_LONGEST, _LONGEST)
+            tried = np.clip(q + step, self._lower, self._upper)
+            largest = np.abs(tried - q).max(axis=1)
+            tried_residual, tried_cost = self._cost(tried, targets)
+            is_better = tried_cost <= cost
+            q = np.where(is_better[:, None], tried, q)
+            residual = np.where(is_better[:, None], tried_residual, residual)
+            cost = np.where(is_better, tried_cost, cost)
+            if (largest <= TOLERANCE).all():
+                break
+            damping = np.clip(
+                damping * np.where(is_better, _BETTER, _WORSE), _LEAST_DAMPING, _MOST_DAMPING
+            )
+            # Second derivatives mislead far from the optimum.
+            is_newton = is_better
+            if not is_better.all():
+                # Jacobians are those of the fingers as tried.
+                self._place(q)
+            H, g = self._normal_equations(q, residual, is_newton)
+        return q, cost
+
+    def _place(self, q: np.ndarray) -> None:
+        """Put the hand at joint angles, shape (5, 4), with its wrist at the origin."""
+        self._vector[self.human.q_indices[self._order]] = q.ravel()
+        self._configuration.place_with_jacobians(self._vector)
+
+    def _cost(self, q: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return weighted errors, shape (5, 9), and costs, shape (5,); places the hand there."""
+        self._place(q)
+        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
+        residual = (points - targets).reshape(len(FINGERS), -1) * self._weights
+        pull = _REST_WEIGHT * (q - self._rest)
+        return residual, np.einsum("ij,ij->i", residual, residual) + np.einsum(
+            "ij,ij->i", pull, pull
+        )
+
+    def _normal_equations(
+        self, q: np.ndarray, residual: np.ndarray, is_newton: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return H, shape (5, 4, 4), and the gradient, shape (5, 4), where the hand is placed."""
+        # Spatial velocities of each finger's joints at the origin; -[p]x takes them to the points.
+        joints = self._configuration.joint_jacobian()[:, self._columns]
+        linear, angular = joints.reshape(2, 3, len(FINGERS), _JOINTS).transpose(0, 2, 1, 3)
+        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
+        crosses = points.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), 3 * _POINTS, 3)
+        moved = (crosses @ angular).reshape(len(FINGERS), _POINTS, 3, _JOINTS)
+        moved += linear[:, None]
+        moved *= self._scale
+        jacobian = moved.reshape(len(FINGERS), 3 * _POINTS, _JOINTS)
+        H = jacobian.transpose(0, 2, 1) @ jacobian
+        H[:, _DIAGONAL, _DIAGONAL] += _REST_WEIGHT**2
+        # Second derivatives: joint i before joint j turns the column of j, w_i x J_j.
+        pulls = residual.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), _POINTS, 3, 3) @ moved
+        bend = angular.transpose(0, 2, 1) @ pulls.sum(axis=1) * is_newton[:, None, None]
+        H += np.where(_UPPER, bend, bend.transpose(0, 2, 1))
+        g = (residual[:, None] @ jacobian)[:, 0] + _REST_WEIGHT**2 * (q - self._rest)
+        return H, g
+
+    def _step(self, q: np.ndarray, H: np.ndarray, g: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """Return the damped Newton step of the joints that are free to move, shape (5, 4)."""
+        is_held = ((q <= self._lower) & (g > 0.0)) | ((q >= self._upper) & (g < 0.0))
+        free = ~is_held
+        both = free[:, :, None] & free[:, None, :]
+        system = np.where(both, H, 0.0)
+        diagonal = np.where(is_held, 1.0, H[:, _DIAGONAL, _DIAGONAL] * (1.0 + damping[:, None]))
+        system[:, _DIAGONAL, _DIAGONAL] = diagonal
+        return -np.linalg.solve(system, np.where(free, g, 0.0)[:, :, None])[:, :, 0]
+
+
+def fit_recording(
+    recording: Recording,
+    progress: Callable[[int], None] | None = None,
+    *,
+    lengths: HumanLengths | None = None,
+) -> HumanMotion:
+    """Fit joint angles and wrist poses of a hand scaled to the person to a recording.
+
+    Args:
+        recording: The recording.
+        progress: Called with the number of samples done after each one.
+        lengths: The person's lengths; measured in the recording if omitted.
+
+    Returns:
+        The motion; samples that are not valid, or whose palm is not of the hand's size, hold the
+        posture before them.
+
+    Raises:
+        InvalidInputError: If the landmarks are not a plausible hand in metres, or no sample's palm
+            is of the hand's size.
+    """
+    lengths = measure_hand(recording) if lengths is None else lengths
+    fitter = LandmarkFitter(recording.side, lengths)
+    valid = recording.valid.copy()
+    valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
+    if not valid.any():
+        raise InvalidInputError(
+            argument="landmarks",
+            expected="a hand that keeps its size",
+            got="no sample as large as the median of all",
+        )
+    count = len(recording)
+    q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
+    error = np.full((count, LANDMARK_COUNT), np.nan)
+    first = int(np.argmax(valid))
+    for i in range(first, count):
+        if valid[i]:
+            q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
+        else:
+            q[i], wrist[i] = q[i - 1], wrist[i - 1]
+        if progress is not None:
+            progress(i + 1)
+    q[:first], wrist[:first] = q[first], wrist[first]
+    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, valid, error)
+
+
+def _finger_joints(human: Hand) -> np.ndarray:
+    """Return the indices of the joints by finger, from its base outwards, shape (20,)."""
+    names = [name for finger in FINGERS for name in human.joint_names if name.startswith(finger)]
+    return np.array([human.joint_names.index(name) for name in names])
+
+
+_EACH = np.arange(len(FINGERS))
+_DIAGONAL = np.arange(_JOINTS)
+_UPPER = np.triu(np.ones((_JOINTS, _JOINTS), dtype=bool))
+_FIRST_SHARES = (0.0, 0.4, 0.8, -0.4)
+"""Starts of a first fit: shares of the way from rest to the upper (or lower) limits."""
