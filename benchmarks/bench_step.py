@@ -1,38 +1,58 @@
-"""CPU time of one `map_step`: in total, by part, per hand, and by number of points and joints.
+"""CPU time of one `map_step`: per hand, by part, and its growth with the size of the problem.
 
 Times are CPU times of one thread. The ratio to one `pin.computeJointJacobians` on the same robot in
 the same run hardly depends on the machine. The motion is a headset recording, mapped with
 `MappingOptions()` (the paper's choices); without recordings, it is the human hand moving along its
 synergies. Parts and growth are measured on the Allegro hand with a floating wrist (22 variables).
 
-Ratios measured on a shared two-core machine: 58 for allegro_right (67 us), 95 for three_finger
-(62 us), 67 for romeo_right, 98 for g1_right. Most of a step does not depend on the number of
-joints, so the ratio is larger for smaller hands.
-
     python benchmarks/bench_step.py --picture step.png
-    python benchmarks/bench_step.py --save before.json     # change something
-    python benchmarks/bench_step.py --compare before.json
+    python benchmarks/bench_step.py --compare ../another_checkout
+
+With `--compare`, every hand is mapped by both checkouts in turns (`interleaved.py`), and the last
+columns are the ratio of the medians, that of the 99th percentiles, and the largest difference of
+joints and wrists [rad or m].
+
+Most of a step are calls from Python into numpy, Pinocchio and DAQP. A prototype of the same step in
+C++ took 0.13 of the time; it is not part of the package, because it works with one build of
+Pinocchio alone.
 """
 
 from __future__ import annotations
 
-import json
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
+import os
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import common
+import interleaved
 import numpy as np
 import pinocchio as pin
+import shared_hands
 import synthetic
 
 import handmap_qp.ik.qp
 import handmap_qp.mapping.mapper
 import handmap_qp.mapping.transfer
-from handmap_qp import HandMapper, MappingOptions, MissingExtraError, load_hand
+from handmap_qp import (
+    AttachedPoints,
+    HandMapper,
+    IkOptions,
+    MappingOptions,
+    MissingExtraError,
+    PointDistances,
+    load_hand,
+)
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.methods import homogeneous
 from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
 from handmap_qp.trackers.recording import HumanMotion
@@ -40,7 +60,16 @@ from handmap_qp.trackers.recording import HumanMotion
 RECORDING = "quest3_webxr_right"
 POINT_COUNTS = (3, 4, 6, 10, 20, 35, 50)
 FINGER_COUNTS = (2, 3, 4, 5, 6, 8, 10)
-ROBOTS = ("allegro_right", "three_finger", "romeo_right", "g1_right")
+PAIR_COUNTS = (0, 1, 2, 4, 8, 16)
+CONTACT_COUNTS = (0, 10, 20, 40, 80, 160)
+ROBOTS = (
+    "allegro_right",
+    "three_finger",
+    "leap_right",
+    "svh_right",
+    "romeo_right",
+    "g1_right",
+)
 """Hands in the table of ratios; the first is the one that is measured by part."""
 
 
@@ -53,9 +82,9 @@ def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[s
         rounds: How often to map the motion.
 
     Returns:
-        CPU times [us], their ratios to one `pin.computeJointJacobians` and numbers of iterations.
+        Median and 99th percentile [us], and their ratios to one `pin.computeJointJacobians`.
     """
-    jacobian, steps, iterations = [], [], []
+    jacobian, steps = [], []
     data, q = mapper.robot.model.createData(), mapper.robot.configuration_vector(mapper.robot.rest)
     jacobi = partial(pin.computeJointJacobians, mapper.robot.model, data, q)
     for _ in range(rounds):
@@ -65,18 +94,14 @@ def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[s
             if i % 25 == 0:
                 jacobian.append(common.mean_cpu_time(jacobi, 20))
             started = time.thread_time_ns()
-            step = mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
+            mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
             steps.append(1e-9 * (time.thread_time_ns() - started))
-            iterations.append(step.iterations)
     one, median, p99 = np.median(jacobian), np.median(steps), np.percentile(steps, 99)
     return {
-        "jacobian_cpu_us_median": 1e6 * one,
-        "step_cpu_us_median": 1e6 * median,
-        "step_cpu_us_p99": 1e6 * p99,
-        "ratio_median": median / one,
+        "step_us": 1e6 * median,
+        "p99_us": 1e6 * p99,
+        "ratio": median / one,
         "ratio_p99": p99 / one,
-        "iterations_mean": float(np.mean(iterations)),
-        "steps": len(steps),
     }
 
 
@@ -172,139 +197,190 @@ def measure_growth(
     rows = []
     for size, robot in hands:
         result = measure_step(HandMapper(motion.human, robot, MappingOptions()), motion, 1)
-        rows.append(
-            {
-                what: size,
-                "variables": robot.model.nv,
-                "step_us": result["step_cpu_us_median"],
-                "ratio": result["ratio_median"],
-            }
-        )
+        rows.append({what: size, "variables": robot.model.nv, **result})
     return rows
 
 
-def measure_robots(motion: HumanMotion, rounds: int) -> list[dict[str, Any]]:
-    """Median step of each hand of `ROBOTS` that is installed, and its ratio to one Jacobian."""
+def measure_pairs(motion: HumanMotion, counts: Sequence[int]) -> list[dict[str, float]]:
+    """Median step with a growing number of distance rows, as pinches have them."""
+    robot = load_hand(ROBOTS[0])
+    points = AttachedPoints.reference_points(robot)
+    every = [(i, j) for i in range(len(points)) for j in range(i)]
     rows = []
-    for name in ROBOTS:
-        try:
-            robot = load_hand(name)
-        except MissingExtraError:
-            continue
-        mapper = HandMapper(motion.human, robot, MappingOptions())
-        measure_step(mapper, synthetic.shortened(motion, 20), 1)
-        result = measure_step(mapper, motion, rounds)
+    for count in counts:
+        pairs = [every[k % len(every)] for k in range(count)]
+        tasks = [PointDistances(points, pairs, np.full(count, 0.05))] if count else []
+        mapper = HandMapper(motion.human, robot, MappingOptions(), tasks=tasks)
+        rows.append({"pinch pairs": count, **measure_step(mapper, motion, 1)})
+    return rows
+
+
+def measure_contacts(motion: HumanMotion, counts: Sequence[int]) -> list[dict[str, float]]:
+    """Median IK of a step with a growing number of pairs of shapes that are kept apart.
+
+    The fingertips are sent to one place, so that pairs are near and rows hold.
+    """
+    robot = load_hand(ROBOTS[0])
+    every = all_pairs(robot, find_fingers(robot))
+    rows = []
+    for count in counts:
+        geometry = pin.GeometryModel(every.geometry)
+        geometry.removeAllCollisionPairs()
+        for pair in list(every.geometry.collisionPairs)[:count]:
+            geometry.addCollisionPair(pair)
+        pairs = ShapePairs(geometry, every.links[:count], every.fingers[:count])
+        ik = PointIk(robot, IkOptions(), contacts=pairs if count else None)
+        ik.place(robot.configuration_vector(robot.rest))
+        points = ik.configuration.points.copy()
+        wrist = ik.configuration.wrist.homogeneous
+        times = []
+        for k in range(len(motion.time)):
+            share = 0.5 - 0.5 * np.cos(0.1 * k)
+            targets = points + share * (points.mean(axis=0) - points)
+            started = time.thread_time_ns()
+            ik.solve(targets, wrist, 1.0 / 90.0)
+            times.append(1e-3 * (time.thread_time_ns() - started))
         rows.append(
             {
-                "robot": name,
-                "variables": robot.model.nv,
-                "step_us": result["step_cpu_us_median"],
-                "jacobian_us": result["jacobian_cpu_us_median"],
-                "ratio": result["ratio_median"],
-                "ratio_p99": result["ratio_p99"],
-                "iterations": result["iterations_mean"],
+                "contact pairs": len(geometry.collisionPairs),
+                "ik_us": float(np.median(times)),
+                "p99_us": float(np.percentile(times, 99)),
             }
         )
     return rows
+
+
+def measure_robots(
+    file: Path, samples: int, rounds: int, other: Path | None
+) -> list[dict[str, Any]]:
+    """Time whole steps of each hand of `ROBOTS` that is installed, each in a process of its own.
+
+    Args:
+        file: Inputs of the workers.
+        samples: Their number.
+        rounds: How often to map them.
+        other: Another checkout that takes turns; none if omitted.
+
+    Returns:
+        A row a robot.
+    """
+    rows = []
+    with common.progress("hands", len(ROBOTS)) as advance:
+        for name in filter(_is_there, ROBOTS):
+            trees = {"this": common.ROOT} | ({} if other is None else {"other": other})
+            try:
+                rows.append(_measure_robot(name, file, samples, rounds, trees))
+            except interleaved.WorkerError as error:
+                # An older checkout may not read the description of every hand.
+                print(f"without {name}: {error}", file=sys.stderr)
+            advance()
+    return rows
+
+
+def _measure_robot(
+    name: str, file: Path, samples: int, rounds: int, trees: dict[str, Path]
+) -> dict[str, Any]:
+    command = interleaved.tree_command(file, name, "paper", "map_step")
+    with interleaved.workers(
+        {tree: (command, folder) for tree, folder in trees.items()}
+    ) as working:
+        interleaved.take_turns(working, samples, rounds)
+        numbers = working[0].numbers()
+        row = {"robot": name, "variables": working[0].facts["variables"], **numbers}
+        if len(working) > 1:
+            before = working[1].numbers()
+            row["of other"] = numbers["median_us"] / before["median_us"]
+            row["of other p99"] = numbers["p99_us"] / before["p99_us"]
+            row["difference"] = interleaved.largest_difference(*working)
+        return row
+
+
+def _is_there(name: str) -> bool:
+    try:
+        shared_hands.load(name)
+    except (MissingExtraError, FileNotFoundError):
+        return False
+    return True
 
 
 def draw(
     step: dict[str, Any], parts: dict[str, float], growth: dict[str, list[dict[str, float]]]
 ) -> Any:
-    """Draw the parts as bars and the growth as two curves."""
+    """Draw the parts as bars and the growth as curves."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
-    bars, by_points, by_joints = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
+    figure = Figure(figsize=(11.0, 5.6), layout="constrained")
+    panels = figure.subplot_mosaic("ABC;ADE", width_ratios=(1.5, 1.0, 1.0))
+    bars = panels["A"]
     names = sorted(parts, key=lambda part: parts[part])
     bars.barh(names, [parts[name] for name in names], color=common.PALETTE[1])
     bars.set(
-        title=f"{step['step_cpu_us_median']:.0f} us = {step['ratio_median']:.0f} Jacobians",
+        title=f"{step['step_us']:.0f} us = {step['ratio']:.0f} Jacobians",
         xlabel="mean CPU time [us]",
     )
     bars.grid(axis="y", visible=False)
-    for axes, (what, rows) in zip((by_points, by_joints), growth.items(), strict=True):
-        axes.plot(
-            [row[what] for row in rows],
-            [row["step_us"] for row in rows],
-            "o-",
-            color=common.PALETTE[0],
-        )
+    for axes, (what, rows) in zip(list(panels.values())[1:], growth.items(), strict=True):
+        times = [row.get("step_us", row.get("ik_us", 0.0)) for row in rows]
+        axes.plot([row[what] for row in rows], times, "o-", color=common.PALETTE[0])
         axes.set(
             title=f"Growth with {what}",
             xlabel=what,
             ylabel="median CPU time [us]",
-            ylim=(0.0, 1.1 * max(row["step_us"] for row in rows)),
+            ylim=(0.0, 1.1 * max(times)),
         )
     return figure
 
 
-def _read(file: str) -> dict[str, Any]:
-    """Read the numbers of an earlier run."""
-    try:
-        return json.loads(Path(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        common.stop(f"--compare {file}: {error}")
-
-
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser(
-        "CPU time of one map_step: in total, by part, per hand, by number of points and joints."
-    )
+    parser = common.make_parser("CPU time of one map_step: per hand, by part, and its growth.")
     parser.add_argument(
-        "--save", metavar="FILE", help="the same as --json: numbers to compare with later"
-    )
-    parser.add_argument(
-        "--compare", metavar="FILE", help="numbers of an earlier run to compare with"
+        "--compare", metavar="CHECKOUT", type=Path, help="another checkout, which takes turns"
     )
     arguments = common.parse_arguments(parser, words)
-    before = _read(arguments.compare) if arguments.compare else {}
+    other = None if arguments.compare is None else interleaved.check_tree(arguments.compare)
     motion = synthetic.motion_or_synergies(arguments.recordings, RECORDING)
-    if arguments.quick:
+    quick = arguments.quick
+    if quick:
         motion = synthetic.shortened(motion, 60)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "samples.npz"
+        interleaved.write_motion(motion, file)
+        robots = measure_robots(file, len(motion.time), 1 if quick else 3, other)
+    caption = f"load {os.getloadavg()[0]:.1f}; a prototype in C++ took 0.13 of this step"
+    is_json = arguments.json == "-"
+    common.print_table(
+        "Per hand: map_step over one pin.computeJointJacobians",
+        robots,
+        to_stderr=is_json,
+        caption=caption,
+    )
     mapper = HandMapper(motion.human, load_hand(ROBOTS[0]), MappingOptions())
     measure_step(mapper, motion, 1)  # warm-up: fill caches
-    step = measure_step(mapper, motion, 1 if arguments.quick else 5)
+    step = measure_step(mapper, motion, 1 if quick else 3)
     parts = measure_parts(mapper, motion)
-    robots = measure_robots(motion, 1 if arguments.quick else 2)
-    counts, fingers = (
-        (POINT_COUNTS[:2], FINGER_COUNTS[:2]) if arguments.quick else (POINT_COUNTS, FINGER_COUNTS)
-    )
-    synergies = synthetic.synergy_motion(60 if arguments.quick else 300)
-    growth = {
-        "points": measure_growth(
-            motion, [(count, synthetic.allegro_with_points(count)) for count in counts], "points"
-        ),
-        "joints": measure_growth(
-            synergies, [(4 * count, synthetic.comb_hand(count)) for count in fingers], "joints"
-        ),
-    }
-    results = {**step, "parts_cpu_us": parts, "robots": robots, "growth": growth}
-    is_json = arguments.json == "-"
-    summary = [
-        {"what": name, "now": value, **({"before": before.get(name, "")} if before else {})}
-        for name, value in step.items()
-    ]
+    ordered = sorted(parts.items(), key=lambda item: -item[1])
     common.print_table(
-        "map_step, Allegro hand with floating wrist, the paper's options",
-        summary,
+        "Allegro hand with floating wrist, by part",
+        [{"part": name, "mean us": value} for name, value in ordered],
         to_stderr=is_json,
     )
-    common.print_table(
-        "Per hand: map_step over one pin.computeJointJacobians", robots, to_stderr=is_json
-    )
-    ordered = sorted(parts.items(), key=lambda item: -item[1])
-    earlier = before.get("parts_cpu_us", {})
-    rows = [
-        {"part": name, "mean us": value, **({"before": earlier.get(name, "")} if before else {})}
-        for name, value in ordered
-    ]
-    common.print_table("By part", rows, to_stderr=is_json)
+    few = slice(0, 2 if quick else None)
+    synergies = synthetic.synergy_motion(60 if quick else 300)
+    growth = {
+        "points": measure_growth(
+            motion, [(n, synthetic.allegro_with_points(n)) for n in POINT_COUNTS[few]], "points"
+        ),
+        "joints": measure_growth(
+            synergies, [(4 * n, synthetic.comb_hand(n)) for n in FINGER_COUNTS[few]], "joints"
+        ),
+        "pinch pairs": measure_pairs(motion, PAIR_COUNTS[few]),
+        "contact pairs": measure_contacts(synergies, CONTACT_COUNTS[few]),
+    }
     for what, table in growth.items():
         common.print_table(f"Growth with {what}", table, to_stderr=is_json)
-    for target in (arguments.json, arguments.save):
-        common.write_json(target, "bench_step", results)
+    results = {"allegro": step, "parts_cpu_us": parts, "robots": robots, "growth": growth}
+    common.write_json(arguments.json, "bench_step", results)
     common.save_picture(arguments.picture, lambda: draw(step, parts, growth))
 
 

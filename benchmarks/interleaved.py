@@ -138,6 +138,18 @@ def write_inputs(recording: Path, robot: str, file: Path, *, points: str, quick:
     return len(kept)
 
 
+def write_motion(motion: HumanMotion, file: Path) -> None:
+    """Write joint angles and wrist poses for workers that call `map_step`.
+
+    Args:
+        motion: The motion; the workers take the standard right hand of the package for its human.
+        file: The `.npz` file to write.
+    """
+    human = motion.human
+    q = np.clip(motion.q, human.lower_limits, human.upper_limits)
+    np.savez(file, q=q, wrist=motion.wrist, dt=motion.dt, side="right", points="")
+
+
 @cache
 def _fitted(recording: Path) -> tuple[Recording, HumanMotion]:
     recorded = read_recording(recording)

@@ -27,7 +27,7 @@ import pinocchio as pin
 
 from handmap_qp import HandMapper, HumanLengths, MappingOptions, load_hand
 
-_JACOBIANS = 20
+_JACOBIANS = 200
 _SHIFT = 1e-15
 
 
@@ -40,7 +40,9 @@ def make_mapper(inputs: Any, robot: Any, preset: str) -> Any:
         preset: As of the command line.
     """
     preset, _, variant = preset.partition(":")
-    lengths = HumanLengths(bases=inputs["bases"], segments=inputs["segments"])
+    lengths = None
+    if "bases" in inputs:
+        lengths = HumanLengths(bases=inputs["bases"], segments=inputs["segments"])
     name = "human" if str(inputs["side"]) == "right" else "human_left"
     points = str(inputs["points"]) or None
     human = load_hand(name, points=points, lengths=lengths)
