@@ -141,6 +141,9 @@ _GROUPS = {
 }
 """First words of commands of two words, and what these commands are for."""
 
+_SYSTEM_PACKAGES = {"libgomp": "libgomp1", "libGL.": "libgl1", "libEGL": "libegl1"}
+"""Debian's packages of system libraries that slim images lack, by how their file names begin."""
+
 _ABOUT = """Map the motion of a human hand onto a robotic hand.
 
 Lengths are in metres, angles in radians and times in seconds unless a unit is
@@ -171,6 +174,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except HandmapError as error:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except ImportError as error:
+        if not (library := _missing_library(error)):
+            raise
+        print(
+            f"handmap: the system library {library} is missing{_advice(library)}", file=sys.stderr
+        )
+        return 2
     except BrokenPipeError:
         # The reader closed stdout (`| head`): end quietly, also when Python flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -178,6 +188,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("handmap: interrupted, nothing was written", file=sys.stderr)
         return 130
     return 0
+
+
+def _missing_library(error: ImportError) -> str:
+    """Return the system library that a compiled package did not find; empty for other errors."""
+    # The dynamic linker gives its name in the message only.
+    name, found, _ = str(error).partition(": cannot open shared object file")
+    return name if found else ""
+
+
+def _advice(library: str) -> str:
+    packages = [package for name, package in _SYSTEM_PACKAGES.items() if library.startswith(name)]
+    return f": apt-get install {packages[0]}" if packages else ""
 
 
 def parse(arguments: Sequence[str]) -> Command:

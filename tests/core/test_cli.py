@@ -296,3 +296,20 @@ def test_the_doctor_says_how_to_install_an_extra(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(importlib.metadata, "version", version)
     assert doctor.extras()["view"] == "viser not installed: pip install 'handmap-qp[view]'"
     assert doctor.extras()["plot"] == "installed"
+
+
+@pytest.mark.parametrize(
+    ("library", "advice"), [("libgomp.so.1", ": apt-get install libgomp1"), ("libodd.so.2", "")]
+)
+def test_a_missing_system_library_is_one_line(
+    library: str,
+    advice: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fails(module: str) -> None:
+        raise ImportError(f"{library}: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setattr(importlib, "import_module", fails)
+    assert cli.main(["doctor"]) == 2
+    assert capsys.readouterr().err == f"handmap: the system library {library} is missing{advice}\n"

@@ -1,0 +1,56 @@
+"""Write docs/dependencies.md: the direct dependencies of the package with their licences."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+HEAD = """# Dependencies
+
+Written by `python docs/dependencies.py` from the metadata of the installed packages. All packages,
+also indirect ones, are in `.ci/constraints.txt`. A release has a software bill of materials
+(CycloneDX) beside the wheel.
+
+| package | needed by | bounds | licence |
+|---|---|---|---|
+"""
+
+
+def licence(name: str) -> str:
+    """Return what a package's metadata says: its expression, its classifiers, or its first line."""
+    data = metadata.metadata(name)
+    if expression := data.get("License-Expression"):
+        return expression
+    classes = [
+        line.rpartition(" :: ")[2]
+        for line in data.get_all("Classifier") or []
+        if line.startswith("License ::")
+    ]
+    text = (data.get("License") or "not stated").strip().splitlines()[0]
+    return ", ".join(classes) or text[:60]
+
+
+def main() -> None:
+    """Write the page."""
+    project = tomllib.loads((DOCS.parent / "pyproject.toml").read_text("utf-8"))["project"]
+    groups = {"the package": project["dependencies"], **project["optional-dependencies"]}
+    rows = []
+    for group, requirements in groups.items():
+        for requirement in requirements:
+            found = re.match(r"([\w-]+)(?:\[[\w,]+\])?(.*)", requirement)
+            assert found is not None
+            name, bounds = found.groups()
+            if name == project["name"]:
+                continue
+            try:
+                rows.append(f"| {name} | {group} | `{bounds}` | {licence(name)} |")
+            except metadata.PackageNotFoundError:
+                rows.append(f"| {name} | {group} | `{bounds}` | not installed here |")
+    (DOCS / "dependencies.md").write_text(HEAD + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
