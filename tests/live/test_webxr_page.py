@@ -84,13 +84,13 @@ def wait_for_text(browser: Browser, selector: str, part: str) -> None:
 
 
 def show_hands(browser: Browser, *sides: str) -> None:
-    """Let the emulated headset see moving hands."""
+    """Let the emulated headset see moving hands, to and fro without jumps."""
     joints = {side: webxr_joints(side).tolist() for side in sides}
     browser.evaluate(
         f"clearInterval(window.motion); window.joints = {json.dumps(joints)}; window.sample = 0;"
         "emulated.hands = {};"
         "window.motion = setInterval(() => { sample += 1; for (const side in joints)"
-        " emulated.hands[side] = joints[side][sample % joints[side].length]; }, 30); 0"
+        " emulated.hands[side] = joints[side][Math.abs(sample % 76 - 38)]; }, 30); 0"
     )
 
 
@@ -146,8 +146,19 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     wait_for_text(browser, "#right .state", "held until Engage")
     wait_until(lambda: sessions(server)["webxr-right"].mode == "released")
     click(browser, "#right .engage")
-    browser.wait_for("document.querySelector('#right .state').textContent === 'streaming'")
+    browser.wait_for("!document.querySelector('#right .state').textContent.includes('held')")
+    # An emergency stop is latched until it is cleared on purpose.
     click(browser, "#stop")
+    wait_for_text(browser, "#right .state", "emergency stop")
+    wait_for_text(browser, "#right .robot", "stopped")
+    click(browser, "#right .engage")
+    assert sessions(server)["webxr-right"].mode == "stopped"
+    click(browser, "#right .clear")
+    wait_for_text(browser, "#right .state", "held until Engage")
+    click(browser, "#right .engage")
+    browser.wait_for("!document.querySelector('#right .state').textContent.includes('held')")
+    click(browser, "#left .clear")
+    click(browser, "#end")
     wait_for_text(browser, "#state", "Ready")
     wait_until(lambda: not sessions(server))
     assert browser.errors == []
@@ -202,7 +213,7 @@ def test_a_lost_connection_is_taken_up_again(browser: Browser, server: Server) -
     second = wait_until(lambda: sessions(server).get("webxr-right"))
     assert second is not first
     assert second._epoch == first._epoch  # it goes on where the robot was
-    click(browser, "#stop")
+    click(browser, "#end")
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,7 @@ function makeCard(side) {
   card.select.onchange = () => choose(card);
   find(".hold", root).onclick = () => session.hold();
   find(".engage", root).onclick = () => session.engage();
+  find(".clear", root).onclick = () => session.clear();
   find("#hands").append(root);
   service.sessions.push(session);
   return card;
@@ -77,11 +78,15 @@ function stateOf(card) {
   if (!service.isConnected) return ["error", "not connected: the robot holds"];
   if (session.error) return ["error", session.error];
   if (!session.isOpen) return ["waiting", `opening ${session.robot}`];
+  if (session.last?.status === "stopped") return ["error", "emergency stop: the robot holds"];
   if (!card.joints) {
     return ["waiting", card.seen ? "hand lost: the robot holds" : "waiting for the hand"];
   }
   if (performance.now() - session.heard > SILENCE) return ["error", "the service does not answer"];
   if (session.isReleased) return ["waiting", "streaming; the robot is held until Engage"];
+  if (session.last?.status === "held") {
+    return ["waiting", `streaming; the robot holds: ${session.last.rule}`];
+  }
   return ["streaming", "streaming"];
 }
 
@@ -121,7 +126,7 @@ function overallState() {
   if (!tracking.session) return ["off", "Ready", "Choose a robot for each hand, then start."];
   const states = cards.map((card) => stateOf(card)[0]);
   if (states.includes("error")) return ["error", "Not all is well", "See the hands below."];
-  if (states.includes("streaming")) return ["streaming", "Streaming", "Stop ends the session."];
+  if (states.includes("streaming")) return ["streaming", "Streaming", "End stops the tracking; the robots hold."];
   return ["waiting", "Waiting for hands", "Put down controllers, and hold your hands in view."];
 }
 
@@ -137,7 +142,8 @@ function refresh() {
   find("#start-vr").disabled = !modes?.vr || Boolean(tracking.session) || !service.isConnected;
   find("#start-ar").hidden = !modes?.ar;
   find("#start-ar").disabled = Boolean(tracking.session) || !service.isConnected;
-  find("#stop").disabled = !tracking.session;
+  find("#end").disabled = !tracking.session;
+  find("#stop").disabled = !cards.some(({ session }) => session.isOpen);
   cards.forEach(refreshCard);
 }
 
@@ -154,6 +160,7 @@ function refreshCard(card) {
   find(".delay", root).textContent = session.delay === null ? "-" : `${session.delay.toFixed(0)} ms`;
   find(".hold", root).disabled = !session.isOpen || session.isReleased;
   find(".engage", root).disabled = !session.isOpen;
+  find(".clear", root).hidden = last?.status !== "stopped";
   drawHand(find("canvas", root), card.joints);
 }
 
@@ -163,7 +170,7 @@ function drawHand(canvas, joints) {
   context.clearRect(0, 0, canvas.width, canvas.height);
   if (!joints) return;
   const middle = [0, 1].map((axis) => joints.reduce((sum, point) => sum + point[axis], 0) / joints.length);
-  const scale = canvas.height / 0.26; // [px/m]
+  const scale = canvas.height / 0.21; // [px/m]
   const place = ([x, y]) => [
     canvas.width / 2 + scale * (x - middle[0]), canvas.height / 2 - scale * (y - middle[1]),
   ];
@@ -199,7 +206,8 @@ async function start(mode) {
 
 find("#start-vr").onclick = () => start("vr");
 find("#start-ar").onclick = () => start("ar");
-find("#stop").onclick = () => tracking.stop();
+find("#end").onclick = () => tracking.stop();
+find("#stop").onclick = () => cards.forEach(({ session }) => session.stop());
 find("#token").onchange = (event) => {
   service.token = event.target.value.trim();
   service.connect();

@@ -1,6 +1,6 @@
 // What the headset shows: the joints of both hands, and a panel with the state of each.
 
-const PANEL = { width: 0.75, height: 0.25, distance: 1.0, drop: 0.15 }; // [m]
+const PANEL = { width: 0.75, height: 0.25, distance: 1.0, drop: -0.1 }; // [m]
 const PIXELS = { width: 1152, height: 384 };
 const POINT_SIZE = 0.009; // [m]
 const PANEL_PERIOD = 250; // [ms]

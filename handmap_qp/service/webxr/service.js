@@ -1,7 +1,7 @@
 // Connection to the mapping service, and one session for each hand: the messages of
 // service/messages.md as JSON over the WebSocket of the page's own address.
 
-const PROTOCOL = 1;
+const PROTOCOL = 2;
 const SUBPROTOCOL = "handmap.v1";
 const RETRY = 1000; // time until a lost connection is tried again [ms]
 const MOST_WAITING = 32768; // bytes that wait to be sent, above which samples are skipped
@@ -78,6 +78,16 @@ export class HandSession {
     this.ask({ type: "clutch" });
   }
 
+  /** Emergency stop: the robot brakes and holds, whatever comes, until `clear`. */
+  stop() {
+    if (this.isOpen) this.ask({ type: "stop", reason: "the page for headsets" });
+  }
+
+  /** Clear the emergency stop that is in force; the robot is then released. */
+  clear() {
+    this.ask({ type: "status" });
+  }
+
   receive(reply) {
     this.heard = performance.now();
     if (reply.type === "opened") {
@@ -91,6 +101,8 @@ export class HandSession {
       if (reply.flags.includes("watchdog")) return;
       this.delay = this.heard - reply.time * 1000;
       this.error = "";
+    } else if (reply.type === "state") {
+      if (reply.stop) this.ask({ type: "clear", stop: reply.stop });
     } else if (reply.type === "error") {
       this.receiveError(reply);
     }
@@ -162,9 +174,10 @@ export class Service extends EventTarget {
   }
 
   receive(reply) {
+    const sender = this.senders[reply.seq % REMEMBERED];
     if (reply.type === "command") {
       this.sessions.find((session) => session.name === reply.name)?.receive(reply);
-    } else if (reply.type === "state") {
+    } else if (reply.type === "state" && !sender) {
       this.robots = reply.robots;
       this.version = reply.version;
       this.isConnected = true;
@@ -172,7 +185,7 @@ export class Service extends EventTarget {
       // A lost connection leaves the session behind: go on where its robot is.
       for (const session of this.sessions) if (session.robot) session.open(true);
     } else {
-      this.senders[reply.seq % REMEMBERED]?.receive(reply);
+      sender?.receive(reply);
     }
     if (reply.type !== "command") this.changed();
   }
