@@ -126,8 +126,8 @@ class Batch:
         out: Folder to write to.
         format: Data set to write besides the episodes.
         fps: Frames per second of that data set; episodes are interpolated to it.
-        look_ahead: Smooth each recording with its future too, without lag, and fill short gaps.
-            Limits hold exactly.
+        look_ahead: Use each recording as a whole: smooth it, fill short gaps, and follow it without
+            lag. Limits hold exactly. Takes three times as long.
         workers: Processes; 0 maps in this one.
         engine: `pool` of processes on this machine, or `ray` (extra `cluster`).
         shard: This part of so many, for a cluster's job array; each has a manifest of its own.

@@ -23,6 +23,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording, save_npz
@@ -162,6 +163,9 @@ def map_episode(
         recording = look_ahead(recording, options.smoother)
     human = scaled_human(recording, points=options.arguments.human_points, lengths=person.lengths)
     choice = options.arguments.preset_for(human, robot, person.contact_gap)
+    if options.smoother is not None:
+        trajectory = map_both_ways(human, robot, choice.method, choice.ik, recording)
+        return recording, trajectory, person
     smoothing = options.arguments.smoothing
     mapper = HandMapper(human, robot, choice.method, ik=choice.ik, smoothing=smoothing)
     return recording, map_recording(mapper, recording), person

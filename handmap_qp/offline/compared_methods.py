@@ -26,14 +26,16 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
+from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses
 from handmap_qp.offline.takes import Take
-from handmap_qp.offline.trajectory import map_recording
+from handmap_qp.offline.trajectory import Trajectory, map_recording
 from handmap_qp.transform import as_floats
 
 PROGRAM = "compare.py"
@@ -74,13 +76,11 @@ class OwnMethod:
         smoothing = None
         if self.name.endswith(SMOOTH):
             smoothing, ik = Smoothing(), replace(ik, **SMOOTH_IK)
-        mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
-        recording, wrist = take.recording, take.wrist
         if self.name.endswith(LOOK_AHEAD):
-            options = LookAhead()
-            wrist = smooth_poses(recording.time, wrist, recording.valid, options)
-            recording = look_ahead(recording, options)
-        trajectory = map_recording(mapper, recording, wrist_poses=wrist)
+            trajectory = _map_ahead(take, robot, method, ik)
+        else:
+            mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
+            trajectory = map_recording(mapper, take.recording, wrist_poses=take.wrist)
         return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 
@@ -147,6 +147,14 @@ def own_method(name: str) -> OwnMethod:
             argument="--methods", expected=f"some of {', '.join(own_methods())}", value=name
         )
     return OwnMethod(name)
+
+
+def _map_ahead(take: Take, robot: Hand, method: Method, ik: IkOptions) -> Trajectory:
+    """Map a take with its future: smoothed, without lag."""
+    recording, options = take.recording, LookAhead()
+    wrist = smooth_poses(recording.time, take.wrist, recording.valid, options)
+    smooth = look_ahead(recording, options)
+    return map_both_ways(take.human, robot, method, ik, smooth, wrist_poses=wrist)
 
 
 def base_name(name: str) -> str:

@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handmap_qp import InvalidInputError, Recording, load_hand
+from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand
+from handmap_qp.mapping.presets import preset_choice
+from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses, whittaker
+from handmap_qp.offline.surface_gaps import measure_gaps
+from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.transform import rotation_from_rpy
 
 
@@ -91,3 +95,37 @@ def test_too_few_samples_are_left_as_they_are() -> None:
         with pytest.raises(InvalidInputError) as caught:
             LookAhead(**wrong)
         assert caught.value.argument == next(iter(wrong))
+
+
+def test_both_ways_have_no_lag_and_keep_every_limit() -> None:
+    human = load_hand("human", points="landmarks")
+    robot = load_hand("allegro_right")
+    count, rate, pace = 96, 60.0, 2.5
+    time = np.arange(count) / rate
+    # A hand that closes and opens faster than the robot can.
+    share = 0.5 - 0.5 * np.cos(2.0 * np.pi * pace * time)
+    flexion = np.where(["flexion" in name for name in human.joint_names], 1.4, 0.0)
+    flexion[:4] = human.rest[:4]
+    landmarks = np.array([human.points(s * flexion) for s in share])
+    recording = Recording("fist", time, landmarks, np.ones(count), "right")
+    choice = preset_choice("teleoperation", 0.015)
+    own = load_hand("human")
+    online = map_recording(HandMapper(own, robot, choice.method, ik=choice.ik), recording)
+    ahead = map_both_ways(own, robot, choice.method, choice.ik, recording)
+
+    def lag(q: np.ndarray) -> float:
+        """Phase of the middle finger's bend behind the human's [s]."""
+        # Three whole periods.
+        part = slice(24, 96)
+        wave = np.exp(2j * np.pi * pace * time)[part]
+        # Flexion of the middle finger: joints 5 to 7 of the Allegro.
+        bend = q[part, 5:8].sum(axis=1)
+        human_sum, robot_sum = (np.sum((x - x.mean()) * wave.conj()) for x in (share[part], bend))
+        return float(np.angle(human_sum * robot_sum.conj()) / (2.0 * np.pi * pace))
+
+    assert lag(online.q) > 0.015
+    assert abs(lag(ahead.q)) < 0.25 * lag(online.q)
+    assert ahead.limit_violation <= 1e-12
+    speed = np.abs(np.diff(ahead.q, axis=0)) * rate
+    assert (speed <= robot.velocity_limits * (1.0 + 1e-9) + 1e-9).all()
+    assert measure_gaps(robot, ahead.q).nearest.min() > -1e-4
