@@ -1,5 +1,6 @@
 """Code, commands and pictures on all pages work, and the site is built from them."""
 
+import json
 import re
 import runpy
 import shlex
@@ -15,7 +16,11 @@ from handmap_qp import cli
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-SLOW = ("onboarding", "tracker_service_driver", "compare_methods", "two_hands")
+SLOW = (
+    *("onboarding", "tracker_service_driver", "compare_methods", "two_hands"),
+    *("recording_to_lerobot", "mujoco_object"),
+)
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 
 def code_of(page: Path) -> list[str]:
@@ -81,4 +86,16 @@ def test_examples_run(
     monkeypatch.setattr(sys, "argv", [str(example), *arguments])
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(example), run_name="__main__")
+    assert capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda notebook: notebook.stem)
+def test_notebooks_run(
+    notebook: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    cells = json.loads(notebook.read_text("utf-8"))["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    exec(compile("\n".join(code), notebook.name, "exec"), {})
     assert capsys.readouterr().out
