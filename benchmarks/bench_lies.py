@@ -175,7 +175,7 @@ def draw(rows: Sequence[dict[str, Any]], takes: Sequence[lies.Take]) -> Any:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser(__doc__.partition("\n")[0])
+    parser = common.make_parser("Which mistakes in recordings are found within a second.")
     arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
     takes = [*read_takes(files), *lies.synthetic_takes()[: 1 if arguments.quick else None]]

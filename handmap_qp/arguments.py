@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.library import load_hand
@@ -69,14 +69,21 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         from handmap_qp.trackers.layout import load_layout
-        from handmap_qp.trackers.layout_files import read_with_layout
+        from handmap_qp.trackers.layout_files import layout_hint, read_with_layout
         from handmap_qp.trackers.plausibility import check_recording
 
         if self.layout is not None:
             return read_with_layout(path, load_layout(self.layout), self.side)
         if self.side is not None and self.side != wanted:
             wanted = self.side
-        recording = read_recording(path, wanted)
+        try:
+            recording = read_recording(path, wanted)
+        except RecordingError as error:
+            hint = layout_hint(path)
+            if not hint:
+                raise
+            problem = f"{error.problem}; {hint}"
+            raise RecordingError(problem, file=error.file, array=error.array) from error
         if self.side is not None and recording.side != self.side:
             raise InvalidInputError(
                 argument="--side",

@@ -18,6 +18,7 @@ from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.layout import Layout, all_layouts
 from handmap_qp.trackers.plausibility import Finding, examine_recording
 from handmap_qp.trackers.recording import Recording, as_flags
+from handmap_qp.trackers.sample import LANDMARK_COUNT
 
 _TIMES = {"time": 1.0, "time_s": 1.0, "t": 1.0, "timestamp": 1.0, "time_ms": 1e-3, "time_ns": 1e-9}
 """Names of arrays and columns of time, with their unit [s]."""
@@ -76,6 +77,29 @@ def read_with_layout(
     if finding is not None:
         raise _better(file, layout, recording, values, finding)
     return recording
+
+
+def layout_hint(path: Path) -> str:
+    """Name the layouts that have the shape of an array of an `.npz` file.
+
+    Args:
+        path: A file that could not be read as it is.
+
+    Returns:
+        Advice in words; empty if no array has such a shape, or the file cannot be read.
+    """
+    if path.suffix.lower() != ".npz":
+        return ""
+    try:
+        arrays = read_archive(path)
+    except RecordingError:
+        return ""
+    for name, array in arrays.items():
+        shape = array.shape[1:]
+        names = [layout.name for layout in all_layouts() if shape in layout.shapes]
+        if array.ndim >= 2 and names and shape != (LANDMARK_COUNT, 3):
+            return f"{name} {array.shape} has the shape of --layout {' or '.join(names)}"
+    return ""
 
 
 def _better(

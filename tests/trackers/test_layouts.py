@@ -10,6 +10,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.spatial.transform import Rotation
 
 from handmap_qp import InvalidInputError, RecordingError, read_recording
@@ -108,8 +111,8 @@ def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
 @pytest.mark.parametrize("side", SIDES)
 def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> None:
     file = recordings / f"quest3_webxr_{side}.npz"
-    arrays, recording = np.load(file), read_recording(file)
-    poses = arrays["joints_pose"][recording.valid][:, :, [0, 1, 2, 4, 5, 6, 3]]  # to xyzw
+    content, recording = np.load(file), read_recording(file)
+    poses = content["joints_pose"][recording.valid][:, :, [0, 1, 2, 4, 5, 6, 3]]  # to xyzw
     hands = load_layout("webxr25").hands(poses, side)
     np.testing.assert_allclose(hands.landmarks, recording.landmarks[recording.valid], atol=1e-9)
     assert hands.wrists is not None
@@ -209,14 +212,14 @@ def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
     """A bending hand in a layout's own form."""
     human = typical_human("right")
     values = np.array([layout.write_posture(human, q, wrist) for q, wrist in bending()])
-    arrays = {
+    content = {
         "time": np.arange(60) / 60.0,
         layout.table.arrays[0]: values,
         "handedness": np.array("right"),
         **changes,
     }
     path = folder / "hand.npz"
-    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    np.savez(path, **{name: array for name, array in content.items() if array is not None})
     return path
 
 
@@ -252,8 +255,8 @@ def test_a_file_in_another_layout_is_refused_and_named(
     if written == "leap26":  # the same shape only as positions
         named = "leap26"
     if written == "unity26":  # palm and wrist exchanged, and left-handed
-        arrays = dict(np.load(path))
-        np.savez(path, **(arrays | {"joints": arrays["joints"][:, :, :3]}))
+        content = dict(np.load(path))
+        np.savez(path, **(content | {"joints": content["joints"][:, :, :3]}))
     with pytest.raises(RecordingError) as caught:
         read_with_layout(path, load_layout(read))
     assert f"--layout {named}" in str(caught.value) or f" or {named}" in str(caught.value)
@@ -308,3 +311,41 @@ def test_the_page_of_trackers_is_that_of_the_tables() -> None:
     page = runpy.run_path(str(folder / "layouts.py"), run_name="layouts")
     text = (folder / "trackers.md").read_text(encoding="utf-8")
     assert page["page_text"](text) == text, "run python docs/layouts.py"
+
+
+@given(st.data())
+def test_anything_else_is_refused_in_one_line(data: st.DataObject) -> None:
+    layout, side = data.draw(st.sampled_from(all_layouts())), data.draw(st.sampled_from(SIDES))
+    shape = st.sampled_from(layout.shapes) | array_shapes(min_dims=0, max_dims=3, max_side=30)
+    numbers = st.floats(-1e6, 1e6) | st.floats()
+    values = data.draw(arrays(float, data.draw(shape), elements=numbers))
+    problem, sample = None, None
+    try:
+        sample = layout.read(values, time=0.0, side=side)
+    except InvalidInputError as error:
+        problem = str(error)
+    assert problem is None or "\n" not in problem
+    if sample is not None and sample.valid:
+        assert np.isfinite(sample.landmarks).all()
+
+
+@given(data=st.data())
+def test_changed_tables_are_read_or_refused(data: st.DataObject, tmp_path_factory: Any) -> None:
+    name = data.draw(st.sampled_from(layout_names()))
+    lines = (TABLES / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+    place = data.draw(st.integers(0, len(lines) - 1))
+    lines[place] = data.draw(
+        st.sampled_from(["", "count: 3", "poses: []", "unit: 7", "- x", lines[place][::-1], "]"])
+    )
+    file = tmp_path_factory.mktemp("table") / "own.yaml"
+    file.write_text("\n".join(lines), encoding="utf-8")
+    problem, layout = None, None
+    try:
+        layout = load_layout(file)
+    except InvalidInputError as error:
+        problem = str(error)
+    if layout is None:
+        assert str(file) in str(problem)
+        assert "\n" not in str(problem)
+    else:
+        assert layout.rows()
