@@ -123,6 +123,22 @@ def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> No
     assert np.degrees(turns).max() < 15.0
 
 
+@pytest.mark.parametrize("name", ["leap26", "mano21"])
+def test_a_wrist_beside_the_values_may_be_seven_numbers(name: str) -> None:
+    layout = load_layout(name)
+    q, wrist = posture("left", seed=7)
+    values = layout.write_posture(typical_human("left"), q, wrist)
+    beside = layout.write_wrist(wrist, "left")
+    assert beside is not None
+    assert layout.wrist_table is not None
+    xyzw = Rotation.from_matrix(beside[:3, :3]).as_quat()
+    quat = np.roll(xyzw, 1) if layout.wrist_table.quaternion == "wxyz" else xyzw
+    seven = np.concatenate([beside[:3, 3], quat])
+    sample = layout.read(values, time=0.0, side="left", wrist=seven)
+    assert sample.wrist is not None
+    np.testing.assert_allclose(sample.wrist, wrist, atol=1e-12)
+
+
 def test_shape_errors_name_the_layouts_of_that_shape() -> None:
     with pytest.raises(InvalidInputError) as caught:
         load_layout("webxr25").read(np.zeros((26, 3)), time=0.0, side="right")

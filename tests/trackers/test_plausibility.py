@@ -172,3 +172,42 @@ def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:
     assert not steps[-1].is_held
     assert steps[-1].finding is None
     assert steps[10].finding is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "name"), [(1000.0, "millimetres"), (100.0, "centimetres"), (1 / 0.0254, "inches")]
+)
+def test_units_of_length_are_named(factor: float, name: str, take: Any) -> None:
+    finding = find(take.part(0.0, 1.0)._replace(landmarks=take.landmarks[:60] * factor))
+    assert finding is not None
+    assert name in finding.problem
+    assert finding.advice == f"multiply them by {1 / factor:g}"
+
+
+def test_a_wrist_in_another_unit_or_world_is_found(take: Any) -> None:
+    part = take.part(0.0, 1.0)
+    for shift in (0.3, -1.0):
+        wrist = part.wrist.copy()
+        wrist[:, 2, 3] += shift
+        finding = find(part._replace(wrist=wrist))
+        assert finding is not None
+        assert finding.lie == "wrist"
+        assert f"{abs(shift):g} m from" in finding.problem
+
+
+def test_one_batch_is_not_enough_and_lost_hands_are_no_mistake(take: Any) -> None:
+    landmarks = take.landmarks.copy()
+    landmarks[:16] *= (-1.0, 1.0, 1.0)  # exactly the first batch
+    landmarks[100:200] = 0.0  # zero poses, in whole batches
+    check = InputCheck(take.side)
+    for i, time in enumerate(take.time):
+        assert check.update(time, landmarks[i]) is None
+
+
+def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(take: Any) -> None:
+    whole = as_recording(take)
+    for share, is_refused in ((0.1, False), (0.6, True)):
+        wrong = (whole.time > 2.0) & (whole.time < 2.0 + 6.0 * share)
+        landmarks = np.where(wrong[:, None, None], -1.0, 1.0) * whole.landmarks
+        finding = examine_recording(replace(whole, landmarks=landmarks, wrist=None))
+        assert (finding is not None) == is_refused
