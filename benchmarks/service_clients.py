@@ -126,6 +126,7 @@ class Honest(threading.Thread):
         releases: Whether it releases the robot after a second.
 
     Attributes:
+        gaps: Times between its commands [s].
         start_offset: Distance of the assumed posture from the last command where a session was
             reopened, as a share of what three commands may account for.
         is_disobeyed: Whether a released robot moved.
@@ -154,6 +155,7 @@ class Honest(threading.Thread):
         self.start_offset, self.is_disobeyed = 0.0, False
         self._releases, self._has_released, self._reopened = releases, False, 0
         self.answered, self.timeouts, self.longest = 0, 0, 0.0
+        self.gaps: list[float] = []
         self.refusals: list[str] = []
         self.last: Command | None = None
         self._motion, self._streams, self._jumps = HumanMotion(seed), streams, jumps
@@ -162,6 +164,7 @@ class Honest(threading.Thread):
 
     def run(self) -> None:
         """Work until `end` is called."""
+        last = time.monotonic()
         for now in pace(60.0, 1e6):
             if self._ended.is_set():
                 break
@@ -176,6 +179,8 @@ class Honest(threading.Thread):
                     )
                     self.last = command
                     self.answered += 1
+                    self.gaps.append(time.monotonic() - last)
+                    last = time.monotonic()
             except ServiceTimeoutError:
                 self.timeouts += 1
             except ServiceError as error:

@@ -28,13 +28,17 @@ import common
 import msgspec
 import numpy as np
 import zmq
-from service_clients import TIMEOUT, HumanMotion, honest, summary
+from service_clients import TIMEOUT, Honest, HumanMotion, honest, summary
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.service.caps import Caps
 
+_LONGEST_GAP = 0.05
+"""Time between two commands of a client at 60 Hz, at most [s]."""
+_ELSEWHERE = ("nice", "-n", "15")
+"""Attackers stand for programs on other machines: they must not take this one's processor."""
 _STOP_TIME = 2.0
 """Time from SIGTERM to the end of the process, at most [s]."""
 
@@ -420,6 +424,101 @@ def _wild_changes(generator: np.random.Generator) -> dict[str, Any]:
     return changes
 
 
+def subscriptions(duration: float) -> dict[str, Any]:
+    """Subscribe to long topics as fast as the stream takes them, from four connections."""
+    code = (
+        "import os, sys, zmq\ncontext = zmq.Context()\nsockets = []\n"
+        "for _ in range(4):\n    socket = context.socket(zmq.XSUB)\n    socket.linger = 0\n"
+        "    socket.sndhwm = 1000\n    socket.connect(sys.argv[1])\n    sockets.append(socket)\n"
+        "while True:\n    for socket in sockets:\n        socket.send(b'\\x01' + os.urandom(15000))"
+    )
+    with (
+        serving() as service,
+        honest(service) as asking,
+        honest(service, 1, first=100, streams=True) as streaming,
+        MemoryWatch(service) as memory,
+    ):
+        clients = [*asking, *streaming]
+        quiet = _longest_gap(service, clients, min(10.0, duration))
+        before = service.cpu()
+        flood = subprocess.Popen(
+            [*_ELSEWHERE, sys.executable, "-c", code, f"tcp://127.0.0.1:{service.ports['stream']}"]
+        )
+        during = _longest_gap(service, clients, duration)
+        share = (service.cpu() - before) / duration
+        flood.kill()
+        flood.wait()
+    return _judge_gaps(
+        summary(clients, **memory.found(), failures=len(service.failures), cpu_share=share),
+        quiet,
+        during,
+    )
+
+
+def openings(duration: float) -> dict[str, Any]:
+    """Open sessions with expensive hands and self-collision as fast as the caps allow."""
+    hands = ("allegro_right", "hey5", "ur5_allegro", "tiago_arm", "g1_right", "romeo_left")
+    with serving() as service, honest(service) as clients, MemoryWatch(service) as memory:
+        quiet = _longest_gap(service, clients, min(10.0, duration))
+        code = (
+            "import itertools, sys\nfrom handmap_qp.client import Client\n"
+            f"for i in itertools.count():\n    client = Client(sys.argv[1], timeout=20.0)\n"
+            f"    robot = {hands!r}[i % {len(hands)}]\n"
+            "    try:\n        client.open(robot, hand_length=0.15 + 0.0001 * (i % 1000))\n"
+            "        print(robot, flush=True)\n"
+            "    except Exception as error: print('failed', error, flush=True)\n"
+            "    client.close()"
+        )
+        openers = [
+            subprocess.Popen(
+                [*_ELSEWHERE, sys.executable, "-c", code, service.address],
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            for _ in range(2)
+        ]
+        during = _longest_gap(service, clients, duration)
+        for opener in openers:
+            opener.kill()
+        answers = Counter(
+            line.split()[0] for opener in openers for line in opener.communicate()[0].splitlines()
+        )
+    found = summary(clients, **memory.found(), failures=len(service.failures), opened=dict(answers))
+    return _judge_gaps(found, quiet, during)
+
+
+def _longest_gap(
+    service: ServiceProcess, clients: Sequence[Honest], duration: float
+) -> tuple[float, float]:
+    """Return the longest gap of a client at 60 Hz during some time, and the server's part in it.
+
+    The gap is the time between two commands [s]; the server's part is the longest CPU time between
+    two turns of its event loop [s].
+    """
+    before, busy = [len(client.gaps) for client in clients], 0.0
+    end = time.monotonic() + duration
+    while time.monotonic() < end:
+        time.sleep(0.5)
+        with suppress(OSError):
+            busy = max(busy, service.busy())
+    gap = max(
+        max(client.gaps[count + 1 :], default=np.inf)
+        for client, count in zip(clients, before, strict=True)
+    )
+    return gap, busy
+
+
+def _judge_gaps(
+    found: dict[str, Any], quiet: tuple[float, float], during: tuple[float, float]
+) -> dict[str, Any]:
+    found |= {"longest_gap_quiet_s": quiet[0], "longest_gap_s": during[0]}
+    found |= {"longest_busy_quiet_s": quiet[1], "longest_busy_s": during[1]}
+    # On a machine that runs other programs, their share is in the gap of the quiet time too.
+    if during[0] > max(_LONGEST_GAP, 2.0 * quiet[0]) or during[1] > _LONGEST_GAP:
+        found["wrong"].append("running sessions were delayed")
+    return found
+
+
 SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "restarts": restarts,
     "vanishing": vanishing,
@@ -429,6 +528,8 @@ SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "clock_jumps": clock_jumps,
     "wrong_keys": wrong_keys,
     "sessions": sessions_come_and_go,
+    "subscriptions": subscriptions,
+    "openings": openings,
     "steering": steering,
 }
 

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -96,6 +97,16 @@ class ServiceProcess:
         """Resident memory [MB]."""
         pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    def busy(self) -> float:
+        """Longest CPU time between two turns of the event loop in the last second [s].
+
+        Unlike a gap that a client sees, it does not contain the time of other programs.
+        """
+        url = f"http://127.0.0.1:{self.ports['health']}/metrics"
+        with urllib.request.urlopen(url, timeout=5.0) as answer:
+            text = answer.read().decode()
+        return float(text.partition("\nhandmap_busy_seconds ")[2].split()[0])
 
     def files(self) -> int:
         """Open files and sockets."""

@@ -69,13 +69,13 @@ class Bucket:
         self._then = now
         self._reported = -1.0
 
-    def take(self, now: float) -> bool:
-        """Count one event; return whether it is allowed."""
+    def take(self, now: float, count: float = 1.0) -> bool:
+        """Count events; return whether they are allowed."""
         self._left = min(self._burst, self._left + (now - self._then) * self._rate)
         self._then = now
-        if self._left < 1.0:
+        if self._left < count:
             return False
-        self._left -= 1.0
+        self._left -= count
         return True
 
     def may_report(self, now: float) -> bool:

@@ -29,6 +29,11 @@ _HELP = {
     "dropped": ("counter", "Replies lost by slow readers."),
     "sessions": ("gauge", "Open sessions."),
     "lag_seconds": ("gauge", "Longest delay of the event loop in the last second [s]."),
+    "busy_seconds": (
+        "gauge",
+        "Longest CPU time of the process between two turns of its event loop in the last second "
+        "[s].",
+    ),
     "resident_bytes": ("gauge", "Resident memory of the process."),
     "uptime_seconds": ("gauge", "Time since the start [s]."),
 }

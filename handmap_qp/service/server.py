@@ -37,6 +37,7 @@ from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
 from handmap_qp.service.metrics import Metrics, serve_metrics
 from handmap_qp.service.store import PostureStore
+from handmap_qp.service.stream_gate import StreamGate
 from handmap_qp.service.websocket import WebSettings, WebSocketTransport
 
 TICK = 0.005
@@ -45,6 +46,9 @@ _BATCH = 64
 """Messages read before other tasks get their turn."""
 _MOST_WAITING = 200
 """High-water mark of received messages, above which a client has to wait."""
+_READERS_PER_SESSION = 4
+_TOPIC_SIZE = 1024
+"""Length of what a reader of the stream may send at once; handshakes take the most [bytes]."""
 _MOST_UNREAD = 500
 """High-water mark of replies, above which a slow client loses the others."""
 
@@ -132,7 +136,9 @@ class Server:
         self._bugs = Throttle()
         self._is_draining = False
         self._lag = self._worst_lag = 0.0
+        self._busy = self._worst_busy = 0.0
         self.metrics.gauges["lag_seconds"] = lambda: max(self._lag, self._worst_lag)
+        self.metrics.gauges["busy_seconds"] = lambda: max(self._busy, self._worst_busy)
 
     async def start(self) -> None:
         """Listen on all transports.
@@ -149,9 +155,12 @@ class Server:
         plain = zmq.Context.shadow(context.underlying)
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
         self.ports["requests"] = _bind(self._router, settings.host, settings.port)
-        self.ports["stream"] = self.dispatcher.stream_port = _bind(
-            self._stream, settings.host, settings.stream_port
-        )
+        most = _READERS_PER_SESSION * settings.caps.sessions
+        gate = StreamGate(_ip(settings.host), settings.stream_port, most, self.metrics)
+        self._stream.bind(gate.inner)
+        self.ports["stream"] = (
+            self.dispatcher.stream_port
+        ) = await self._closing.enter_async_context(gate)
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
         if settings.web is not None:
@@ -204,7 +213,8 @@ class Server:
         socket = context.socket(kind)
         # Linger [ms]: send queued messages when the server stops.
         self._closing.callback(socket.close, 100)
-        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.caps.message_size)
+        size = _TOPIC_SIZE if kind == zmq.PUB else self.settings.caps.message_size
+        socket.setsockopt(zmq.MAXMSGSIZE, size)
         socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
         socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
@@ -288,16 +298,19 @@ class Server:
 
     async def _tick(self) -> None:
         """Drive the watchdogs, and measure the delay of the event loop."""
-        second = time.monotonic()
+        second, spent = time.monotonic(), time.process_time()
         while True:
             wanted = time.monotonic() + TICK
             await asyncio.sleep(TICK)
             now = time.monotonic()
             self._worst_lag = max(self._worst_lag, now - wanted)
+            before, spent = spent, time.process_time()
+            self._worst_busy = max(self._worst_busy, spent - before)
             if now - second > 1.0:
                 if self._worst_lag > 0.1:
                     report(WARNING, "late", seconds=round(self._worst_lag, 4))
                 second, self._lag, self._worst_lag = now, self._worst_lag, 0.0
+                self._busy, self._worst_busy = self._worst_busy, 0.0
             try:
                 self._drain()
                 self.dispatcher.tick()
@@ -305,9 +318,13 @@ class Server:
                 self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
 
 
+def _ip(host: str) -> str:
+    return "127.0.0.1" if host == "localhost" else host
+
+
 def _bind(socket: zmq.Socket, host: str, port: int) -> int:
     """Listen on an address; return the port in use."""
-    host = "127.0.0.1" if host == "localhost" else host
+    host = _ip(host)
     address = f"tcp://[{host}]" if ":" in host else f"tcp://{host}"
     try:
         socket.bind(f"{address}:{port or '*'}")

@@ -57,6 +57,7 @@ def test_a_stopped_robot_holds_whatever_comes_until_it_is_cleared_and_clutched()
     session.clear(number)
     assert np.array_equal(session.step(sample(now, human_q(1.0)), now).q, posture)
     session.clutch()
+    command = session.step(sample(now, human_q()), now := now + PERIOD)
     for i in range(20):
         command = session.step(sample(now, human_q(0.1 * i)), now := now + PERIOD)
     assert command.status != "stopped"

@@ -6,6 +6,8 @@ import gc
 import json
 import resource
 import signal
+import socket
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
@@ -15,7 +17,17 @@ import numpy as np
 import pytest
 import zmq
 from msgspec.msgpack import encode
-from service_tools import LOCAL, Sampler, address_of, human_q, serving
+from patience import wait_until
+from service_tools import (
+    LOCAL,
+    Sampler,
+    address_of,
+    client_of,
+    connected,
+    heard,
+    human_q,
+    serving,
+)
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
@@ -304,3 +316,51 @@ def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> Non
         ):
             pass
         assert again.open("three_finger", **choices).q == last.q != (0.0,) * 8
+
+
+def test_a_flood_of_topics_ends_its_connection_and_disturbs_no_other() -> None:
+    with (
+        serving() as server,
+        connected(server, name="lab") as client,
+        client_of(server) as listener,
+        zmq.Context() as context,
+    ):
+        listener.watch("lab")
+        flood = context.socket(zmq.XSUB)
+        flood.linger, flood.sndhwm = 0, 10
+        flood.connect(f"tcp://127.0.0.1:{server.ports['stream']}")
+        ended = 0
+        for i in range(200):
+            if flood.poll(100, zmq.POLLOUT):
+                flood.send(b"\x01" + bytes([i]) * 900, zmq.NOBLOCK)
+            ended = server.metrics.refusals["stream"]
+            if ended > 1:
+                break
+        flood.close()
+        assert ended
+        client.step(q=human_q(), wrist=np.eye(4), time=5.0)
+        assert heard(listener, 5.0).time == 5.0
+
+
+def test_readers_are_capped_and_counted_out() -> None:
+    with serving(caps=Caps(sessions=1)) as server, ExitStack() as sockets:
+        address = ("127.0.0.1", server.ports["stream"])
+        readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(4)]
+        assert all(reader.recv(1) for reader in readers)
+        with socket.create_connection(address) as another:
+            assert not _reads(another)
+        readers[0].close()
+
+        def has_room() -> bool:
+            with socket.create_connection(address) as again:
+                return _reads(again)
+
+        assert wait_until(has_room)
+
+
+def _reads(connection: socket.socket) -> bool:
+    """Return whether the server greets a connection rather than ending it."""
+    try:
+        return bool(connection.recv(1))
+    except ConnectionError:
+        return False
