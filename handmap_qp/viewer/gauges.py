@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.hands.hand import Hand
@@ -115,7 +116,7 @@ class Gauges:
 
 
 def joint_bars(robot: Hand, sample: ViewSample) -> str:
-    """Draw every joint as a bar from its lower to its upper position limit.
+    """Draw every joint as a bar from its lower to its upper position limit, finger by finger.
 
     The bar is red at a position limit, and orange where the speed limit held the joint.
 
@@ -140,12 +141,48 @@ def joint_bars(robot: Hand, sample: ViewSample) -> str:
         ),
         strict=True,
     )
+    bars = [_joint_bar(*column) for column in columns]
+    groups = "".join(
+        f'<div style="color:#666;margin-top:3px">{escape(finger)}</div>'
+        f"{''.join(bars[i] for i in joints)}"
+        for finger, joints in joints_by_finger(robot).items()
+    )
     entries = (("position limit", _RED), ("speed limit", _ORANGE))
     return (
         '<div style="font-size:11px;line-height:15px;padding:4px 14px">'
-        '<div style="font-weight:600;margin-bottom:3px">joints between their limits</div>'
-        f"{''.join(_joint_bar(*column) for column in columns)}</div>{_legend(entries)}"
+        '<div style="font-weight:600">joints between their limits</div>'
+        f"{groups}</div>{_legend(entries)}"
     )
+
+
+def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
+    """Return the joints that move one finger alone, by its name, and all others as `palm`.
+
+    Args:
+        robot: The robot hand.
+
+    Returns:
+        Indices into `Hand.joint_names`; every joint once.
+    """
+    model = robot.model
+    carried = [
+        (
+            point.finger,
+            set(
+                model.supports[
+                    model.frames[model.getFrameId(point.link, pin.FrameType.BODY)].parentJoint
+                ]
+            ),
+        )
+        for point in robot.spec.points
+        if point.finger is not None
+    ]
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(robot.joint_names):
+        joint = model.getJointId(name)
+        fingers = {finger for finger, joints in carried if joint in joints}
+        groups.setdefault(fingers.pop() if len(fingers) == 1 else "palm", []).append(i)
+    return groups
 
 
 def _joint_bar(name: str, short: str, q: float, share: float, rest: float, colour: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,8 @@ def write_page(path: Path, server: viser.ViserServer, replay: Replay) -> None:
             serializer.insert_sleep(sample.time - shown)
             scene.draw(sample)
             shown = sample.time
-    page = serializer.as_html().replace("<title>Viser</title>", "<title>handmap view</title>", 1)
+    title = f"{replay.name} on {replay.robot.name}, {replay.choice.preset} - handmap view"
+    page = serializer.as_html()
+    page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     with replaced_file(path, "--html") as file:
         file.write(page.encode())

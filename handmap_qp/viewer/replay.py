@@ -112,6 +112,11 @@ class Replay:
         self.remap(choice)
 
     @property
+    def name(self) -> str:
+        """Name of the recording."""
+        return self._recording.name
+
+    @property
     def robot(self) -> Hand:
         """The robot hand, with the reference points that the method moves."""
         return self._robot

@@ -35,7 +35,7 @@ from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.frames import skip_wakeup_race
-from handmap_qp.viewer.gauges import joint_bars, short_names
+from handmap_qp.viewer.gauges import joint_bars, joints_by_finger, short_names
 from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls
 from handmap_qp.viewer.replay import Replay
 from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
@@ -549,6 +549,22 @@ def test_joint_bars_tell_a_position_limit_from_a_speed_limit() -> None:
     bars = joint_bars(robot, replace(sample, robot_q=q, is_limited=is_limited))
     colours = re.findall(r"text-align:right;color:(#\w+)", bars)
     assert colours == ["#d62929", "#d62929", "#f08c00"] + ["#2166d8"] * (len(q) - 3)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "three_finger", "hey5", "ur5_allegro"])
+def test_joints_are_grouped_by_the_finger_whose_points_they_move(name: str) -> None:
+    robot = load_hand(name, points=[p.name for p in load_hand(name).spec.points if p.finger])
+    groups = joints_by_finger(robot)
+    found = [i for joints in groups.values() for i in joints]
+    assert sorted(found) == list(range(len(robot.joint_names)))
+    rest = robot.points(robot.rest)
+    for finger, joints in groups.items():
+        for i in joints:
+            q = robot.rest.copy()
+            q[i] += 0.05 if q[i] + 0.05 <= robot.upper_limits[i] else -0.05
+            is_moved = np.linalg.norm(robot.points(q) - rest, axis=1) > 1e-6
+            moved = {p.finger for p, m in zip(robot.reference_points, is_moved, strict=True) if m}
+            assert moved <= {finger} if finger != "palm" else len(moved) != 1, (finger, i)
 
 
 def test_long_names_of_joints_stay_different() -> None:
