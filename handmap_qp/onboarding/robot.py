@@ -6,6 +6,7 @@ and recorded, so that they can be written to the `hand.yaml` for its owner to co
 
 from __future__ import annotations
 
+import copy
 import io
 import math
 import warnings
@@ -22,11 +23,17 @@ from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_m
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf.check import check_tree
 from handmap_qp.hands.urdf.compose import prepare_urdf
-from handmap_qp.hands.urdf.elements import axis_of, get_numbers, origin_of, parse_urdf
+from handmap_qp.hands.urdf.elements import (
+    axis_of,
+    get_numbers,
+    origin_of,
+    parse_urdf,
+    set_numbers,
+)
 from handmap_qp.hands.urdf.files import find_mesh
 from handmap_qp.hands.urdf.joints import fix_free_joints
 from handmap_qp.hands.urdf.tree import MOVABLE, cut_subtree, edges, link_names, root_links
-from handmap_qp.transform import transform_points
+from handmap_qp.transform import rpy_from_rotation, transform_points
 
 # Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
@@ -115,6 +122,7 @@ class Robot:
             joint.get("name", ""): joint.get("type", "") for joint in robot.iterfind("joint")
         }
         self.parent: dict[str, tuple[str, str]] = {}
+        self._bodies: dict[str, str] = {}
         self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
         for joint, parent, child in edges(robot):
             self.parent[child] = (joint.get("name", ""), parent)
@@ -140,11 +148,47 @@ class Robot:
             name for name, kind in self.kinds.items() if kind in MOVABLE and name not in followers
         ]
         self.urdf_text = ET.tostring(robot, encoding="unicode")
-        self._build()
+        self._build(self._skeleton(robot))
 
-    def _build(self) -> None:
+    def _skeleton(self, robot: ET.Element) -> str:
+        """Return a URDF of the bodies' first links: Pinocchio takes long for thousands of links."""
+        origins = {joint.get("name", ""): origin_of(joint) for joint in robot.iterfind("joint")}
+        self._in_body: dict[str, pin.SE3] = {}
+        pending = [self.root]
+        while pending:
+            link = pending.pop()
+            body = self.body(link)
+            joint, parent = self.parent.get(link, ("", ""))
+            self._in_body[link] = (
+                pin.SE3.Identity()
+                if link == body
+                else self._in_body[parent] * pin.SE3(origins[joint])
+            )
+            pending.extend(child for _, child in self.children[link])
+        skeleton = ET.Element("robot", {"name": "skeleton"})
+        for link in self.links:
+            if self.body(link) == link:
+                ET.SubElement(skeleton, "link", {"name": link})
+        for joint in robot.iterfind("joint"):
+            if joint.get("type") == "fixed":
+                continue
+            moved = copy.deepcopy(joint)
+            parent, origin = moved.find("parent"), moved.find("origin")
+            if parent is None:
+                continue
+            link = parent.get("link", "")
+            parent.set("link", self.body(link))
+            pose = (self._in_body[link] * pin.SE3(origins[joint.get("name", "")])).homogeneous
+            if origin is None:
+                origin = ET.SubElement(moved, "origin")
+            set_numbers(origin, "xyz", pose[:3, 3].tolist())
+            set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]).tolist())
+            skeleton.append(moved)
+        return ET.tostring(skeleton, encoding="unicode")
+
+    def _build(self, text: str) -> None:
         try:
-            self.model = pin.buildModelFromXML(self.urdf_text)
+            self.model = pin.buildModelFromXML(text)
         except (RuntimeError, ValueError) as error:
             raise HandError(
                 f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", file=self.file
@@ -162,8 +206,11 @@ class Robot:
             self.model.upperPositionLimit[at],
         )
         self._data = self.model.createData()
-        self._frames = {
-            link: self.model.getFrameId(link, pin.FrameType.BODY) for link in self.links
+        joints = {name: i for i, name in enumerate(self.model.names)}
+        # The frame of a body's first link is that of the joint that moves it.
+        self._carriers = {
+            link: joints[self.parent[self.body(link)][0]] if self.body(link) != self.root else 0
+            for link in self.links
         }
         self.place(self.zero)
 
@@ -186,9 +233,17 @@ class Robot:
 
     def body(self, link: str) -> str:
         """Return the first link of a link's body."""
-        while link in self.parent and self.kinds[self.parent[link][0]] == "fixed":
-            link = self.parent[link][1]
-        return link
+        passed = []
+        while link not in self._bodies:
+            joint, parent = self.parent.get(link, ("", ""))
+            if self.kinds.get(joint) != "fixed":
+                self._bodies[link] = link
+                break
+            passed.append(link)
+            link = parent
+        first = self._bodies[link]
+        self._bodies.update(dict.fromkeys(passed, first))
+        return first
 
     def body_links(self, body: str) -> list[str]:
         """Return all links of a body, from its first one outwards."""
@@ -242,16 +297,18 @@ class Robot:
 
     def place(self, q: np.ndarray) -> None:
         """Place the active joints at `q`, shape (n,), and their mimic joints accordingly."""
-        pin.framesForwardKinematics(self.model, self._data, self._matrix @ q + self._offset)
+        pin.forwardKinematics(self.model, self._data, self._matrix @ q + self._offset)
 
     def pose(self, link: str) -> np.ndarray:
         """Return a link's pose in the frame of `root` at the last `place`, shape (4, 4)."""
-        return self._data.oMf[self._frames[link]].homogeneous
+        return self._placed(link).homogeneous
 
     def pose_in(self, link: str, other: str) -> np.ndarray:
         """Return a link's pose in another link's frame at the last `place`, shape (4, 4)."""
-        frames = self._data.oMf
-        return frames[self._frames[other]].actInv(frames[self._frames[link]]).homogeneous
+        return self._placed(other).actInv(self._placed(link)).homogeneous
+
+    def _placed(self, link: str) -> pin.SE3:
+        return self._data.oMi[self._carriers[link]] * self._in_body[link]
 
     # -- surface
 

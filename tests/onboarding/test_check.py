@@ -17,10 +17,10 @@ from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.onboarding.check import check_hand
 from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
-from handmap_qp.onboarding.detect import detect
+from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.gestures import make_fist, measure_pinches
 from handmap_qp.onboarding.measure import try_motion
-from handmap_qp.onboarding.picture import _Scene, draw_hand
+from handmap_qp.onboarding.picture import _Scene
 from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import write_hand
 
@@ -159,7 +159,7 @@ def test_odd_urdfs_are_found_checked_and_drawn(made: MadeHand, tmp_path: Path, c
     assert set(report.hand.joint_names).isdisjoint({"free"})
     assert {p.finger for p in report.hand.spec.points} == set(made.tips)
     if change == "named as links":
-        draw_hand(report.hand, tmp_path / "hand.png")
+        assert len(_Scene(report.hand).points) == len(made.tips)
 
 
 def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
@@ -254,3 +254,29 @@ def test_a_hand_without_shapes_has_no_pairs(made: MadeHand, tmp_path: Path) -> N
     assert find_collision_pairs(hand) is None
     found = detect(tmp_path / "hand.urdf")
     assert with_collision_pairs(found, hand).spec.collision is None
+
+
+@pytest.mark.parametrize("shape", ["star", "chain"])
+def test_many_links_beside_the_fingers_are_no_obstacle(made: MadeHand, shape: str) -> None:
+    """Sensors and bolts: 1,500 links on the palm, or in a row."""
+    parts = []
+    for i in range(1500):
+        parent = made.palm if shape == "star" or i == 0 else f"x{i - 1}"
+        parts.append(
+            f'<link name="x{i}"/><joint name="jx{i}" type="fixed"><parent link="{parent}"/>'
+            f'<child link="x{i}"/></joint>'
+        )
+    text = made.urdf.replace("</robot>", "".join(parts) + "</robot>")
+    found, plain = (detect_text(urdf, Path("x.urdf")) for urdf in (text, made.urdf))
+    assert found.spec.palm == plain.spec.palm
+    assert found.spec.points == plain.spec.points
+
+
+def test_a_chain_that_crashes_urdf_readers_is_refused(made: MadeHand) -> None:
+    parts = [
+        f'<link name="x{i}"/><joint name="jx{i}" type="fixed">'
+        f'<parent link="{made.palm if i == 0 else f"x{i - 1}"}"/><child link="x{i}"/></joint>'
+        for i in range(5000)
+    ]
+    with pytest.raises(HandError, match="chain of 2001 links; expected at most 2000"):
+        detect_text(made.urdf.replace("</robot>", "".join(parts) + "</robot>"), Path("x.urdf"))

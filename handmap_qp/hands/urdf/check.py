@@ -16,6 +16,8 @@ from handmap_qp.hands.urdf.tree import JOINT_TYPES, MOVABLE, edges, link_names
 
 _VECTORS = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
 _LIMITS = ("lower", "upper", "velocity")
+# Pinocchio reads a chain by recursion, and crashes at about 4,000 links.
+_DEEPEST = 2000
 
 
 def check_tree(robot: ET.Element) -> None:
@@ -36,8 +38,7 @@ def check_tree(robot: ET.Element) -> None:
     for joint in joints:
         _check_joint(joint)
     _check_root(links, parents)
-    for link in links:
-        _check_loop(link, parents)
+    _check_loops(links, parents)
     if not any(joint.get("type") in MOVABLE for joint in joints):
         raise HandError("the URDF has no joint that moves")
 
@@ -78,11 +79,12 @@ def _parents(robot: ET.Element, links: list[str]) -> dict[str, str]:
         HandError: If a joint names a link that does not exist, or a link has two parents.
     """
     parents: dict[str, str] = {}
+    known = set(links)
     joint_above: dict[str, str] = {}
     for joint, parent, child in edges(robot):
         name = joint.get("name", "")
         for link in (parent, child):
-            if link not in links:
+            if link not in known:
                 message = (
                     f"the joint {name!r} names the link {link!r}, which the URDF does not have"
                 )
@@ -139,13 +141,26 @@ def _check_root(links: list[str], parents: dict[str, str]) -> None:
         raise HandError(f"the URDF is not a tree: {what}")
 
 
-def _check_loop(link: str, parents: dict[str, str]) -> None:
-    """Reject a link among its own ancestors."""
-    passed = {link}
-    while link in parents:
-        link = parents[link]
-        if link in passed:
-            raise HandError(
-                f"the URDF is not a tree: a loop contains the link {link!r}", value=link
-            )
-        passed.add(link)
+def _check_loops(links: list[str], parents: dict[str, str]) -> None:
+    """Reject a link among its own ancestors, and a chain that overflows the stack of URDF readers.
+
+    Raises:
+        HandError: If there is one.
+    """
+    depths: dict[str, int] = {}
+    for link in links:
+        passed: dict[str, None] = {}
+        at = link
+        while at in parents and at not in depths:
+            if at in passed:
+                message = f"the URDF is not a tree: a loop contains the link {at!r}"
+                raise HandError(message, value=at)
+            passed[at] = None
+            at = parents[at]
+        depth = depths.setdefault(at, 0)
+        for below in reversed(passed):
+            depth += 1
+            depths[below] = depth
+        if depth > _DEEPEST:
+            message = f"the link {link!r} is at the end of a chain of {depth} links"
+            raise HandError(f"{message}; expected at most {_DEEPEST}", value=link)
