@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from functools import lru_cache
 
 import coal
@@ -9,7 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
+
+_PLACEHOLDER = "0.001"
+"""Radius of the sphere in the place of a mesh [m]."""
 
 
 def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
@@ -29,25 +34,65 @@ def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
     return pin.GeometryModel(_read(hand))
 
 
-# Reading meshes takes up to a second, and the copies share them.
 @lru_cache(maxsize=32)
 def _read(hand: Hand) -> pin.GeometryModel:
-    text = urdf_with_mesh_paths(hand.spec, hand.urdf_text)
+    """Read the shapes, and each mesh by itself.
+
+    Pinocchio reads all meshes in one call, which lets no other thread run for up to a third of a
+    second. So it reads placeholders in their places.
+    """
+    robot = parse_urdf(urdf_with_mesh_paths(hand.spec, hand.urdf_text))
+    meshes: dict[str, tuple[str, tuple[float, ...]]] = {}
+    for link in robot.iterfind("link"):
+        for i, shape in enumerate(link.iterfind("collision/geometry")):
+            mesh = shape.find("mesh")
+            if mesh is not None:
+                scale = tuple(float(each) for each in mesh.get("scale", "1 1 1").split())
+                meshes[f"{link.get('name')}_{i}"] = mesh.get("filename", ""), scale
+                shape.remove(mesh)
+                ET.SubElement(shape, "sphere", radius=_PLACEHOLDER)
+    text = ET.tostring(robot, encoding="unicode")
     try:
         geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
+        for part in geometry.geometryObjects:
+            if part.name in meshes:
+                file, scale = meshes.pop(part.name)
+                part.geometry, part.meshPath = _hull_of(file, scale), file
+                part.meshScale = np.array(scale)
+    except _FlatError as error:
+        message = f"the collision shape {part.name!r} is flat: it has no convex hull"
+        raise hand.spec.error(message, key="urdf") from error
     except (RuntimeError, ValueError) as error:
         message = f"the collision shapes cannot be read: {' '.join(str(error).split())}"
         raise hand.spec.error(message, key="urdf") from error
-    for part in geometry.geometryObjects:
-        if isinstance(part.geometry, coal.BVHModelBase):
-            # A mesh is a surface without an inside: an object within it would not be noticed, and
-            # an overlap would have no depth.
-            hull = _convex_hull(np.array(part.geometry.vertices()))
-            if hull is None:
-                message = f"the collision shape {part.name!r} is flat: it has no convex hull"
-                raise hand.spec.error(message, key="urdf")
-            part.geometry = hull
+    if meshes:
+        message = f"the collision shape {min(meshes)!r} cannot be read"
+        raise hand.spec.error(message, key="urdf")
     return geometry
+
+
+# The meshes of a hand are those of all its sessions.
+@lru_cache(maxsize=256)
+def _hull_of(file: str, scale: tuple[float, ...]) -> coal.Convex:
+    """Read a mesh as its convex hull.
+
+    A mesh is a surface without an inside: an object within it would not be noticed, and an overlap
+    would have no depth.
+
+    Raises:
+        RuntimeError: If the file cannot be read.
+        ValueError: If the scale has no three numbers.
+        _FlatError: If its vertices lie in a plane.
+    """
+    mesh = coal.MeshLoader().load(file, np.array(scale).reshape(3))
+    hull = _convex_hull(np.array(mesh.vertices()))
+    if hull is None:
+        raise _FlatError(file)
+    return hull
+
+
+class _FlatError(Exception):
+    """The vertices of a mesh lie in a plane."""
 
 
 def _convex_hull(points: np.ndarray) -> coal.Convex | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import importlib
 import json
 import resource
 import signal
@@ -41,6 +42,8 @@ async def _serve(settings: Settings) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
     server = Server(settings)
+    # The first hand with meshes would import it, which delays running sessions.
+    importlib.import_module("scipy.spatial")
     try:
         await server.start()
         # Exclude the objects that exist now from garbage collection: they stay.
