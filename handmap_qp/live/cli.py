@@ -34,7 +34,7 @@ class Target:
     Attributes:
         to: Address of the service's requests.
         robot: Robot hand that the service moves; `handmap hands` lists those of the package.
-        record: Recording to write (.npz).
+        record: Recording to write (.npz or .csv).
         session: Public name of the session.
         preset: What the mapping is for, as in `handmap map`.
         person: File of the person's hand, of `handmap calibrate`.
@@ -47,7 +47,7 @@ class Target:
     ] = None
     robot: Annotated[str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="")] = None
     record: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: no file)")
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: no file)")
     ] = None
     session: Annotated[
         str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)")
@@ -242,14 +242,14 @@ class TrackRecord:
         handmap track record right.npz --from 127.0.0.1 --session webxr-right
 
     Attributes:
-        out: Recording to write (.npz); one that exists is replaced at the end.
+        out: Recording to write (.npz or .csv); one that exists is replaced at the end.
         source: Address of the service's requests.
         session: Public name of the session.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
         json: Print the summary as one JSON object instead of a table.
     """
 
-    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT.npz")]]
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     source: Annotated[
         str,
         tyro.conf.arg(name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
@@ -269,7 +269,7 @@ class TrackRecord:
         from handmap_qp.live.recorder import Recorder
         from handmap_qp.live.service_source import ServiceSource
 
-        recorder = Recorder(self.out, "OUT.npz")
+        recorder = Recorder(self.out, "OUT")
         source = ServiceSource(self.source, session=self.session, keys=self.keys)
         _lead(source, [recorder], is_json=self.json)
 

@@ -8,8 +8,13 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import check_output, replaced_file
+from handmap_qp.output_files import check_output
+from handmap_qp.trackers.formats import write_recordings
+from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample
+
+SUFFIXES = (".npz", ".csv")
+"""Files that hold everything of a sample, and whose writing needs no further package."""
 
 
 class Recorder:
@@ -19,7 +24,8 @@ class Recorder:
     the order of time.
 
     Args:
-        file: The `.npz` file to write; one that exists is replaced at the end.
+        file: The file to write, `.npz` or `.csv`; one that exists is replaced at the end. `handmap
+            convert` makes other formats of it.
         argument: Argument or option that names it, for errors.
 
     Raises:
@@ -27,7 +33,7 @@ class Recorder:
     """
 
     def __init__(self, file: Path, argument: str = "file") -> None:
-        self.file, self._argument = check_output(argument, file, (".npz",)), argument
+        self.file, self._argument = check_output(argument, file, SUFFIXES), argument
         self._samples: list[HumanSample] = []
         self._disordered = 0
 
@@ -78,13 +84,13 @@ class Recorder:
                 problem=f"the hand was not seen in any of {len(samples)} samples",
                 advice="nothing was written",
             )
-        with replaced_file(self.file, self._argument) as file:
-            np.savez_compressed(
-                file,
-                time=np.array([sample.time for sample in samples]) - samples[0].time,
-                landmarks=np.array([sample.landmarks for sample in samples]),
-                valid=np.array([sample.valid for sample in samples]),
-                confidence=np.array([sample.confidence for sample in samples]),
-                handedness=np.array(samples[0].side),
-                source=np.array("handmap track"),
-            )
+        recording = Recording(
+            name=self.file.stem,
+            time=np.array([sample.time for sample in samples]) - samples[0].time,
+            landmarks=np.array([sample.landmarks for sample in samples]),
+            valid=np.array([sample.valid for sample in samples]),
+            side=samples[0].side,
+            source="handmap track",
+            confidence=np.array([sample.confidence for sample in samples]),
+        )
+        write_recordings([recording], self.file)

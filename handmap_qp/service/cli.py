@@ -27,7 +27,8 @@ class Serve:
         health_port: Port of /metrics and /health, on loopback; -1 for none.
         keys: Folder that `handmap keys` made. Connections are encrypted, and only its clients are
             admitted.
-        web: Listen on WebSocket too.
+        web: Listen on WebSocket too, and serve the page for a headset's browser at the same port.
+            It streams hands to the service; browsers need https, or http://localhost.
         web_host: Its address; any but loopback requires --web-token-file, --web-certificate and
             --web-key.
         web_port: Its port.

@@ -40,9 +40,10 @@ class Listed:
 SAMPLES = list(recording_samples(moving_hand()))
 
 
-def test_a_replayed_recording_comes_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["copy.npz", "copy.csv"])
+def test_a_replayed_recording_comes_back(tmp_path: Path, name: str) -> None:
     recording = moving_hand()
-    file = tmp_path / "copy.npz"
+    file = tmp_path / name
     summary = run(Replay(recording, speed=100.0), [Recorder(file)])
     copy = read_recording(file)
     assert copy.side == recording.side

@@ -139,7 +139,7 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     # Losing one hand holds its robot, and the other one goes on.
     browser.evaluate("delete joints.left; delete emulated.hands.left; 0")
     wait_for_text(browser, "#left .state", "hand lost: the robot holds")
-    wait_for_text(browser, "#left .robot", "hold")
+    wait_until(lambda: text(browser, "#left .robot") in ("held", "hold"))
     assert text(browser, "#right .state") == "streaming"
     # The buttons hold and engage.
     click(browser, "#right .hold")

@@ -64,9 +64,9 @@ function choose({ select, session }) {
 function takeFrame({ time, hands }) {
   for (const card of cards) {
     card.joints = hands[card.side] ?? null;
-    if (!card.joints) continue;
-    card.seen = true;
-    if (card.session.send(card.joints, time)) card.sent.push(time);
+    card.seen ||= Boolean(card.joints);
+    const isSent = card.session.send(card.joints, time);
+    if (isSent && card.joints) card.sent.push(time);
   }
 }
 

@@ -59,15 +59,17 @@ export class HandSession {
     return this.service.ask({ session: this.secret, ...request }, this);
   }
 
-  /** Send joint positions [m] with their time stamp [ms]; return whether they are on their way. */
+  /** Send joint positions [m], null for a hand that is not seen, with their time stamp [ms]. */
   send(joints, time) {
     if (!this.isOpen) return false;
     if (this.service.waiting > MOST_WAITING) {
       this.skipped += 1;
       return false;
     }
+    const stamp = { type: "sample", time: time / 1000 };
+    if (!joints) return this.ask({ ...stamp, valid: false });
     const values = joints.flat().map((value) => Math.round(value * 1e5) / 1e5);
-    return this.ask({ type: "sample", time: time / 1000, values });
+    return this.ask({ ...stamp, values });
   }
 
   hold() {
