@@ -78,11 +78,7 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
         RecordingError: If it cannot be read, is of no known format, or has no such recording.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    if not isinstance(path, str | os.PathLike):
-        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
-    text = os.fspath(path)
-    if not isinstance(text, str):
-        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+    text = _path_text(path)
     file, name = Path(text), ""
     if SEPARATOR in text and not file.exists():
         head, _, name = text.rpartition(SEPARATOR)
@@ -197,7 +193,7 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
 
 
 def write_recordings(
-    recordings: Sequence[Recording], path: Path, form: RecordingFormat | None = None
+    recordings: Sequence[Recording], path: Path | str, form: RecordingFormat | None = None
 ) -> tuple[str, ...]:
     """Write recordings to one file or data set.
 
@@ -213,9 +209,22 @@ def write_recordings(
         InvalidInputError: If the format cannot hold them together, or the file cannot be written.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    chosen: Any = form or format_to_write(path)
-    chosen.write(recordings, path)
+    file = Path(_path_text(path))
+    chosen = form or format_to_write(file)
+    chosen.write(recordings, file)
     return chosen.losses(recordings)
+
+
+def _path_text(path: Any) -> str:
+    """Return a path as text.
+
+    Raises:
+        InvalidInputError: If it is something else than a path.
+    """
+    text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
+    if not isinstance(text, str):
+        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+    return text
 
 
 def _listing(entries: Sequence[Entry]) -> str:
