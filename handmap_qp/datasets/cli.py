@@ -192,6 +192,10 @@ class Batch:
                     argument="--robot", expected="one robot for each side", got=got
                 )
             robots[hand.spec.side] = name
+        if self.look_ahead and self.arguments.smooth:
+            raise InvalidInputError(
+                argument="--smooth", problem="has no effect with --look-ahead, which smooths itself"
+            )
         return JobOptions(robots, self.arguments, LookAhead() if self.look_ahead else None)
 
     def _engine(self) -> Engine:

@@ -285,6 +285,7 @@ BAD: dict[tuple[str, ...], str] = {
     ("--robot", "three_finger", "--workers", "-1"): "--workers: expected a number from 0",
     ("--robot", "three_finger", "--fps", "0"): "--fps: expected a rate",
     ("--robot", "absent_hand"): "absent_hand",
+    ("--robot", "three_finger", "--look-ahead", "--smooth"): "--smooth: has no effect with",
 }
 
 
