@@ -81,11 +81,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def active(self) -> np.ndarray:
         """-1 at a lower bound, +1 at an upper one, 0 between, shape (k,), read-only."""
-        near = _AT_BOUND * np.minimum(self.upper - self.lower, 1.0)
-        return frozen(
-            (self.upper - self.displacement <= near).astype(np.int8)
-            - (self.displacement - self.lower <= near)
-        )
+        return frozen(active_bounds(self.displacement, self.lower, self.upper))
 
     @property
     def status(self) -> Status:
@@ -102,6 +98,21 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
         if self.active.any():
             return "limited"
         return "unreachable" if self.last_step <= _AT_REST else "unsettled"
+
+
+def active_bounds(displacement: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return -1 at a lower bound, +1 at an upper one, 0 between.
+
+    Args:
+        displacement: Of one sample or of many, shape (..., k).
+        lower: Its lower bounds, shape (..., k).
+        upper: Its upper bounds, shape (..., k).
+
+    Returns:
+        Integers, shape (..., k).
+    """
+    near = _AT_BOUND * np.minimum(upper - lower, 1.0)
+    return (upper - displacement <= near).astype(np.int8) - (displacement - lower <= near)
 
 
 class IkState:

@@ -13,6 +13,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.qp import active_bounds
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
@@ -234,15 +235,23 @@ def _map_samples(
     wrist_targets = np.array([step.wrist_target for step in steps])
     is_held = np.array([verdict.is_held for verdict in verdicts])
     at_limit = mapper.robot.at_position_limit(q)
-    at_bound = np.array([step.at_bound for step in steps]) & ~is_held[:, None]
+    targets = np.array([step.targets for step in steps])
+    points = np.array([step.points for step in steps])
+    results = [step.ik for step in steps]
+    is_active = active_bounds(
+        np.array([result.displacement for result in results]),
+        np.array([result.lower for result in results]),
+        np.array([result.upper for result in results]),
+    )
+    at_bound = (is_active[:, results[0].joint_columns] != 0) & ~is_held[:, None]
     return Trajectory(
         robot=mapper.robot,
         time=time,
         q=q,
         wrist=wrist,
-        targets=np.array([step.targets for step in steps]),
-        points=np.array([step.points for step in steps]),
-        point_error=np.array([step.point_error for step in steps]),
+        targets=targets,
+        points=points,
+        point_error=np.linalg.norm(targets - points, axis=2),
         wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
         valid=~is_held,
         at_limit=at_limit,
