@@ -173,7 +173,7 @@ class Simulate:
         )
         methods = chosen_methods(self.methods, self.peers, self.robot)
         window = find_pinch(read)
-        take = prepare_take(read, robot.side)
+        take = prepare_take(read, robot.spec.side)
         rows, first = [], None
         for method in methods:
             commands = map_commands(method, take, robot)

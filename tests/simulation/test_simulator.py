@@ -111,7 +111,9 @@ def test_too_little_friction_drops_the_object_and_enough_holds_it() -> None:
     moved = {}
     for share in (0.02, 2.0):
         physics = Physics(
-            friction=float(share * max(uses)), torsion=0.0, gravity=tuple(map(float, gravity))
+            friction=float(share * max(uses)),
+            torsion=0.0,
+            gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
         )
         simulator, _, _ = held(physics, 1.5)
         simulator.hold(0.6)

@@ -74,7 +74,8 @@ def test_trials_repeat_with_their_seed(pinching: Commands) -> None:
     assert all(0.02 <= trial.size <= 0.045 for trial in one)
     assert {trial.mass for trial in random_trials(5, 0, "nominal")} == {0.05}
     results = [run_pinch(pinching, WINDOW, one[0], PHYSICS) for _ in range(2)]
-    np.testing.assert_array_equal(*(result.episode.object_pose for result in results))
+    first, second = (result.episode.object_pose for result in results)
+    np.testing.assert_array_equal(first, second)
 
 
 def test_intervals_hold_the_rate_and_shrink_with_trials() -> None:
@@ -126,6 +127,7 @@ def test_a_carried_object_goes_where_the_wrist_goes(carried: Carried) -> None:
     assert (carried.episode.touching == 3).all()
 
 
+@pytest.mark.slow
 def test_pictures_and_films_show_the_object(carried: Carried, tmp_path: Path) -> None:
     from PIL import Image
 
