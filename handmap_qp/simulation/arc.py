@@ -23,7 +23,7 @@ from handmap_qp.grasp.statics import quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.simulation.episode import Episode, Recorder
-from handmap_qp.simulation.physics import Body, Physics
+from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.squeeze import holding_forces, squeeze
 from handmap_qp.transform import inverse_pose, transform_points
@@ -242,7 +242,7 @@ def _slip(
 
 def planned_scene(
     robot: Hand,
-    shape: Shape,
+    shape: Shape | MeshShape,
     *,
     rank: int = 0,
     samples: int = 60,
@@ -266,6 +266,10 @@ def planned_scene(
         InvalidInputError: If the wrist of the robot cannot move, the shape is a mesh, or fewer than
             `rank + 1` grasps have three contacts.
     """
+    if isinstance(shape, MeshShape):
+        raise InvalidInputError(
+            argument="--object", expected="a box, a sphere or a cylinder on the arc", got="a mesh"
+        )
     chosen = []
     for hand in (load_hand("human"), robot):
         planned = plan_grasps(hand, shape, samples=samples, seed=seed, progress=progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from handmap_qp.arguments import HandName
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.output_files import check_output
 from handmap_qp.tables import print_rows, progress
 
@@ -45,6 +46,7 @@ class Simulate:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
         handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
         handmap simulate --robot three_finger --gamma 0.5 --picture arc.png
+        handmap simulate --robot allegro_right --serve lab --object sphere:0.04
 
     Attributes:
         recording: Recording with a pinch of thumb and index finger; the paper's arc if omitted.
@@ -66,6 +68,10 @@ class Simulate:
         out: File of the robot's simulation, .npz.
         picture: Picture of four instants, .png.
         film: Moving picture, .gif or .webp.
+        serve: Name of a session of the mapping service to follow as a stand-in for its robot,
+            until Ctrl-C; no recording then.
+        server: Address of that service.
+        duration: Time to follow it [s].
         json: Print one JSON object instead of a table.
     """
 
@@ -90,6 +96,9 @@ class Simulate:
     out: Annotated[Path | None, _optional("FILE.npz", "none")] = None
     picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
     film: Annotated[Path | None, _optional("FILE.gif", "none")] = None
+    serve: Annotated[str | None, _optional("SESSION", "none")] = None
+    server: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5570"
+    duration: Annotated[float, _optional("SECONDS", "until Ctrl-C")] = math.inf
     json: bool = False
 
     def run(self) -> None:
@@ -107,6 +116,9 @@ class Simulate:
                 problem="needs a recording, and writes no file",
                 value=self.trials,
             )
+        if self.serve is not None:
+            self._stand_in(self.serve)
+            return
         if self.recording is None:
             rows, episode = self._arc()
         else:
@@ -141,6 +153,37 @@ class Simulate:
         from handmap_qp.hands.library import load_hand
 
         return load_hand(self.robot)
+
+    def _stand_in(self, session: str) -> None:
+        """Follow a session of the mapping service."""
+        try:
+            from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+        except ImportError as missing:
+            raise MissingExtraError(str(missing.name), "service") from missing
+        from handmap_qp.simulation.simulator import Simulator
+        from handmap_qp.simulation.stand_in import Report, StandIn
+
+        if self.recording is not None:
+            raise InvalidInputError(argument="--serve", problem="takes no recording", value=session)
+
+        def show(report: Report) -> None:
+            print(
+                f"{report.time:7.1f} s  {report.commands} commands, epoch {report.epoch}, wrist "
+                f"{1e3 * report.wrist_error:.1f} mm off, {report.touching} links press with "
+                f"{report.force:.1f} N",
+                flush=True,
+            )
+
+        simulator = Simulator(self._robot(), self._body(), self._physics())
+        try:
+            with Client(self.server) as client:
+                StandIn(simulator, client, session).run(self.duration, show)
+        except (ServiceError, ServiceTimeoutError, ValueError) as error:
+            if isinstance(error, InvalidInputError):
+                raise
+            raise InvalidInputError(
+                argument="--serve", problem=str(error), value=session
+            ) from error
 
     def _arc(self) -> tuple[list[dict[str, Any]], Episode]:
         """Carry the object with both hands along the paper's arc."""

@@ -176,7 +176,7 @@ def run_pinch(
         What became of the object.
     """
     hand = commands.hand
-    pads = _PadFinder(hand, window.finger)
+    pads = PadFinder(hand, window.finger)
     physics = replace(physics, friction=trial.friction)
     simulator = Simulator(hand, Body(trial.shape, trial.mass), physics)
     met = _meeting(pads, commands, window, trial.size)
@@ -195,7 +195,9 @@ def run_pinch(
         step = float(commands.time[i] - commands.time[i - 1])
         simulator.follow(commands.q[i], commands.wrist[i] if hand.is_floating else None, step)
         recorder.sample()
-        if released is None and (_is_pinched(simulator, pads) or commands.time[i] >= latest):
+        if released is None and (
+            pads.is_pinched(simulator, _PRESSED) or commands.time[i] >= latest
+        ):
             simulator.set_stand(holds=False)
             released = i
         if released is not None:
@@ -207,7 +209,7 @@ def run_pinch(
     return _outcome(recorder.episode(), np.array(distances), time, trial)
 
 
-def _meeting(pads: _PadFinder, commands: Commands, window: PinchWindow, size: float) -> int:
+def _meeting(pads: PadFinder, commands: Commands, window: PinchWindow, size: float) -> int:
     """Return the first sample at which the pads are as near as the object is wide."""
     last = int(np.searchsorted(commands.time, commands.time[window.closed] + _LAG))
     samples = range(window.start + 1, min(last, window.end))
@@ -235,8 +237,16 @@ def _outcome(
     )
 
 
-class _PadFinder:
-    """Places of the pads of the thumb and of one finger."""
+class PadFinder:
+    """Places of the pads of the thumb and of one finger.
+
+    Args:
+        hand: The hand.
+        finger: The finger.
+
+    Raises:
+        InvalidInputError: If the hand has no such finger, or no thumb.
+    """
 
     def __init__(self, hand: Hand, finger: str) -> None:
         chains = find_fingers(hand)
@@ -270,20 +280,17 @@ class _PadFinder:
         )
         return one + np.clip(share, 0.0, 1.0) * (other - one)
 
+    def is_pinched(self, simulator: Simulator, force: float) -> bool:
+        """Return whether the thumb and another link press on the object with a force [N]."""
+        contacts = simulator.contacts()
+        normal = np.einsum("ci,ci->c", contacts.forces, contacts.normals)
+        thumb = np.array(
+            [_is_above(self.hand, joint, self.thumb.joint) for joint in contacts.joints], dtype=bool
+        )
+        return bool(normal[thumb].sum() > force and normal[~thumb].sum() > force)
+
     def _place(self, pad: Pad) -> np.ndarray:
         return self._data.oMi[pad.joint].act(pad.offset)
-
-
-def _is_pinched(simulator: Simulator, pads: _PadFinder) -> bool:
-    """Return whether the thumb and another finger press on the object."""
-    contacts = simulator.contacts()
-    normal = np.einsum("ci,ci->c", contacts.forces, contacts.normals)
-    thumb = np.array(
-        [_is_above(simulator.hand, joint, pads.thumb.joint) for joint in contacts.joints]
-    )
-    if not len(thumb):
-        return False
-    return bool(normal[thumb].sum() > _PRESSED and normal[~thumb].sum() > _PRESSED)
 
 
 def _is_above(hand: Hand, joint: str, tip: int) -> bool:
@@ -294,7 +301,7 @@ def _is_above(hand: Hand, joint: str, tip: int) -> bool:
 
 
 def _upright(
-    pads: _PadFinder, commands: Commands, i: int, physics: Physics, yaw: float
+    pads: PadFinder, commands: Commands, i: int, physics: Physics, yaw: float
 ) -> np.ndarray:
     """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
     up = -np.array(physics.gravity)

@@ -1,0 +1,58 @@
+"""A simulated robot that follows a session of a real service."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from service_tools import address_of, client_of, serving
+
+from handmap_qp import InvalidInputError, cli, load_hand
+from handmap_qp.client import Client
+from handmap_qp.grasp.objects import Sphere
+from handmap_qp.simulation.physics import Body
+from handmap_qp.simulation.simulator import Simulator
+from handmap_qp.simulation.stand_in import Report, StandIn
+
+
+def simulator(robot: str = "three_finger") -> Simulator:
+    return Simulator(load_hand(robot), Body(Sphere(0.02), 0.05))
+
+
+def test_the_stand_in_goes_where_the_commands_say() -> None:
+    with serving() as server, client_of(server) as tracker, Client(address_of(server)) as driver:
+        tracker.open("three_finger", name="lab", preset="paper")
+        stand_in = StandIn(simulator(), driver, "lab")
+        reports: list[Report] = []
+        worker = threading.Thread(target=stand_in.run, args=(2.5, reports.append))
+        worker.start()
+        wrist, command = np.eye(4), None
+        for k in range(60):
+            wrist[0, 3] = 0.002 * min(k, 40)
+            command = tracker.step(q=np.full(20, 0.2), wrist=wrist)
+            time.sleep(0.02)
+        worker.join()
+        assert command is not None
+        assert reports[-1].commands > 20
+        assert reports[-1].wrist_error < 5e-3
+        np.testing.assert_allclose(stand_in.simulator.q, command.q, atol=0.02)
+
+
+def test_a_session_of_another_robot_is_refused() -> None:
+    with serving() as server, client_of(server) as tracker, Client(address_of(server)) as driver:
+        tracker.open("three_finger", name="lab", preset="paper")
+        stand_in = StandIn(simulator("allegro_right"), driver, "lab")
+        worker = threading.Timer(0.1, lambda: tracker.step(q=np.full(20, 0.2), wrist=np.eye(4)))
+        worker.start()
+        with pytest.raises(InvalidInputError, match="the robot of the session"):
+            stand_in.run(2.0, print)
+        worker.join()
+
+
+def test_a_session_that_does_not_exist_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with serving() as server:
+        words = ["simulate", "--serve", "gone", "--server", address_of(server), "--duration", "1"]
+        assert cli.main(words) == 2
+    assert "--serve" in capsys.readouterr().err
