@@ -20,7 +20,7 @@ from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.hand import Hand, urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.offline.both_ways import map_both_ways
@@ -58,11 +58,19 @@ class JobOptions:
 
     @property
     def digest(self) -> str:
-        """A short text that changes if the robots or the options do."""
+        """A short text that changes if the robots, their URDFs or the options do."""
         digest = hashlib.sha256(repr((self.arguments, self.smoother)).encode())
+        files = [self.arguments.options] if self.arguments.options else []
         for side in sorted(self.robots):
             robot = self.load_robot(side)
             digest.update(side.encode() + msgspec.json.encode(robot.spec, enc_hook=str))
+            files.append(urdf_path(robot.spec))
+        for file in files:
+            try:
+                digest.update(file.read_bytes())
+            except OSError as error:
+                problem = f"{file}: cannot be read: {error.strerror or error}"
+                raise InvalidInputError(argument="--options", problem=problem) from error
         return digest.hexdigest()[:16]
 
 

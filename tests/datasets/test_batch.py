@@ -108,6 +108,16 @@ def test_a_second_run_does_only_what_is_left(tmp_path: Path) -> None:
     assert len(batch(tmp_path / "in", out, replace(others, smoother=LookAhead())).done) == 3
 
 
+def test_options_and_hands_are_compared_by_their_content(tmp_path: Path) -> None:
+    file = tmp_path / "options.yaml"
+    options = replace(OPTIONS, arguments=MappingArguments(options=file))
+    digests = []
+    for text in ("preset: object\n", "preset: paper\n", "preset: object\n"):
+        file.write_text(text)
+        digests.append(options.digest)
+    assert digests[0] == digests[2] != digests[1] != OPTIONS.digest
+
+
 def test_a_torn_last_line_is_done_again(tmp_path: Path) -> None:
     write_pieces(tmp_path / "in", 2)
     out = tmp_path / "out"
