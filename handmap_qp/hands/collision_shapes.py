@@ -51,16 +51,17 @@ def _read(hand: Hand) -> pin.GeometryModel:
                 meshes[f"{link.get('name')}_{i}"] = mesh.get("filename", ""), scale
                 shape.remove(mesh)
                 ET.SubElement(shape, "sphere", radius=_PLACEHOLDER)
-    text = ET.tostring(robot, encoding="unicode")
+    text, name = ET.tostring(robot, encoding="unicode"), ""
     try:
         geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
         for part in geometry.geometryObjects:
-            if part.name in meshes:
-                file, scale = meshes.pop(part.name)
+            name = part.name
+            if name in meshes:
+                file, scale = meshes.pop(name)
                 part.geometry, part.meshPath = _hull_of(file, scale), file
                 part.meshScale = np.array(scale)
     except _FlatError as error:
-        message = f"the collision shape {part.name!r} is flat: it has no convex hull"
+        message = f"the collision shape {name!r} is flat: it has no convex hull"
         raise hand.spec.error(message, key="urdf") from error
     except (RuntimeError, ValueError) as error:
         message = f"the collision shapes cannot be read: {' '.join(str(error).split())}"

@@ -54,6 +54,9 @@ def read_choice(
     return start._replace(options=options, ik=_read_ik(asdict(start.ik) | request.ik))
 
 
+_PROTECTING = ("max_acceleration", "avoids_self_collision")
+
+
 def with_changes(request: Open, choice: Choice, changes: Configure) -> Open:
     """Return the request that opens a session with changed options.
 
@@ -63,12 +66,14 @@ def with_changes(request: Open, choice: Choice, changes: Configure) -> Open:
         changes: The changes. Without a preset, options that are not named stay as they are.
     """
     if changes.preset is not None:
+        # A limit that protects the robot does not end with a preset.
+        kept = {name: request.ik[name] for name in _PROTECTING if name in request.ik}
         return msgspec.structs.replace(
             request,
             preset=changes.preset,
             mapping=changes.mapping,
             teleoperation=changes.teleoperation,
-            ik=changes.ik,
+            ik=kept | changes.ik,
         )
     return msgspec.structs.replace(
         request,

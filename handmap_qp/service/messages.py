@@ -259,7 +259,11 @@ class Configure(Named, frozen=True):
     """Change options: the reference stays, and the robot continues from where it is."""
 
     preset: Annotated[
-        Preset | None, _doc("Another preset, with its own options where none are given here.")
+        Preset | None,
+        _doc(
+            "Another preset, with its own options where none are given here. `max_acceleration` "
+            "and `avoids_self_collision` stay."
+        ),
     ] = None
     mapping: Annotated[
         dict[str, Any], _doc("Fields of MappingOptions; without `preset`, others stay as they are.")

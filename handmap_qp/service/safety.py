@@ -121,10 +121,6 @@ class SpeedGuard:
         self._displace(self._on_the_way(change, lower, upper, dt, share), dt)
         return False
 
-    def stand(self) -> None:
-        """Note that the robot has come to a stop: no command was sent for some time."""
-        self._velocity = np.zeros_like(self._velocity)
-
     def brake(self, dt: float) -> None:
         """Come to a stop: at once, or on a straight line within the acceleration limit.
 
@@ -132,7 +128,7 @@ class SpeedGuard:
             dt: Time since the last command [s].
         """
         if not self.is_moving:
-            self.stand()
+            self._velocity = np.zeros_like(self._velocity)
             return
         stop = float(np.abs(self._velocity).max()) / (self.max_acceleration or math.inf)
         if not self._is_written:

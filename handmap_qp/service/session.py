@@ -103,7 +103,7 @@ class Session:
         self._guard = SpeedGuard(self.robot, q, wrist)
         self._guard.max_acceleration = hands.choice.ik.max_acceleration
         self._clock = StepClock(request.max_dt, request.time_from, now)
-        self._watchdog = Watchdog(request.watchdog, request.return_after, now)
+        self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
         self._state = SessionState.WAITING
         self._mapper_state = MapperState.ALIGNED
         self._epoch = _new_epoch() if former is None else former.epoch
@@ -264,7 +264,6 @@ class Session:
         while event := self._watchdog.event(self._state, now, is_at_rest=self._is_at_rest):
             if event is Event.SILENCE:
                 self.counts["watchdog"] += 1
-                self._guard.stand()
             self._handle(event)
         if not self._watchdog.take_turn(self._state, now, is_braking=self._guard.is_moving):
             return None

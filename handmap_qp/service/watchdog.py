@@ -21,13 +21,16 @@ class Watchdog:
         timeout: Time without a sample after which the robot holds [s].
         return_after: Time of a hold after which the robot returns to rest [s]; None for never.
         now: The present [s].
+        gap: Time without a command after which a robot that follows brakes, if it must [s].
 
     Attributes:
         last_sample: Time of the last sample that could be used, or of the last reset [s].
     """
 
-    def __init__(self, timeout: float, return_after: float | None, now: float) -> None:
-        self._timeout = timeout
+    def __init__(
+        self, timeout: float, return_after: float | None, now: float, gap: float = 1.0 / 15.0
+    ) -> None:
+        self._timeout, self._gap = timeout, gap
         self._return_after = return_after
         self._held_since = self._last_command = self.last_sample = now
 
@@ -71,7 +74,8 @@ class Watchdog:
             now: The present [s].
             is_braking: Whether the robot must still come to a stop.
         """
-        is_braking = is_braking and state is not SessionState.FOLLOWING
+        if is_braking and state is SessionState.FOLLOWING:
+            is_braking = now - self.last_sample > self._gap
         if not (state.is_silent or state.is_stopped or is_braking):
             return False
         is_moving = is_braking or state is SessionState.RETURNING

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+import pytest
 from service_tools import (
     CACHE,
     PERIOD,
     RESET,
     Sampler,
+    change,
     follow,
     human_q,
     make_session,
@@ -42,7 +44,9 @@ def test_the_watchdog_holds_and_says_so() -> None:
 def test_a_held_robot_follows_again_from_where_it_is() -> None:
     session, sample = make_session(), Sampler()
     end = follow(session, sample, 0.0)
-    session.tick(end + 1.0)
+    for i in range(1, 61):
+        session.tick(end + i * PERIOD)
+    assert session.mode == "hold"
     before = session.posture[0].copy()
     command = session.step(sample(9.0, human_q(2.0)), end + 2.0)
     assert "resumed" in command.flags
@@ -193,3 +197,34 @@ def test_a_return_does_not_count_as_a_further_trip_of_the_watchdog() -> None:
     session, _, now = returning_session()
     session.tick(now + 1.0)
     assert session.counts["watchdog"] == 1
+
+
+@pytest.mark.parametrize("limit", [20.0, 80.0])
+def test_a_robot_that_hears_no_samples_brakes_within_its_acceleration_limit(limit: float) -> None:
+    session, sample = make_session(ik={"max_acceleration": limit}), Sampler()
+    now = follow(session, sample, 0.0, 30)
+    last = np.array(session.posture[0])
+    command = session.step(sample(now, human_q(3.5)), now := now + PERIOD)
+    velocity, last = (np.array(command.q) - last) / command.dt, np.array(command.q)
+    assert velocity.any()
+    for _ in range(120):
+        command = session.tick(now := now + 0.005)
+        if command is not None:
+            after = (np.array(command.q) - last) / command.dt
+            assert (np.abs(after - velocity) <= limit * command.dt + 1e-6).all()
+            velocity, last = after, np.array(command.q)
+    assert np.abs(velocity).max() < 1e-6
+    assert session.mode == "hold"
+
+
+def test_another_preset_keeps_the_acceleration_limit() -> None:
+    session = make_session(ik={"max_acceleration": 20.0, "rest_weight": 0.3})
+    session.configure(change(preset="object"))
+    about = session.state(1, "", 0, 0.0).about
+    assert about is not None
+    assert about.ik["max_acceleration"] == 20.0
+    assert about.ik["rest_weight"] != 0.3
+    session.configure(change(preset="paper", ik={"max_acceleration": None}))
+    about = session.state(1, "", 0, 0.0).about
+    assert about is not None
+    assert about.ik["max_acceleration"] is None
