@@ -55,7 +55,7 @@ def load_scene(file: Path, every: int = 1, samples: int | None = None) -> Scene:
             int(np.argmax(recording.valid)), int(np.argmax(recording.valid)) + samples * every
         )
         columns = {name: getattr(recording, name)[kept] for name in ("time", "landmarks", "valid")}
-        recording = replace(recording, **columns)
+        recording = replace(recording, **columns, wrist=None, confidence=None)
     return Scene(recording.name, recording.side, thinned(fit_recording(recording), every))
 
 

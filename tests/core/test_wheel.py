@@ -123,7 +123,7 @@ def test_package_is_imported_from_the_wheel(environment: Path, elsewhere: Path) 
 
 
 def test_wheel_lists_its_hands(environment: Path, elsewhere: Path) -> None:
-    listing = run(environment / "bin" / "handmap", "hands", cwd=elsewhere)
+    listing = run(environment / "bin" / "handmap", "hands", "list", cwd=elsewhere)
     assert {"human", "three_finger", "allegro_right", "allegro_left"} <= set(listing.split())
 
 
