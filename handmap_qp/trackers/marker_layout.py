@@ -76,6 +76,7 @@ class MarkerLayout(Layout[MarkerTable]):
             PointSpec(f"marker {entry.name}", entry.link, entry.xyz) for entry in table.markers
         )
         self._on_palm = np.flatnonzero([entry.link == "palm" for entry in table.markers])
+        self._last: tuple[HumanLengths | None, tuple[Hand, Hand, PointIk]] | None = None
         if len(self._on_palm) < 3:
             expected, got = "three markers on the palm", f"{len(self._on_palm)}"
             raise InvalidInputError(argument="markers", expected=expected, got=got)
@@ -116,10 +117,8 @@ class MarkerLayout(Layout[MarkerTable]):
     ) -> Hands:
         """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
         mirror = np.ones(3) if side == "right" else _MIRROR
-        human = self._human(lengths)
+        human, landmarks, ik = self._model(lengths)
         palm = human.points(human.rest)[self._on_palm]
-        landmarks = human.with_points("landmarks")
-        ik = PointIk(human, _FIT)
         markers = values * (UNITS[self.table.unit] * self.table.reflection * mirror)
         found, poses = [], []
         for i, sample in enumerate(markers):
@@ -143,6 +142,14 @@ class MarkerLayout(Layout[MarkerTable]):
         points = self._human(_lengths_of(human)).points(q) * mirror
         world = transform_points(wrist, points)
         return world * self.table.reflection / UNITS[self.table.unit]
+
+    def _model(self, lengths: HumanLengths | None) -> tuple[Hand, Hand, PointIk]:
+        """Return the hand with markers, the same with landmarks, and its IK; those of last time."""
+        if self._last is None or self._last[0] is not lengths:
+            human = self._human(lengths)
+            made = (human, human.with_points("landmarks"), PointIk(human, _FIT))
+            self._last = (lengths, made)
+        return self._last[1]
 
     def _human(self, lengths: HumanLengths | None) -> Hand:
         """Return the right human hand with the markers as its reference points."""

@@ -168,21 +168,21 @@ class PointLayout(Layout[PointTable]):
         lengths: HumanLengths | None = None,
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
-        poses = self._poses(values)
-        positions = values if poses is None else poses[:, :, :3, 3]
         reflection = self.table.reflection
+        positions = values[..., :3, 3] if values.shape[2:] == (4, 4) else values[..., :3]
         landmarks = positions[:, self.order(side)] * (self._scale * reflection)
         if self.table.is_relative:
             # Joints are in the tracker's wrist frame; without its pose, that is the world.
-            at = np.eye(4) if self.table.wrist is None else self._axes_in_own_frame(side)
             if wrists is not None:
-                frames = wrists @ at
+                frames = wrists @ self._axes_in_own_frame(side)
                 landmarks = landmarks @ frames[:, :3, :3].transpose(0, 2, 1)
                 landmarks = landmarks + frames[:, None, :3, 3]
             return Hands(landmarks, wrists)
-        if poses is not None and self._wrist_index is not None and self.table.wrist is not None:
+        if self._wrist_index is not None and values.shape[2:] != (3,):
+            assert self.table.wrist is not None  # it names the joint
+            poses = self._poses(values[:, self._wrist_index])
             axes = self.table.wrist.axes(side)
-            wrists = to_own_axes(poses[:, self._wrist_index], axes, reflection, self._scale)
+            wrists = to_own_axes(poses, axes, reflection, self._scale)
         return Hands(landmarks, wrists)
 
     def write(self, sample: HumanSample) -> np.ndarray:
@@ -223,16 +223,12 @@ class PointLayout(Layout[PointTable]):
         theirs = from_own_axes(poses, axes, self.table.reflection, self._scale)
         return theirs if size == 16 else self._as_sevens(theirs)
 
-    def _poses(self, values: np.ndarray) -> np.ndarray | None:
-        """Return all joints as matrices, shape (T, N, 4, 4); None for bare positions."""
-        if values.shape[2:] == (4, 4):
+    def _poses(self, values: np.ndarray) -> np.ndarray:
+        """Return poses of one joint as matrices, shape (T, 4, 4)."""
+        if values.shape[1:] == (4, 4):
             return values
-        if values.shape[2:] == (3,):
-            return None
-        flat = values.reshape(-1, 7)
         order = [3, 4, 5, 6] if self.table.quaternion == "wxyz" else [6, 3, 4, 5]
-        poses = poses_from_quats(flat[:, :3], flat[:, order], "values")
-        return poses.reshape(len(values), -1, 4, 4)
+        return poses_from_quats(values[:, :3], values[:, order], "values")
 
     def _as_sevens(self, poses: np.ndarray) -> np.ndarray:
         quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in poses])

@@ -22,7 +22,7 @@ def axes_convention(distal: np.ndarray, dorsal: np.ndarray) -> np.ndarray:
     Returns:
         Rotation from the wrist's axes to ours, shape (3, 3).
     """
-    return np.stack([np.cross(distal, dorsal), distal, dorsal])
+    return np.stack([cross(distal, dorsal), distal, dorsal])
 
 
 _CONVENTIONS = np.array(
