@@ -204,7 +204,7 @@ class InputCheck:
         if fingers < _BACKWARDS_BEYOND and total - fingers > _OTHERWISE_RIGHT:
             return _BACKWARDS
         if total < -_SURE_SIDE:
-            return self._other_side()
+            return self._other_side(landmarks, wrists)
         if not is_known:
             self._misfit = misfit
         if wrists is not None and (mistake := self._wrist.examine(landmarks, wrists)):
@@ -219,17 +219,24 @@ class InputCheck:
             "name the layout of the data (handmap layouts), or reorder them",
         )
 
-    def _other_side(self) -> Finding:
+    def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
+        """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
         other = "left" if self.side == "right" else "right"
-        return Finding(
-            "side",
-            f"the landmarks are those of a {other} hand, or of a mirrored world, "
-            f"and are said to be of a {self.side} one",
-            f"say that the hand is the {other} one, or negate one axis of the data if its "
-            "coordinates are left-handed",
+        what, advice = (
+            f"a {other} hand, or of a mirrored world",
+            f"{_SAY.format(other)}, or {_NEGATE}",
         )
+        if wrists is not None:
+            if WristCheck(-self._sign).examine(landmarks, wrists) is None:
+                what, advice = f"a {other} hand, and so is the wrist's pose", _SAY.format(other)
+            else:
+                what, advice = f"a mirrored {self.side} hand; the wrist's pose is not", _NEGATE
+        problem = f"the landmarks are said to be of a {self.side} hand, and are those of {what}"
+        return Finding("side", problem, advice)
 
 
+_SAY = "say that the hand is the {} one"
+_NEGATE = "negate one axis of the data if its coordinates are left-handed"
 _BACKWARDS = Finding(
     "flexion",
     "the fingers bend backwards, to the back of the hand",

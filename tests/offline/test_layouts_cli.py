@@ -119,5 +119,5 @@ def test_a_recording_that_is_not_what_it_says_is_refused_everywhere(
     for command in commands:
         assert run(*command) == 2, command
         message = capsys.readouterr().err
-        assert "are those of a right hand, or of a mirrored world" in message
+        assert "and are those of a right hand, or of a mirrored world" in message
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hand.npz"]

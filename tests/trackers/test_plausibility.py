@@ -211,3 +211,20 @@ def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(take: A
         landmarks = np.where(wrong[:, None, None], -1.0, 1.0) * whole.landmarks
         finding = examine_recording(replace(whole, landmarks=landmarks, wrist=None))
         assert (finding is not None) == is_refused
+
+
+def test_the_wrist_tells_the_other_hand_from_a_mirrored_world(lies: ModuleType, take: Any) -> None:
+    part = take.part(1.0, 1.0)
+    told = {lie.name: lie.tell(part) for lie in lies.all_lies()}
+    texts = {name: str(find(told[name])) for name in ("the other hand", "mirrored world")}
+    assert "of a left hand, and so is the wrist's pose" in texts["the other hand"]
+    assert "mirrored left hand; the wrist's pose is not: negate" in texts["mirrored world"]
+    finding = find_without_wrist(told["mirrored world"])
+    assert "of a right hand, or of a mirrored world" in str(finding)
+
+
+def find_without_wrist(take: Any) -> Finding | None:
+    check = InputCheck(take.side)
+    for time, landmarks in zip(take.time, take.landmarks, strict=True):
+        check.update(time, landmarks)
+    return check.finding
