@@ -45,7 +45,10 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.presets import PRESETS
     from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
+    from handmap_qp.trackers.layout import Layout, load_layout
+    from handmap_qp.trackers.plausibility import InputCheck
     from handmap_qp.trackers.recording import Recording, read_recording
+    from handmap_qp.trackers.sample import HumanSample
 
 __all__ = [
     "METHODS",
@@ -62,10 +65,13 @@ __all__ = [
     "HandmapError",
     "Homogeneous",
     "HumanLengths",
+    "HumanSample",
     "IkOptions",
+    "InputCheck",
     "InvalidInputError",
     "InvalidOptionsError",
     "JointToJoint",
+    "Layout",
     "MapStep",
     "MappingOptions",
     "Method",
@@ -88,6 +94,7 @@ __all__ = [
     "estimate_motion",
     "hand_names",
     "load_hand",
+    "load_layout",
     "load_synergies",
     "primitives",
     "read_recording",
@@ -119,7 +126,10 @@ _NAMES = {
     "mapping.presets": "PRESETS",
     "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",
+    "trackers.layout": "Layout load_layout",
+    "trackers.plausibility": "InputCheck",
     "trackers.recording": "Recording read_recording",
+    "trackers.sample": "HumanSample",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -252,7 +252,7 @@ def check_recording(recording: Recording, *, name: str = "") -> None:
         name: What to call the recording in an error; its own name if omitted.
 
     Raises:
-        InvalidInputError: If something is wrong in its first second, or in a quarter of it.
+        InvalidInputError: If something is wrong in a quarter of it or more.
     """
     finding = examine_recording(recording)
     if finding is not None:
@@ -268,8 +268,8 @@ def examine_recording(recording: Recording) -> Finding | None:
         recording: The recording; its wrist poses are examined too.
 
     Returns:
-        What is wrong in its first second of valid samples, or in a quarter of them and more; None
-        if it is plausible.
+        What is wrong in a quarter of its valid samples or more; None if it is plausible. A tracker
+        that confuses the hand for a moment is left to the guard (`trackers.guard`).
     """
     check = InputCheck(recording.side)
     indices = np.flatnonzero(recording.valid)
@@ -281,8 +281,7 @@ def examine_recording(recording: Recording) -> Finding | None:
         finding = check.update(recording.time[i], recording.landmarks[i], wrist)
         if finding is not None:
             found += 1
-            is_early = recording.time[i] - start <= 1.0
-            if is_early or finding.lie == "time" or found >= _REFUSED_SHARE * len(indices):
+            if finding.lie == "time" or found >= _REFUSED_SHARE * len(indices):
                 return finding
     last = check.finish()
     return last if end - start <= 1.0 else None

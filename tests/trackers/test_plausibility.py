@@ -206,8 +206,8 @@ def test_one_batch_is_not_enough_and_lost_hands_are_no_mistake(take: Any) -> Non
 
 def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(take: Any) -> None:
     whole = as_recording(take)
-    for share, is_refused in ((0.1, False), (0.6, True)):
-        wrong = (whole.time > 2.0) & (whole.time < 2.0 + 6.0 * share)
+    for start, share, is_refused in ((2.0, 0.1, False), (0.0, 0.15, False), (2.0, 0.6, True)):
+        wrong = (whole.time > start) & (whole.time < start + 6.0 * share)
         landmarks = np.where(wrong[:, None, None], -1.0, 1.0) * whole.landmarks
         finding = examine_recording(replace(whole, landmarks=landmarks, wrist=None))
         assert (finding is not None) == is_refused
