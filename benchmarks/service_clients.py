@@ -127,6 +127,7 @@ class Honest(threading.Thread):
 
     Attributes:
         gaps: Times between its commands [s].
+        times: Time of each call [s].
         start_offset: Distance of the assumed posture from the last command where a session was
             reopened, as a share of what three commands may account for.
         is_disobeyed: Whether a released robot moved.
@@ -156,6 +157,7 @@ class Honest(threading.Thread):
         self._releases, self._has_released, self._reopened = releases, False, 0
         self.answered, self.timeouts, self.longest = 0, 0, 0.0
         self.gaps: list[float] = []
+        self.times: list[float] = []
         self.refusals: list[str] = []
         self.last: Command | None = None
         self._motion, self._streams, self._jumps = HumanMotion(seed), streams, jumps
@@ -171,6 +173,7 @@ class Honest(threading.Thread):
             started = time.monotonic()
             try:
                 command = self._work(now)
+                self.times.append(time.monotonic() - started)
                 self._look_where_it_starts()
                 if command is not None:
                     self.driver.take(command)

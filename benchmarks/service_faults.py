@@ -177,7 +177,7 @@ def resets(duration: float) -> dict[str, Any]:
     ):
         files, rejected = service.files(), 0
         for number in range(count):
-            rejected += not _ask_and_reset(service.ports["web"], number)
+            rejected += not ask_and_reset(service.ports["web"], number)
         time.sleep(2.0)
         left = service.files() - files
     found = summary(
@@ -195,7 +195,7 @@ def resets(duration: float) -> dict[str, Any]:
     return found
 
 
-def _ask_and_reset(port: int, number: int) -> bool:
+def ask_and_reset(port: int, number: int) -> bool:
     """Ask several times, read nothing, and reset; return whether the handshake was accepted."""
     status = msgspec.msgpack.encode({"type": "status", "protocol": 1, "seq": 1, "session": ""})
     frame = bytes([0x82, 0x80 | len(status)]) + bytes(4) + status

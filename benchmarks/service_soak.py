@@ -1,0 +1,168 @@
+"""An hour of everything at once: memory, open files and latency of the service stay flat.
+
+Well-behaved clients at 60 Hz run beside clients that open, change and close sessions, vanish, send
+invalid messages, subscribe, and press the emergency stop. The exit code is 1 if memory grows by
+more than 15 MB after the first quarter, files stay open, a robot exceeds its limits, or the service
+logs a failure.
+
+    python benchmarks/service_soak.py --json soak.json
+    python benchmarks/service_soak.py --duration 300
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import common
+import numpy as np
+import zmq
+from service_clients import TIMEOUT, HumanMotion, honest, summary
+from service_faults import ask_and_reset
+from service_invalid import InvalidMessages
+from service_process import ServiceProcess, serving
+
+from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+
+_HANDS = ("three_finger", "allegro_right", "hey5")
+
+
+class Disturber(threading.Thread):
+    """Does one thing after the other, about ten times a second.
+
+    Args:
+        service: The service.
+    """
+
+    def __init__(self, service: ServiceProcess) -> None:
+        super().__init__(daemon=True)
+        self._service, self._ended = service, threading.Event()
+        self.done = Counter[str]()
+        self._invalid = InvalidMessages("a-secret-that-nobody-has-1234", "nobody", 0)
+        self._motion = HumanMotion(7)
+
+    def run(self) -> None:
+        """Work until `end`."""
+        works = (self._session, self._vanish, self._send_invalid, self._subscribe, self._emergency)
+        for number in range(10**9):
+            if self._ended.wait(0.1):
+                return
+            work = works[number % len(works)]
+            try:
+                work(number)
+                self.done[work.__name__.strip("_")] += 1
+            except (ServiceError, ServiceTimeoutError, OSError) as error:
+                self.done[f"{work.__name__.strip('_')}: {type(error).__name__}"] += 1
+
+    def end(self) -> None:
+        """Stop."""
+        self._ended.set()
+        self.join(10.0)
+
+    def _session(self, number: int) -> None:
+        with Client(self._service.address, timeout=5.0) as client:
+            length = 0.16 + 0.0005 * (number % 60)
+            client.open(_HANDS[number // 5 % len(_HANDS)], hand_length=length)
+            for i in range(5):
+                client.step(**self._motion(0.02 * i))
+            client.configure(ik={"rest_weight": 0.1 + 0.01 * (number % 10)})
+            client.clutch()
+
+    def _vanish(self, number: int) -> None:
+        ask_and_reset(self._service.ports["web"], number)
+
+    def _send_invalid(self, _: int) -> None:
+        with zmq.Context.instance().socket(zmq.DEALER) as socket:
+            socket.linger = 0
+            socket.connect(self._service.address)
+            for _ in range(50):
+                socket.send(self._invalid())
+            time.sleep(0.02)
+
+    def _subscribe(self, _: int) -> None:
+        with zmq.Context.instance().socket(zmq.SUB) as socket:
+            socket.linger = 0
+            socket.connect(f"tcp://127.0.0.1:{self._service.ports['stream']}")
+            socket.subscribe(b"honest-0\0")
+            socket.poll(200)
+
+    def _emergency(self, _: int) -> None:
+        with Client(self._service.address, timeout=5.0) as client:
+            client.open("three_finger", name="stopped")
+            client.stop(reason="soak")
+            client.clear(client.status().stop)
+
+
+def soak(duration: float) -> dict[str, Any]:
+    """Run for a time [s]; return the figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = {"state": Path(folder) / "state", "audit": Path(folder) / "audit.jsonl"}
+        with (
+            serving(web=True, web_port=0, idle=5.0, **files) as service,
+            honest(service, 3) as clients,
+        ):
+            disturber = Disturber(service)
+            disturber.start()
+            memory: list[float] = []
+            opened: list[int] = []
+            end = time.monotonic() + duration
+            while time.monotonic() < end:
+                time.sleep(min(1.0, duration / 60.0))
+                memory.append(service.memory())
+                opened.append(service.files())
+            disturber.end()
+            times = 1e3 * np.concatenate([client.times for client in clients])
+    quarter = len(memory) // 4
+    later = np.array(memory[quarter:])
+    hours = np.arange(len(later)) * duration / len(memory) / 3600.0
+    slope = float(np.polyfit(hours, later, 1)[0]) if len(later) > 2 else 0.0
+    found = summary(
+        clients,
+        memory_start_MB=memory[0],
+        memory_end_MB=memory[-1],
+        memory_growth_MB=max(0.0, float(np.median(later[-10:]) - np.median(later[:10]))),
+        memory_slope_MB_per_h=slope,
+        files_growth=max(opened[-10:]) - max(opened[quarter : quarter + 10]),
+        failures=len(service.failures),
+        **{f"p{p:g}_ms": float(np.percentile(times, p)) for p in (50, 99, 99.9, 100)},
+        disturbances=dict(disturber.done),
+        seconds=duration,
+    )
+    if found["files_growth"] > 10:
+        found["wrong"].append("files stayed open")
+    if not disturber.done["session"]:
+        found["wrong"].append("no disturbance")
+    with suppress(ValueError):
+        # A client that timed out has missed a command, which is not a jump.
+        if found["timeouts"]:
+            found["wrong"].remove("a robot jumped")
+    return found
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Soak, print the table."""
+    parser = common.make_parser("An hour of everything at once.")
+    parser.add_argument("--duration", type=float, default=3600.0, metavar="S", help="time [s]")
+    arguments = common.parse_arguments(parser, words)
+    found = soak(20.0 if arguments.quick else arguments.duration)
+    rows = [
+        {"what": key, "value": ", ".join(map(str, value)) if isinstance(value, list) else value}
+        for key, value in found.items()
+        if not isinstance(value, dict)
+    ]
+    rows += [{"what": f"did: {k}", "value": v} for k, v in found["disturbances"].items()]
+    title = ", ".join(found["wrong"]) or "all well"
+    common.print_table(f"soak, {TIMEOUT:g} s timeout: {title}", rows)
+    common.write_json(arguments.json, "service_soak", found)
+    if found["wrong"]:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
