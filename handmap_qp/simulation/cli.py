@@ -61,6 +61,8 @@ class Simulate:
         trials: Random objects and places, for every mapping; for a recording.
         objects: Random objects (varied), or the same cube at random places (nominal).
         seed: Seed of the random numbers.
+        grip: Force between the pads [N] that a squeeze term keeps while they press on the object,
+            for a recording.
         synergy: Synergy that the human activates, for the arc.
         gamma: Its activation at the end.
         fingers: Inverse kinematics of the robot's fingers, for the arc.
@@ -89,6 +91,7 @@ class Simulate:
     trials: int = 0
     objects: Literal["nominal", "varied"] = "varied"
     seed: int = 0
+    grip: Annotated[float | None, _optional("N", "position control alone")] = None
     synergy: Literal[1, 2, 3] = 1
     gamma: float = 0.5
     fingers: Literal["pseudoinverse", "clipped", "damped", "qp", "frozen"] = "qp"
@@ -203,6 +206,7 @@ class Simulate:
     def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], Episode | None]:
         """Pinch one object, or many, by every mapping."""
         from handmap_qp.offline.takes import prepare_take
+        from handmap_qp.simulation.grip import GripForce
         from handmap_qp.simulation.mapped import chosen_methods, map_commands
         from handmap_qp.simulation.pinch import PinchTrial, find_pinch, run_pinch
         from handmap_qp.simulation.trials import outcome_row, random_trials, run_trials, trial_row
@@ -217,17 +221,18 @@ class Simulate:
         methods = chosen_methods(self.methods, self.peers, self.robot)
         window = find_pinch(read)
         take = prepare_take(read, robot.spec.side)
+        grip = None if self.grip is None else GripForce(self.grip)
         rows, first = [], None
         for method in methods:
             commands = map_commands(method, take, robot)
             if self.trials:
                 drawn = random_trials(self.trials, self.seed, self.objects)
                 with progress(method.name, len(drawn)) as advance:
-                    outcomes = run_trials(commands, window, drawn, physics, advance)
+                    outcomes = run_trials(commands, window, drawn, physics, advance, grip)
                 rows.append(trial_row(method.name, outcomes))
             else:
                 trial = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
-                outcome = run_pinch(commands, window, trial, physics)
+                outcome = run_pinch(commands, window, trial, physics, grip)
                 rows.append(outcome_row(method.name, outcome))
                 first = first or outcome.episode
         return rows, first

@@ -8,7 +8,7 @@ closed for a while. From then until the human opens his hand, the object must st
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -161,8 +161,27 @@ class PinchOutcome:
     episode: Episode
 
 
+class Regulator(Protocol):
+    """Changes the mapped command while the pads press on the object."""
+
+    def command(
+        self,
+        pads: PadFinder,
+        q: np.ndarray,
+        command: np.ndarray,
+        wrist: np.ndarray,
+        stiffness: float,
+    ) -> np.ndarray:
+        """Return the command for the joints [rad], shape (n,)."""
+        ...
+
+
 def run_pinch(
-    commands: Commands, window: PinchWindow, trial: PinchTrial, physics: Physics
+    commands: Commands,
+    window: PinchWindow,
+    trial: PinchTrial,
+    physics: Physics,
+    regulator: Regulator | None = None,
 ) -> PinchOutcome:
     """Simulate one trial.
 
@@ -171,6 +190,7 @@ def run_pinch(
         window: When the human pinches.
         trial: The object and its place.
         physics: Actuators, gravity and time steps; the friction is the trial's.
+        regulator: Squeeze term; position control alone if omitted.
 
     Returns:
         What became of the object.
@@ -193,7 +213,11 @@ def run_pinch(
     latest = commands.time[met] + _LATEST
     for i in range(window.start + 1, window.end + 1):
         step = float(commands.time[i] - commands.time[i - 1])
-        simulator.follow(commands.q[i], commands.wrist[i] if hand.is_floating else None, step)
+        goal = commands.q[i]
+        if regulator is not None and pads.is_pinched(simulator, _PRESSED):
+            wrist, stiffness = simulator.wrist, physics.joint_stiffness
+            goal = regulator.command(pads, simulator.q, goal, wrist, stiffness)
+        simulator.follow(goal, commands.wrist[i] if hand.is_floating else None, step)
         recorder.sample()
         if released is None and (
             pads.is_pinched(simulator, _PRESSED) or commands.time[i] >= latest

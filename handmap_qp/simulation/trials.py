@@ -15,6 +15,7 @@ from handmap_qp.simulation.pinch import (
     PinchOutcome,
     PinchTrial,
     PinchWindow,
+    Regulator,
     run_pinch,
 )
 from handmap_qp.simulation.shapes import KINDS, named_shape
@@ -62,6 +63,7 @@ def run_trials(
     trials: Sequence[PinchTrial],
     physics: Physics,
     progress: Callable[[int], None] | None = None,
+    regulator: Regulator | None = None,
 ) -> list[PinchOutcome]:
     """Simulate trials one after the other.
 
@@ -71,10 +73,11 @@ def run_trials(
         trials: Objects and places.
         physics: Actuators, gravity and time steps.
         progress: Called after each trial with the number of trials done.
+        regulator: Squeeze term; position control alone if omitted.
     """
     outcomes = []
     for trial in trials:
-        outcomes.append(run_pinch(commands, window, trial, physics))
+        outcomes.append(run_pinch(commands, window, trial, physics, regulator))
         if progress is not None:
             progress(len(outcomes))
     return outcomes

@@ -17,6 +17,7 @@ from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.hands.hand import Hand
 from handmap_qp.simulation.arc import ArcOptions, Carried, carry
 from handmap_qp.simulation.film import Stage, film, picture
+from handmap_qp.simulation.grip import GripForce
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.pinch import Commands, PinchTrial, PinchWindow, find_pinch, run_pinch
 from handmap_qp.simulation.shapes import parse_object
@@ -216,3 +217,18 @@ def test_a_hand_without_shapes_cannot_touch() -> None:
     text = re.sub(r"<collision_checking>.*?</collision_checking>", "", text, flags=re.DOTALL)
     with pytest.raises(HandError, match="no collision shapes"):
         Simulator(Hand(hand.spec, urdf_text=text), Body(CUBE))
+
+
+@pytest.mark.parametrize("force", [3.0, 8.0])
+def test_the_squeeze_term_keeps_the_wanted_force(pinching: Commands, force: float) -> None:
+    """Both pads press with it, whatever the command's overlap."""
+    outcome = run_pinch(pinching, WINDOW, PinchTrial(), PHYSICS, GripForce(force))
+    assert outcome.is_held
+    assert outcome.episode.force[-10:].mean() == pytest.approx(2.0 * force, rel=0.1)
+    free = run_pinch(pinching, WINDOW, PinchTrial(), PHYSICS)
+    assert free.episode.force[-10:].mean() > 3.0 * force
+
+
+def test_a_squeeze_without_force_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="force"):
+        GripForce(0.0)
