@@ -51,7 +51,7 @@ COMMANDS: dict[str, _Place] = {
     ),
     "map": _Place("offline.cli", "Map", "Map a recording of a human hand to a robot hand."),
     "calibrate": _Place(
-        "offline.cli", "Calibrate", "Measure a person's hand in a recording, and keep it in a file."
+        "offline.cli", "Calibrate", "Measure a person's hand in recordings, and keep it in a file."
     ),
     "convert": _Place(
         "datasets.cli", "Convert", "Convert recordings of human hands between file formats."

@@ -537,6 +537,7 @@ class Client(_Core):
         side: Literal["right", "left"] | None = None,
         hand_length: float | None = None,
         lengths: dict[str, Any] | None = None,
+        contact_gap: float | None = None,
         human_points: str | None = None,
         robot_points: str | None = None,
         mount: Literal["floating", "fixed"] | None = None,
@@ -569,6 +570,8 @@ class Client(_Core):
             side: The human hand.
             hand_length: From wrist crease to middle fingertip [m].
             lengths: The measured hand: `bases` (5, 3) and `segments` (5, 3) [m].
+            contact_gap: Distance of thumb and finger landmarks where the skin touches [m]; with
+                `lengths`, the arguments of a person's file (`Person.session_fields`).
             human_points: Set of reference points on the human hand.
             robot_points: Set of reference points on the robot hand.
             mount: The robot's wrist.
@@ -893,6 +896,7 @@ class AsyncClient(_Core):
         side: Literal["right", "left"] | None = None,
         hand_length: float | None = None,
         lengths: dict[str, Any] | None = None,
+        contact_gap: float | None = None,
         human_points: str | None = None,
         robot_points: str | None = None,
         mount: Literal["floating", "fixed"] | None = None,

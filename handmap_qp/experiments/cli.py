@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from handmap_qp.arguments import HandName, InputArguments
+from handmap_qp.arguments import HandName, InputArguments, PersonFile
 from handmap_qp.tables import print_table, progress
 
 DEFAULT_METHODS = (
@@ -156,6 +156,7 @@ class Compare:
         peers: Run the peers too.
         peers_from: Folder of the program that runs the peers, compare.py.
         out: Folder to write to; created if it does not exist.
+        person: File of the person's hand, of `handmap calibrate`, if all recordings are of one.
         json: Print JSON instead of tables.
         inputs: How the recordings are to be read.
     """
@@ -176,6 +177,7 @@ class Compare:
         ),
     ] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    person: PersonFile = None
     json: bool = False
     inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
         default_factory=InputArguments
@@ -193,5 +195,6 @@ class Compare:
             self.peers_from,
             self.out,
             self.inputs,
+            self.person,
         )
         run_comparison(request, prints_json=self.json)

@@ -25,6 +25,7 @@ from handmap_qp.offline.compared_methods import (
 from handmap_qp.offline.comparison import ComparedMethod, Comparison, compare_methods
 from handmap_qp.offline.metrics import GROUPS
 from handmap_qp.offline.takes import Take, prepare_take
+from handmap_qp.trackers.person import Person, read_person
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
@@ -44,6 +45,7 @@ class ComparisonRequest:
         peers_from: Folder of the program that runs the peers; that of the checkout if None.
         out: Folder to write to; None to write nothing.
         inputs: How the recordings are to be read.
+        person: File of the person's hand; measured in each recording if None.
     """
 
     recordings: tuple[Path, ...]
@@ -53,6 +55,7 @@ class ComparisonRequest:
     peers_from: Path | None = None
     out: Path | None = None
     inputs: InputArguments = field(default_factory=InputArguments)
+    person: Path | None = None
 
 
 def run_comparison(request: ComparisonRequest, *, prints_json: bool) -> None:
@@ -64,10 +67,11 @@ def run_comparison(request: ComparisonRequest, *, prints_json: bool) -> None:
     if not request.recordings:
         raise InvalidInputError(argument="RECORDING", expected="at least one file", got="none")
     robot = load_hand(request.robot)
+    person = None if request.person is None else read_person(request.person)
     methods = _methods(request)
     out = None if request.out is None else _folder(request.out)
     with _progress() as advance:
-        takes = _takes(request.recordings, robot, request.inputs, advance)
+        takes = _takes(request.recordings, robot, request.inputs, person, advance)
         comparison = compare_methods(takes, robot, methods, advance)
         written = [] if out is None else _write(out, comparison, advance)
     if prints_json:
@@ -106,7 +110,11 @@ def _methods(request: ComparisonRequest) -> list[ComparedMethod]:
 
 
 def _takes(
-    files: tuple[Path, ...], robot: Hand, inputs: InputArguments, advance: Progress
+    files: tuple[Path, ...],
+    robot: Hand,
+    inputs: InputArguments,
+    person: Person | None,
+    advance: Progress,
 ) -> list[Take]:
     """Read all recordings before any is prepared."""
     recordings = [inputs.read(file, robot.spec.side) for file in files]
@@ -126,7 +134,7 @@ def _takes(
     takes = []
     for i, recording in enumerate(recordings):
         advance(f"measuring the hand of {recording.name}", i, len(recordings))
-        takes.append(prepare_take(recording, robot.spec.side))
+        takes.append(prepare_take(recording, robot.spec.side, person=person))
     return takes
 
 

@@ -132,24 +132,15 @@ class ServiceSink:
         person: Person | None,
     ) -> str:
         """Open the session; return its name."""
-        lengths = None
-        if person is not None:
-            lengths = {
-                "bases": person.lengths.bases.tolist(),
-                "segments": person.lengths.segments.tolist(),
-            }
         opened = self._client.open(
             self._robot,
             name=session,
             input="landmarks",
             side=side,
-            lengths=lengths,
             preset=preset,
             has_detail=True,
+            **({} if person is None else person.session_fields()),
         )
-        about = self._client.status().about or {}
-        if person is not None and about.get("preset") == "teleoperation":
-            self._client.configure(teleoperation={"contact_gap": person.contact_gap})
         return opened.name
 
     def _send(self, sample: HumanSample) -> None:

@@ -164,26 +164,33 @@ class Map:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Measure a person's hand in a recording, and keep it in a file.
+    """Measure a person's hand in recordings, and keep it in a file.
 
     Measures bone lengths and palm, and the contact gap: the distance that the tracker gives between
     thumb and finger landmarks where the skin touches. Touch every finger with the thumb in the
-    recording, and open the hand. `handmap map` and `handmap view` take the file by --person instead
-    of measuring every recording again.
+    recording, and open the hand. Samples that make no sense (jumps, outliers and the like) do not
+    count. The file is taken by --person of `handmap map`, `view`, `compare` and `track` instead of
+    measuring every recording again.
 
     Examples:
         handmap calibrate recording.npz --out anna.yaml
+        handmap calibrate left.npz right.npz --out anna.yaml
         handmap map another.npz --robot allegro_right --person anna.yaml
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`.
+        recordings: Recordings of the person's hands, as for `handmap map`; all count together.
         out: File to write.
         overwrite: Replace the file if it exists.
         json: Print one JSON object instead of a table.
         inputs: How the recording is to be read.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
+    recordings: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="RECORDING...", help_behavior_hint="(required)"),
+        ]
+    ]
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
     overwrite: bool = False
     json: bool = False
@@ -203,10 +210,12 @@ class Calibrate:
                 value=str(out),
                 advice="give --overwrite to replace it",
             )
-        recording = self.inputs.read(self.recording)
-        person = measure_person(recording)
+        if not self.recordings:
+            raise InvalidInputError(argument="RECORDING", expected="at least one file", got="none")
+        recordings = [self.inputs.read(file) for file in self.recordings]
+        person = measure_person(*recordings)
         write_person(person, out)
-        samples = int(recording.valid.sum())
+        samples = sum(int(recording.valid.sum()) for recording in recordings)
         if self.json:
             measures = {
                 "name": person.name,

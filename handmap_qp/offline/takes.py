@@ -14,7 +14,8 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.offline.finger_traces import HandTrace, trace_human
 from handmap_qp.trackers.fit import fit_recording
-from handmap_qp.trackers.landmarks import human_name, measure_contact_gap, measure_hand
+from handmap_qp.trackers.landmarks import human_name
+from handmap_qp.trackers.person import Person, measure_person
 from handmap_qp.trackers.recording import Recording, mirrored
 from handmap_qp.transform import inverse_pose
 
@@ -54,6 +55,8 @@ def prepare_take(
     recording: Recording,
     side: Side = "right",
     progress: Callable[[int], None] | None = None,
+    *,
+    person: Person | None = None,
 ) -> Take:
     """Describe what the human did in a recording.
 
@@ -61,6 +64,7 @@ def prepare_take(
         recording: Landmarks of a hand, and the tracker's wrist poses if it gave any.
         side: Side of the robot; a recording of the other hand is mirrored.
         progress: Called after each sample with the number of samples done.
+        person: The person; measured in the recording if omitted.
 
     Returns:
         The take.
@@ -80,7 +84,8 @@ def prepare_take(
     if is_mirrored:
         recording = mirrored(recording)
     held, wrist_poses = held_samples(recording.valid), recording.wrist
-    lengths = measure_hand(recording)
+    person = person or measure_person(recording)
+    lengths = person.lengths
     human = load_hand(human_name(side), lengths=lengths)
     trace = trace_human(
         recording.landmarks[held],
@@ -95,8 +100,8 @@ def prepare_take(
         human=human,
         trace=trace,
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
-        q=fit_recording(recording, progress).q,
-        contact_gap=measure_contact_gap(recording),
+        q=fit_recording(recording, progress, lengths=lengths).q,
+        contact_gap=person.contact_gap,
     )
 
 

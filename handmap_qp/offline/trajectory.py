@@ -193,9 +193,17 @@ def recording_samples(
             recording.landmarks[i],
             None if wrist_poses is None or not recording.valid[i] else wrist_poses[i],
             bool(recording.valid[i]),
+            _confidence(recording, i),
         )
         for i in range(len(recording))
     ]
+
+
+def _confidence(recording: Recording, i: int) -> float:
+    """Return the tracker's confidence in a sample; 1 if it gives none."""
+    if recording.confidence is None:
+        return 1.0
+    return float(recording.confidence[i]) if recording.valid[i] else 0.0
 
 
 def _map_samples(

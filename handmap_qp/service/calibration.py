@@ -7,23 +7,21 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from handmap_qp.offline.poses import PINCH_GAP
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.refusals import with_field_errors
+from handmap_qp.trackers.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
 from handmap_qp.trackers.guard import Rule, StreamGuard
-from handmap_qp.trackers.landmarks import (
-    check_length,
-    measure_contact_gap,
-    measure_hand,
-    smallest_gap,
-)
+from handmap_qp.trackers.landmarks import check_length, measure_hand
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""
+
+_PERIOD = 1.0 / 60.0
+"""Usual time between the samples [s]; gaps are medians over 0.1 s."""
 
 Defer = Callable[[Callable[[], Hands]], "Future[Hands]"]
 """Runs slow work in another thread."""
@@ -89,6 +87,6 @@ class Calibration:
         )
         lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
         # Without a touch, nothing was measured: the preset's own gap is the better guess.
-        has_touched = smallest_gap(recording) < PINCH_GAP
-        gap = measure_contact_gap(recording) if has_touched else None
+        smallest = smallest_gap(_PERIOD * recording.time, landmarks)
+        gap = clipped_gap(smallest) if smallest < TOUCH_GAP else None
         return prepare_hands(self._request, self._cache, lengths, gap)

@@ -31,6 +31,7 @@ Points = Annotated[tuple[Vector, ...], msgspec.Meta(max_length=256)]
 Values = Annotated[tuple[float, ...], msgspec.Meta(max_length=1024)]
 Preset = Literal["teleoperation", "object", "paper", "fixed_wrist"]
 Length = Annotated[float, msgspec.Meta(gt=0, le=1)]
+Gap = Annotated[float, msgspec.Meta(ge=0, le=0.04)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
 _NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
@@ -103,6 +104,13 @@ class Open(Request, frozen=True):
     lengths: Annotated[
         Lengths | None,
         _doc("The measured hand. With neither, the first landmarks measure it."),
+    ] = None
+    contact_gap: Annotated[
+        Gap | None,
+        _doc(
+            "Distance of thumb and finger landmarks where the skin touches [m]. Without it, and "
+            "without the option of teleoperation, touches measure it during the session."
+        ),
     ] = None
     human_points: Annotated[Name | None, _doc("Set of reference points on the human hand.")] = None
     robot_points: Annotated[Name | None, _doc("Set of reference points on the robot hand.")] = None

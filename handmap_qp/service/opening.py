@@ -37,7 +37,7 @@ class Hands:
         choice: Preset and options of the mapper.
         palm: Recognises landmarks of another size; None if samples are joint angles or points.
         lengths: The measured human hand; None for the model's own.
-        contact_gap: The measured contact gap [m]; None if it was not measured.
+        contact_gap: The measured contact gap [m]; None if it was not measured yet.
         needs_measuring: Whether the first landmarks measure the human hand. Until then it is the
             model's own.
         pair: Both hands, matched for teleoperation; kept so that `configure` finds it at once. None
@@ -66,7 +66,7 @@ def prepare_hands(
         request: The client's request.
         cache: The hands that clients may open.
         lengths: The human hand as measured from landmarks; the request decides if omitted.
-        contact_gap: The contact gap as measured from landmarks [m].
+        contact_gap: The contact gap as measured from landmarks [m], unless the request gives one.
 
     Returns:
         The mapper and the hands.
@@ -76,6 +76,7 @@ def prepare_hands(
     """
     if request.hand_length is not None and request.lengths is not None:
         raise RefusedError("invalid", "give hand_length or lengths, not both", field="lengths")
+    contact_gap = contact_gap if request.contact_gap is None else request.contact_gap
     robot = cache.robot(request.robot, request.robot_points, request.mount)
     if lengths is None:
         lengths = with_field_errors("lengths", lambda: _human_lengths(request))

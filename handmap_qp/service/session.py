@@ -13,12 +13,13 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.stages import residual_norms
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.calibration import Calibration
@@ -47,6 +48,7 @@ from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start
 from handmap_qp.service.states import Event, MapperState, SessionState, next_state
 from handmap_qp.service.store import Record
 from handmap_qp.service.watchdog import Watchdog
+from handmap_qp.trackers.contact_gap import ContactGapMeter
 
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
@@ -94,6 +96,8 @@ class Session:
         # The request and the choice change with `configure`.
         self._wanted, self._choice = request, hands.choice
         self._calibration = calibration if hands.needs_measuring else None
+        self._gap_meter: ContactGapMeter | None = None
+        self._adopt(hands)
         self._has_detail = request.has_detail
         start = (
             start_angles(self.robot, request.robot_q),
@@ -237,6 +241,7 @@ class Session:
             flags.append(mapped.step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(mapped)
+            self._measure_gap(mapped)
         else:
             self._brake()
         if mapped.step.is_clamped:
@@ -400,11 +405,34 @@ class Session:
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self._wanted)
-            self._hands, self._calibration = hands, None
+            self._adopt(hands)
+            self._calibration = None
             self._reset_mapper()
             if self._state.is_released:
                 hands.mapper.release()
         return command
+
+    def _adopt(self, hands: Hands) -> None:
+        """Make these the hands of the session, and measure their contact gap if nobody gave it."""
+        self._hands = hands
+        wanted = self._wanted
+        is_known = wanted.contact_gap is not None or "contact_gap" in wanted.teleoperation
+        options = hands.choice.options
+        self._gap_meter = (
+            ContactGapMeter(options.contact_gap)
+            if isinstance(options, Teleoperation) and not is_known
+            else None
+        )
+
+    def _measure_gap(self, mapped: MappedSample) -> None:
+        """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
+        meter, landmarks = self._gap_meter, mapped.landmarks
+        if meter is None or landmarks is None or "contact_gap" in self._wanted.teleoperation:
+            return
+        if meter.add(self._stamp, landmarks):
+            hands = replace(self._hands, contact_gap=meter.gap, choice=self._choice)
+            self._choose(hands, self._wanted)
+            self._hands = hands
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
         """Give the mapper of these hands the options of a request, and remember both.

@@ -1,4 +1,4 @@
-"""Measures of a person's hand in its landmarks: bone lengths, the palm's shape, the contact gap.
+"""Measures of a person's hand in its landmarks: bone lengths and the palm's shape.
 
 `fit` fits the hand of these lengths to samples.
 """
@@ -22,8 +22,6 @@ PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
 FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
 """First joint of every finger: thumb CMC and the four MCPs."""
-CONTACT_GAPS = (0.012, 0.020)
-"""Least and largest contact gap that `measure_contact_gap` gives [m]."""
 TIPS = np.array([4, 8, 12, 16, 20])
 """The fingertips."""
 HAND_LENGTHS = (0.08, 0.35)
@@ -189,32 +187,6 @@ def scaled_human(
     """
     lengths = measure_hand(recording) if lengths is None else lengths
     return load_hand(human_name(recording.side), points=points, lengths=lengths)
-
-
-def measure_contact_gap(recording: Recording) -> float:
-    """Measure the distance between thumb and finger landmarks where the skin touches.
-
-    People touch thumb and finger now and then, so the 1st percentile of the smallest gap is taken.
-    A person who never does gives a large number, so it is bounded.
-
-    Args:
-        recording: The recording.
-
-    Returns:
-        The contact gap of tracker and person, from 12 to 20 mm [m].
-    """
-    return float(np.clip(smallest_gap(recording), *CONTACT_GAPS))
-
-
-def smallest_gap(recording: Recording) -> float:
-    """Return the 1st percentile of the smallest distance from the thumb's tip to another tip [m].
-
-    Args:
-        recording: The recording.
-    """
-    landmarks = recording.landmarks[recording.valid]
-    gaps = np.linalg.norm(landmarks[:, TIPS[1:]] - landmarks[:, TIPS[:1]], axis=2).min(axis=1)
-    return float(np.percentile(gaps, 1.0))
 
 
 @cache

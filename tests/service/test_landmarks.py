@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from person_cases import worn
 from service_tools import CACHE, Sampler, human_q, make_session, opening, run_now
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.service.calibration import CALIBRATION_SAMPLES, Calibration
 from handmap_qp.service.messages import PROTOCOL, Configure
 from handmap_qp.service.opening import Hands, prepare_hands
@@ -121,7 +123,7 @@ def test_a_hand_in_other_units_is_not_measured_and_one_in_metres_is_thereafter(
             session.step(sample(i * PERIOD, landmarks=landmarks_of(scale)), i * PERIOD)
         assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
     assert session.mode == "waiting"
-    for i in range(CALIBRATION_SAMPLES, 2 * CALIBRATION_SAMPLES + SETTLING_SAMPLES):
+    for i in range(CALIBRATION_SAMPLES, 4 * CALIBRATION_SAMPLES):
         session.step(sample(i * PERIOD, landmarks=landmarks_of()), i * PERIOD)
     assert session.mode == "following"
 
@@ -161,3 +163,41 @@ def test_a_release_during_the_measurement_holds_after_it() -> None:
     # The reference is this sample, so the robot has nowhere to go.
     assert "slewing" not in command.flags
     np.testing.assert_allclose(session.posture[0], before, atol=1e-3)
+
+
+def test_touches_correct_the_contact_gap_of_a_session() -> None:
+    record = worn(600, gap=0.019)
+    session, sample = make_session(**TELEOPERATION, hand_length=0.18), Sampler()
+    gaps, last = [], np.array(session.robot.rest)
+    for time, points in zip(record.time.tolist(), record.landmarks, strict=True):
+        landmarks = tuple(map(tuple, points.tolist()))
+        command = session.step(sample(time, landmarks=landmarks), time)
+        step = np.abs(np.array(command.q) - last) / session.robot.velocity_limits
+        assert step.max() <= PERIOD * (1.0 + 1e-6) or time == 0.0
+        last = np.array(command.q)
+        gaps.append(contact_gap_of(session))
+    assert gaps[0] == 0.013
+    assert gaps[-1] == pytest.approx(0.014)
+    assert len(set(gaps)) == 2
+
+
+@pytest.mark.parametrize(
+    "given", [{"contact_gap": 0.013}, {"teleoperation": {"contact_gap": 0.013}}]
+)
+def test_a_contact_gap_that_is_given_is_not_measured(given: dict[str, Any]) -> None:
+    session = make_session(**TELEOPERATION, hand_length=0.18, **given)
+    assert contact_gap_of(session) == 0.013
+    assert session._gap_meter is None
+
+
+TELEOPERATION: dict[str, Any] = {
+    "input": "landmarks",
+    "robot": "allegro_right",
+    "preset": "teleoperation",
+}
+
+
+def contact_gap_of(session: Session) -> float:
+    options = session._choice.options
+    assert isinstance(options, Teleoperation)
+    return options.contact_gap

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from person_cases import LENGTHS, worn
 
 from handmap_qp import HumanLengths, InvalidInputError, load_hand
+from handmap_qp.trackers.contact_gap import ContactGapMeter, tip_gaps
 from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import Person, measure_person, read_person, write_person
 from handmap_qp.trackers.recording import Recording, mirrored
-
-LENGTHS = HumanLengths.from_hand_length(0.18)
 
 
 def recording(lengths: HumanLengths = LENGTHS) -> Recording:
@@ -114,3 +115,68 @@ def test_a_folder_that_does_not_exist_is_an_error_and_a_failed_write_leaves_no_f
     with pytest.raises(InvalidInputError):
         write_person(person, tmp_path / "taken")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+# -- noise, dropouts, outliers
+
+
+def spoilt(recording: Recording, noise: float = 0.002) -> Recording:
+    """Add noise, 10 % of samples with one landmark 0.1 m off, and 10 % without a hand."""
+    random = np.random.default_rng(3)
+    landmarks = recording.landmarks + random.normal(scale=noise, size=recording.landmarks.shape)
+    outliers = random.random(len(recording)) < 0.1
+    for i in np.flatnonzero(outliers):
+        direction = random.normal(size=3)
+        landmarks[i, random.integers(21)] += 0.1 * direction / np.linalg.norm(direction)
+    valid = random.random(len(recording)) >= 0.1
+    landmarks[~valid] = np.nan
+    return replace(recording, landmarks=landmarks, valid=valid)
+
+
+def test_noise_dropouts_and_outliers_hardly_change_the_person() -> None:
+    clean, measured = measure_person(worn()), measure_person(spoilt(worn()))
+    # Noise of 2 mm lengthens a bone of 25 mm by (2 * 2^2 / 25) mm.
+    np.testing.assert_allclose(measured.lengths.segments, LENGTHS.segments, atol=1e-3)
+    np.testing.assert_allclose(measured.lengths.bases, clean.lengths.bases, atol=1.5e-3)
+    assert clean.contact_gap == pytest.approx(0.015, abs=1e-3)
+    assert measured.contact_gap == pytest.approx(0.015, abs=2e-3)
+
+
+def test_recordings_of_both_hands_count_together() -> None:
+    right, small = worn(300), recording(HumanLengths.from_hand_length(0.16))
+    both = measure_person(right, mirrored(right))
+    alone = measure_person(right)
+    np.testing.assert_allclose(both.lengths.segments, alone.lengths.segments, atol=1e-6)
+    np.testing.assert_allclose(both.lengths.bases, alone.lengths.bases, atol=1e-6)
+    assert both.name == "worn"
+    # The longer recording decides where two persons are mixed up.
+    mixed = measure_person(small, right)
+    np.testing.assert_allclose(mixed.lengths.segments, LENGTHS.segments, atol=1e-3)
+    with pytest.raises(InvalidInputError, match="recordings: expected at least one"):
+        measure_person()
+
+
+@pytest.mark.parametrize(("gap", "expected"), [(0.018, 0.017), (0.006, 0.012), (0.024, 0.017)])
+def test_touches_correct_the_contact_gap_step_by_step_and_only_between_pinches(
+    gap: float, expected: float
+) -> None:
+    record = worn(1080, gap=gap)
+    meter = ContactGapMeter(0.013)
+    gaps = tip_gaps(record.landmarks).min(axis=1)
+    before = meter.gap
+    for i, t in enumerate(record.time):
+        changed = meter.add(float(t), record.landmarks[i])
+        assert changed == (meter.gap != before)
+        assert abs(meter.gap - before) <= 1e-3 + 1e-12
+        # Medians over 0.1 s lag a little.
+        assert not changed or gaps[max(0, i - 3) : i + 1].max() > 0.07
+        before = meter.gap
+    assert meter.gap == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_hand_that_never_touches_keeps_the_contact_gap() -> None:
+    meter = ContactGapMeter(0.013)
+    record = worn(300, gap=0.05)
+    for time, landmarks in zip(record.time, record.landmarks, strict=True):
+        assert not meter.add(float(time), landmarks)
+    assert meter.gap == 0.013

@@ -1,0 +1,130 @@
+"""The contact gap: what a tracker measures between thumb and finger where the skin touches.
+
+It depends on person and tracker: 1 to 5 mm for gloves, 10 to 20 mm for cameras and headsets. A
+touch is a minimum of the smallest gap in time, so it is found by time and not by chance: gaps are
+medians over 0.1 s first, which single outliers and noise hardly move.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from handmap_qp.trackers.landmarks import TIPS
+from handmap_qp.trackers.recording import Recording
+
+CONTACT_GAPS = (0.012, 0.020)
+"""Least and largest contact gap that is measured [m]."""
+TOUCH_GAP = 0.025
+"""Tips that come nearer than this may touch [m]."""
+OPEN_GAP = 0.070
+"""Tips that are farther apart than this do not pinch, whatever the contact gap [m]."""
+_MEDIAN_TIME = 0.1
+"""Time over which gaps are medians [s]."""
+_PERCENTILE = 1.0
+"""Percentile of the smallest gap of a recording that is taken for a touch."""
+_RELEASE = 0.010
+"""A touch ends when the gap has risen by this above its least [m]."""
+_TOUCHES = (3, 12)
+"""Least number of touches that a live measurement needs, and how many it remembers."""
+_LOW = 10.0
+"""Percentile of the touches that is taken: objects between the fingers make gaps larger."""
+_STEP = 0.001
+"""Largest change of a live measurement at once [m]."""
+
+
+def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
+    """Return the distances from the thumb's tip to the other tips [m], shape (..., 4).
+
+    Args:
+        landmarks: Landmarks [m], shape (..., 21, 3).
+    """
+    spans = landmarks[..., TIPS[1:], :] - landmarks[..., TIPS[:1], :]
+    return np.sqrt(np.einsum("...ij,...ij->...i", spans, spans))
+
+
+def smallest_gap(time: np.ndarray, landmarks: np.ndarray) -> float:
+    """Return the 1st percentile of the smallest gap, of gaps that are medians over 0.1 s [m].
+
+    Args:
+        time: Instants [s], shape (T,).
+        landmarks: Landmarks of samples in which the hand was seen [m], shape (T, 21, 3).
+    """
+    gaps = tip_gaps(landmarks)
+    period = float(np.median(np.diff(time))) if len(time) > 1 else _MEDIAN_TIME
+    width = max(1, 2 * round(0.5 * _MEDIAN_TIME / max(period, 1e-6)) + 1)
+    smooth = median_filter(gaps, size=(min(width, len(gaps)), 1), mode="nearest")
+    return float(np.percentile(smooth.min(axis=1), _PERCENTILE))
+
+
+def measure_contact_gap(recording: Recording) -> float:
+    """Measure the contact gap in a recording.
+
+    People touch thumb and finger now and then, so the 1st percentile of the smallest gap is taken.
+    A person who never does gives a large number, so it is bounded.
+
+    Args:
+        recording: The recording.
+
+    Returns:
+        The contact gap of tracker and person, from 12 to 20 mm [m].
+    """
+    seen = recording.valid
+    return clipped_gap(smallest_gap(recording.time[seen], recording.landmarks[seen]))
+
+
+def clipped_gap(gap: float) -> float:
+    """Return a gap within `CONTACT_GAPS` [m]."""
+    return min(max(gap, CONTACT_GAPS[0]), CONTACT_GAPS[1])
+
+
+class ContactGapMeter:
+    """Measures the contact gap of a person while they work, touch by touch.
+
+    After three touches it begins to follow the 10th percentile of the last twelve. It changes by
+    at most 1 mm a touch, and only while all tips are apart, so that no pinch moves.
+
+    Args:
+        gap: The contact gap to begin with [m].
+
+    Attributes:
+        gap: The contact gap so far [m].
+    """
+
+    def __init__(self, gap: float) -> None:
+        self.gap = gap
+        self._recent: deque[tuple[float, np.ndarray]] = deque()
+        self._touches: deque[float] = deque(maxlen=_TOUCHES[1])
+        self._least: float | None = None
+        self._is_due = False
+
+    def add(self, time: float, landmarks: np.ndarray) -> bool:
+        """Take one sample that the robot follows.
+
+        Args:
+            time: Its instant [s]; later than that of the sample before.
+            landmarks: Its landmarks [m], shape (21, 3).
+
+        Returns:
+            Whether `gap` has changed.
+        """
+        self._recent.append((time, tip_gaps(landmarks)))
+        while time - self._recent[0][0] > _MEDIAN_TIME or time < self._recent[0][0]:
+            self._recent.popleft()
+        if len(self._recent) < 3:
+            return False
+        smallest = float(np.median([gaps for _, gaps in self._recent], axis=0).min())
+        if smallest < TOUCH_GAP:
+            self._least = smallest if self._least is None else min(self._least, smallest)
+        if self._least is not None and smallest > self._least + _RELEASE:
+            self._touches.append(self._least)
+            self._least, self._is_due = None, True
+        if not self._is_due or smallest < OPEN_GAP or len(self._touches) < _TOUCHES[0]:
+            return False
+        self._is_due = False
+        wanted = clipped_gap(float(np.percentile(self._touches, _LOW)))
+        change = min(max(wanted - self.gap, -_STEP), _STEP)
+        self.gap += change
+        return change != 0.0
