@@ -18,11 +18,11 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.offline.trajectory import Trajectory, map_recording
 from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.sample import HumanSample
 
-_MARGIN = 0.0005
-"""Distance that pairs of links keep in the last pass [m], as in a pinch of `Teleoperation`."""
 # The last pass follows joint angles, which are inside the limits already.
 _FOLLOW = {"rest_weight": 3.0, "max_iterations": 3, "step_tolerance": 0.02, "error_damping": 0.0}
 
@@ -56,9 +56,8 @@ def map_both_ways(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    forward = map_recording(
-        HandMapper(human, robot, method, ik=ik), recording, progress, wrist_poses=wrist_poses
-    )
+    first = _MarginMapper(human, robot, method, ik=ik)
+    forward = map_recording(first, recording, progress, wrist_poses=wrist_poses)
     turned = replace(
         recording,
         time=-recording.time[::-1],
@@ -72,8 +71,27 @@ def map_both_ways(
     mean = 0.5 * (forward.q + backward.q[::-1])
     bound = method.bind(human, robot)
     solver = PointIk(bound.robot, replace(ik, **_FOLLOW), contacts=bound.contacts)
-    margins = None if bound.contacts is None else np.full(len(bound.contacts.links), _MARGIN)
-    return _followed(solver, forward, mean, recording.steps, margins)
+    return _followed(solver, forward, mean, recording.steps, first.margins)
+
+
+class _MarginMapper(HandMapper):
+    """A mapper that keeps the margins of its contact rows.
+
+    Attributes:
+        margins: Distance that each pair of links keeps [m], shape (k,), for every sample; those of
+            the sample before where the robot was held, None where the method gives none.
+    """
+
+    def __init__(self, human: Hand, robot: Hand, method: Method, *, ik: IkOptions) -> None:
+        super().__init__(human, robot, method, ik=ik)
+        self.margins: list[np.ndarray | None] = []
+
+    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
+        """Map one sample; see `HandMapper.map_sample`."""
+        step = super().map_sample(sample, dt=dt)
+        before = self.margins[-1] if self.margins else None
+        self.margins.append(before if step.is_held else step.asked.margins)
+        return step
 
 
 def _followed(
@@ -81,7 +99,7 @@ def _followed(
     forward: Trajectory,
     mean: np.ndarray,
     steps: np.ndarray,
-    margins: np.ndarray | None,
+    margins: list[np.ndarray | None],
 ) -> Trajectory:
     """Follow joint angles, with all limits and contact rows."""
     robot = forward.robot
@@ -91,7 +109,7 @@ def _followed(
     for i, angles in enumerate(mean):
         targets = robot.points(angles, forward.wrist[i])
         result = solver.solve(
-            targets, forward.wrist[i], float(steps[i]), rest=angles, margins=margins
+            targets, forward.wrist[i], float(steps[i]), rest=angles, margins=margins[i]
         )
         q[i] = solver.configuration.q[robot.q_indices]
         points[i] = result.points
