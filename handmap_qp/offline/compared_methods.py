@@ -36,6 +36,7 @@ from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses
 from handmap_qp.offline.takes import Take
 from handmap_qp.offline.trajectory import Trajectory, map_recording
+from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.transform import as_floats
 
 PROGRAM = "compare.py"
@@ -117,14 +118,13 @@ class OutsideMethod:
 
     def _read(self, made: Path, count: int, joints: int) -> RobotMotion:
         try:
-            with np.load(made, allow_pickle=False) as arrays:
-                values = dict(arrays)
+            values = read_archive(made)
             q = as_floats(values["q"], "q", shape=(count, joints), is_finite=True)
             step_time = as_floats(values["step_time"], "step_time", shape=(count,))
             wrist = values.get("wrist")
             if wrist is not None:
                 wrist = as_floats(wrist, "wrist", shape=(count, 4, 4), is_finite=True)
-        except (OSError, KeyError, ValueError) as error:
+        except (KeyError, ValueError) as error:
             raise OutsideError(
                 f"{self.folder / PROGRAM}: {self.name}: bad result: {error}"
             ) from error
