@@ -4,12 +4,16 @@ Meshes count as their convex hulls.
 
 For a pair of shapes a, b at the signed distance d, with the unit normal n from a to b,
 
-    d(q + dq) ~ d + n^T (J_b - J_a) dq >= margin    becomes    -n^T (J_b - J_a) dq <= gain (d -
-    margin)
+    d(q + dq) ~ d + n^T (J_b - J_a) dq >= margin
+
+becomes
+
+    -n^T (J_b - J_a) dq <= gain (d - margin)
 
 with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
-angle x at a radius r may come r x^2 / 2 closer than the row says, which is what the margin is for.
+angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
+`handmap_qp.ik.stopping` checks the whole displacement afterwards.
 """
 
 from __future__ import annotations

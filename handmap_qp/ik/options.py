@@ -44,7 +44,8 @@ class IkOptions:
         max_acceleration: Limit of every coordinate's acceleration [rad/s^2, m/s^2]; none if
             omitted.
         avoids_self_collision: Whether the pairs of links that the hand's `collision` names are kept
-            apart.
+            apart. With `max_acceleration`, joints then brake together, and approach their limits
+            only as fast as the slowest of them can stop.
     """
 
     point_weight: float = 1.0
