@@ -88,7 +88,6 @@ class ServiceSource:
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield the landmarks of each command until the session ends."""
-        last = -np.inf
         with self._client as client:
             heard = time.monotonic()
             while True:
@@ -103,12 +102,11 @@ class ServiceSource:
                     continue
                 heard = time.monotonic()
                 sample = self._sample(command)
-                # The watchdog repeats the time stamp of the last sample.
-                if sample is not None and sample.time != last:
-                    last = sample.time
+                if sample is not None:
                     yield sample
 
     def _sample(self, command: Command) -> HumanSample | None:
+        """Return the landmarks of a command; None if it does not answer a mapped sample."""
         landmarks = (command.detail or {}).get("landmarks")
         if landmarks is None:
             return None

@@ -50,7 +50,8 @@ class Onset(NamedTuple):
     """What a fault knows besides the sample that it changes.
 
     Attributes:
-        before: The last sample before the fault; the first of the fault if there is none.
+        before: The last valid sample that was sent before the fault; the first of the fault if
+            there is none.
         direction: A unit vector that stays the same during the fault, shape (3,).
         landmark: Index of a landmark that stays the same during the fault.
         random: Random numbers of this fault.
@@ -78,7 +79,7 @@ def silence(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample
 
 
 def freeze(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Repeat the last sample before the fault, with new time stamps."""
+    """Repeat the last valid sample that was sent before the fault, with new time stamps."""
     return (replace(onset.before, time=sample.time),)
 
 
@@ -280,18 +281,15 @@ def inject(
         start = sample.time if start is None else start
         elapsed = sample.time - start
         changed: tuple[HumanSample, ...] = (sample,)
-        is_clean = True
         for number, fault in enumerate(faults):
             if not fault.start <= elapsed < fault.end:
                 continue
-            is_clean = False
             if number not in onsets:
                 onsets[number] = _onset(before or sample, seed, number)
             changed = tuple(
                 result for each in changed for result in _apply(fault, each, onsets[number])
             )
-        if is_clean and sample.valid:
-            before = sample
+        before = next((each for each in reversed(changed) if each.valid), before)
         yield from changed
 
 

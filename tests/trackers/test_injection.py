@@ -101,6 +101,14 @@ def test_frozen_data_repeat_the_last_sample_with_new_times() -> None:
         np.testing.assert_array_equal(result[i].landmarks, SAMPLES[24].landmarks)
 
 
+def test_frozen_data_are_what_was_sent_last() -> None:
+    result = injected("jump@0+0.499,frozen@0.499+0.2")
+    assert not np.array_equal(result[24].landmarks, SAMPLES[24].landmarks)
+    np.testing.assert_array_equal(result[30].landmarks, result[24].landmarks)
+    lost = injected("dropout@0.299+0.2,frozen@0.499+0.2")
+    np.testing.assert_array_equal(lost[30].landmarks, SAMPLES[14].landmarks)
+
+
 @pytest.mark.parametrize("size", [0.2, 1.5])
 def test_a_jump_moves_the_whole_hand_by_its_size(size: float) -> None:
     result = injected(f"jump@0.5+0.2:{size}")
