@@ -102,8 +102,8 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     links, indices = _names(table, field, path), table.get("target_link_human_indices")
     # A vector has two rows of indices: where it begins, and where it ends.
     ends = indices[1] if kind == "vector" and isinstance(indices, list) and indices else indices
-    is_whole = isinstance(ends, list) and all(isinstance(i, int) and 0 <= i <= 20 for i in ends)
-    if not is_whole or len(ends) != len(links):
+    is_index = [isinstance(i, int) and 0 <= i <= 20 for i in ends] if isinstance(ends, list) else []
+    if not isinstance(ends, list) or not all(is_index) or len(is_index) != len(links):
         problem = f"expected {len(links)} indices of landmarks from 0 to 20 for {field}"
         raise HandError(problem, file=path, key="target_link_human_indices", value=indices)
     origins = table.get("target_origin_link_names") or [None]
