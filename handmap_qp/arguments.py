@@ -14,7 +14,7 @@ import tyro
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.ik.options import IkOptions
@@ -56,12 +56,14 @@ class InputArguments:
         Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
     ] = None
 
-    def read(self, path: Path, wanted: Side | None = None) -> Recording:
+    def read(self, path: Path, wanted: Side | None = None, person: Path | None = None) -> Recording:
         """Read a recording, and reject it if it cannot be what it says.
 
         Args:
             path: The file.
             wanted: Which hand to take of a file with both.
+            person: File of the person's hand, whose lengths turn joint angles and markers into
+                landmarks; typical lengths if omitted.
 
         Raises:
             RecordingError: If it cannot be read.
@@ -73,7 +75,7 @@ class InputArguments:
         from handmap_qp.trackers.plausibility import check_recording
 
         if self.layout is not None:
-            return read_with_layout(path, load_layout(self.layout), self.side)
+            return read_with_layout(path, load_layout(self.layout), self.side, _lengths_of(person))
         if self.side is not None and self.side != wanted:
             wanted = self.side
         try:
@@ -93,11 +95,12 @@ class InputArguments:
         check_recording(recording, name=str(path))
         return recording
 
-    def read_both(self, paths: Sequence[Path]) -> dict[Side, Recording]:
+    def read_both(self, paths: Sequence[Path], person: Path | None = None) -> dict[Side, Recording]:
         """Read a recording of the left and one of the right hand, from one file or from two.
 
         Args:
             paths: One file with both hands, or two files; with a layout the left hand's first.
+            person: As of `read`.
 
         Raises:
             HandmapError: As of `read`.
@@ -119,11 +122,17 @@ class InputArguments:
             raise InvalidInputError(
                 argument="RECORDING", expected="one file or two", got=f"{len(paths)}"
             )
-        layout = load_layout(self.layout)
+        layout, lengths = load_layout(self.layout), _lengths_of(person)
         return {
-            side: read_with_layout(path, layout, side)
+            side: read_with_layout(path, layout, side, lengths)
             for side, path in zip(sides, (paths[0], paths[-1]), strict=True)
         }
+
+
+def _lengths_of(person: Path | None) -> HumanLengths | None:
+    from handmap_qp.trackers.person import read_person
+
+    return None if person is None else read_person(person).lengths
 
 
 def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:

@@ -116,7 +116,7 @@ class Map:
                     advice="give --robots LEFT RIGHT for both hands",
                 )
             robot = self.arguments.load_robot(self.robot)
-            recording = self.inputs.read(self.recordings[0], robot.spec.side)
+            recording = self.inputs.read(self.recordings[0], robot.spec.side, self.person)
             return [(fit_side(recording, robot, mirror=self.mirror), robot)]
         if self.mirror:
             raise InvalidInputError(argument="--mirror", problem="has no effect with --robots")
@@ -127,7 +127,7 @@ class Map:
                 raise InvalidInputError(
                     argument="--robots", expected="a left hand, then a right hand", got=got
                 )
-        hands = self.inputs.read_both(self.recordings)
+        hands = self.inputs.read_both(self.recordings, self.person)
         return [(hands[robot.spec.side], robot) for robot in robots]
 
     def _out(self, recording: Recording, robot: Hand) -> Path:

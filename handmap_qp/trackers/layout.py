@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -442,6 +442,7 @@ def typical_human(side: Side) -> Hand:
     return load_hand(human_name(side), points="landmarks", hand_length=TYPICAL_LENGTH)
 
 
+@lru_cache(maxsize=4)  # lengths hash by identity
 def sized_human(side: Side, lengths: HumanLengths | None) -> Hand:
     """Return the human hand of a person, or a typical one."""
     if lengths is None:

@@ -185,7 +185,7 @@ class View:
         from handmap_qp.viewer.replay import Replay
 
         robot = self.arguments.load_robot(name)
-        recording = self.inputs.read(file, robot.spec.side)
+        recording = self.inputs.read(file, robot.spec.side, self.person)
         recording = fit_side(recording, robot, mirror=self.mirror)
         person = measure_person(recording) if self.person is None else read_person(self.person)
         motion = fit_recording(recording, lengths=person.lengths)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from handmap_qp import cli
+from handmap_qp import HumanLengths, cli
 from handmap_qp.trackers.layout import layout_names, load_layout, typical_human
+from handmap_qp.trackers.person import Person, write_person
 from handmap_qp.transform import affine
 
 
@@ -73,6 +74,19 @@ def test_a_file_in_a_layout_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixt
     assert np.load(out)["q"].shape[0] == 30
     assert run("calibrate", hand, "--layout", "webxr25", "--out", tmp_path / "me.yaml") == 0
     assert "hand length" in capsys.readouterr().out
+
+
+def test_angles_are_of_the_person(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hand = write_hand(tmp_path / "hand.npz", "angles20")
+    person = Person("large", HumanLengths.from_hand_length(0.23), 0.015)
+    write_person(person, tmp_path / "large.yaml")
+    out = tmp_path / "out.npz"
+    command = ("map", hand, "--layout", "angles20", "--robot", "allegro_right", "--out", out)
+    assert run(*command, "--person", tmp_path / "large.yaml", "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    # Bones are those of the person, to the millionth part of a millimetre.
+    assert summary["consistency_mm_mean"] < 1e-6
+    assert summary["held"] == 0
 
 
 MISTAKES = {
