@@ -80,6 +80,21 @@ class Recording:
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt(self)
 
+    def part(self, samples: slice | np.ndarray) -> Recording:
+        """Return some of the samples.
+
+        Args:
+            samples: A slice, or indices or flags of samples in the order of time.
+
+        Raises:
+            InvalidInputError: If no valid sample is left, or time does not increase.
+        """
+        columns = ("time", "landmarks", "valid", "wrist", "confidence")
+        values = {name: getattr(self, name) for name in columns}
+        return replace(
+            self, **{name: None if v is None else v[samples] for name, v in values.items()}
+        )
+
     @property
     def steps(self) -> np.ndarray:
         """Time from each sample's predecessor [s], shape (T,).

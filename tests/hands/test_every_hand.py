@@ -5,7 +5,6 @@ No limit broken, no exception, no standing still.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import Hand, HandMapper, Recording, hand_names, load_hand, read_recording
+from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.onboarding.detect import detect
 from handmap_qp.trackers.fit import fit_recording
@@ -132,15 +131,8 @@ def recorded(recordings: Path) -> dict[str, HumanMotion]:
     for side in ("right", "left"):
         recording = read_recording(recordings / f"quest3_webxr_{side}.npz")
         first = int(np.argmax(recording.valid))
-        motions[side] = fit_recording(piece(recording, slice(first, first + 90)))
+        motions[side] = fit_recording(recording.part(slice(first, first + 90)))
     return motions
-
-
-def piece(recording: Recording, samples: slice) -> Recording:
-    time, landmarks, valid = (
-        column[samples] for column in (recording.time, recording.landmarks, recording.valid)
-    )
-    return replace(recording, time=time, landmarks=landmarks, valid=valid)
 
 
 @every_hand

@@ -212,3 +212,22 @@ def test_real_recordings_are_read(recordings: Path) -> None:
         recording = read_recording(path)
         assert np.isfinite(recording.landmarks[recording.valid]).all()
         assert path.stem.endswith(recording.side)
+
+
+@pytest.mark.parametrize("samples", [slice(1, 3), np.array([0, 2]), np.array([True, False, True])])
+def test_a_part_has_all_columns_of_its_samples(samples: Any) -> None:
+    recording = Recording(
+        name="small",
+        time=np.array([0.0, 0.1, 0.2]),
+        landmarks=np.arange(3 * 63, dtype=float).reshape(3, 21, 3),
+        valid=np.ones(3, dtype=bool),
+        side="left",
+        wrist=np.tile(np.eye(4), (3, 1, 1)),
+        confidence=np.array([0.1, 0.2, 0.3]),
+    )
+    part = recording.part(samples)
+    assert (part.name, part.side) == ("small", "left")
+    for name in ("time", "landmarks", "valid", "wrist", "confidence"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(recording, name)[samples])
+    with pytest.raises(InvalidInputError, match="time"):
+        recording.part(slice(None, None, -1))
