@@ -62,9 +62,9 @@ def judge(take: lies.Take) -> str:
     check = InputCheck(take.side)
     for time, landmarks, wrist in zip(take.time, take.landmarks, take.wrist, strict=True):
         if finding := check.update(time, landmarks, wrist):
-            return finding.lie
+            return finding.kind
     finding = check.finish()
-    return "" if finding is None else finding.lie
+    return "" if finding is None else finding.kind
 
 
 def measure(

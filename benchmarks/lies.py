@@ -57,7 +57,7 @@ class Lie(NamedTuple):
 
     Attributes:
         name: What it is, in words.
-        kind: What `Finding.lie` has to say.
+        kind: What `Finding.kind` has to say.
         tell: Puts it into a take.
     """
 

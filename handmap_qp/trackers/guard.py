@@ -278,8 +278,8 @@ class StreamGuard:
         if unusable in ("", "size"):
             finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
             if finding is not None:
-                self.state = _holding(state, finding.lie)
-                return Verdict(finding.lie, True, False, tick.dt, math.nan, finding)
+                self.state = _holding(state, finding.kind)
+                return Verdict(finding.kind, True, False, tick.dt, math.nan, finding)
         if unusable:
             self.state = _holding(state, unusable)
             return Verdict(unusable, True, False, tick.dt, math.nan)

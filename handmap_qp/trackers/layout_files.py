@@ -107,7 +107,7 @@ def _better(
 ) -> RecordingError:
     """Name the layouts of the same shape that explain the values without a mistake."""
     names = []
-    if finding.lie not in ("time", "wrist"):
+    if finding.kind not in ("time", "wrist"):
         for other in all_layouts():
             if other.name == layout.name or values.shape[1:] not in other.shapes:
                 continue

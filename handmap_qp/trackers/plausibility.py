@@ -29,7 +29,7 @@ from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.trackers.units import find_length_unit, find_time_unit
 from handmap_qp.trackers.wrist_axes import WristCheck
 
-Lie = Literal["time", "unit", "order", "side", "flexion", "wrist"]
+Mistake = Literal["time", "unit", "order", "side", "flexion", "wrist"]
 """Kinds of mistakes: the unit of time, the unit of length, the order of landmarks, the other hand
 or a mirrored world, fingers that bend backwards, the wrist's orientation."""
 
@@ -44,19 +44,19 @@ _SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
 _BACKWARDS_BEYOND = -0.45  # of 2 (`PalmarEvidence.fingers`)
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
 _SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
-_REFUSED_SHARE = 0.25  # of a recording's batches
+_REFUSED_SHARE = 0.25  # of a recording's valid samples
 
 
 class Finding(NamedTuple):
     """What is wrong with the input.
 
     Attributes:
-        lie: The kind of mistake.
+        kind: The kind of mistake.
         problem: What was found, in one line.
         advice: What to do about it.
     """
 
-    lie: Lie
+    kind: Mistake
     problem: str
     advice: str
 
@@ -281,7 +281,7 @@ def examine_recording(recording: Recording) -> Finding | None:
         finding = check.update(recording.time[i], recording.landmarks[i], wrist)
         if finding is not None:
             found += 1
-            if finding.lie == "time" or found >= _REFUSED_SHARE * len(indices):
+            if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
                 return finding
     last = check.finish()
     return last if end - start <= 1.0 else None

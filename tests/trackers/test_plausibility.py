@@ -64,7 +64,7 @@ def test_every_mistake_is_found_within_a_second(lies: ModuleType, take: Any) -> 
                 finding = find(lie.tell(part))
                 assert finding is not None, lie.name
                 # The palm of a mirrored world does not agree with its wrist either.
-                assert finding.lie in (lie.kind, "wrist"), (lie.name, finding)
+                assert finding.kind in (lie.kind, "wrist"), (lie.name, finding)
                 assert finding.problem
                 assert finding.advice
 
@@ -146,7 +146,7 @@ def test_a_session_can_start_again(take: Any) -> None:
     for i in range(60):
         check.update(take.time[i], take.landmarks[i])
     assert check.finding is not None
-    assert check.finding.lie == "side"
+    assert check.finding.kind == "side"
     check.reset()
     assert check.finding is None
     with pytest.raises(InvalidInputError):
@@ -191,7 +191,7 @@ def test_a_wrist_in_another_unit_or_world_is_found(take: Any) -> None:
         wrist[:, 2, 3] += shift
         finding = find(part._replace(wrist=wrist))
         assert finding is not None
-        assert finding.lie == "wrist"
+        assert finding.kind == "wrist"
         assert f"{abs(shift):g} m from" in finding.problem
 
 
