@@ -30,11 +30,10 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.offline.trajectory import recording_samples
 from handmap_qp.trackers.injection import FAULT_KINDS, inject, parse_faults
 from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import measure_person
-from handmap_qp.trackers.recording import mirrored
+from handmap_qp.trackers.recording import mirrored, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
 FAULTS = (

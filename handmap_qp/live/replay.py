@@ -11,23 +11,11 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.injection import Fault, inject
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.trackers.recording import Recording, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
 SPEEDS = (0.01, 100.0)
 """Least and largest speed of a replay."""
-
-
-def recording_samples(recording: Recording) -> Iterator[HumanSample]:
-    """Return the samples of a recording.
-
-    The tracker's own wrist poses are left out, because their axes differ from tracker to tracker;
-    the palm's landmarks give the wrist.
-    """
-    for time_stamp, landmarks, valid in zip(
-        recording.time, recording.landmarks, recording.valid, strict=True
-    ):
-        yield HumanSample(float(time_stamp), recording.side, landmarks, valid=bool(valid))
 
 
 class Replay:

@@ -18,7 +18,7 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.guard import Verdict
-from handmap_qp.trackers.recording import HumanMotion, Recording
+from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
 
@@ -180,30 +180,6 @@ def map_samples(
     """
     time = np.array([sample.time for sample in samples])
     return _map_samples(mapper, time, lambda i: mapper.map_sample(samples[i]), progress)
-
-
-def recording_samples(
-    recording: Recording, wrist_poses: np.ndarray | None = None
-) -> list[HumanSample]:
-    """Return the samples of a recording, as a tracker would send them."""
-    return [
-        HumanSample(
-            float(recording.time[i]),
-            recording.side,
-            recording.landmarks[i],
-            None if wrist_poses is None or not recording.valid[i] else wrist_poses[i],
-            bool(recording.valid[i]),
-            _confidence(recording, i),
-        )
-        for i in range(len(recording))
-    ]
-
-
-def _confidence(recording: Recording, i: int) -> float:
-    """Return the tracker's confidence in a sample; 1 if it gives none."""
-    if recording.confidence is None:
-        return 1.0
-    return float(recording.confidence[i]) if recording.valid[i] else 0.0
 
 
 def _map_samples(

@@ -20,8 +20,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.contact_gap import measure_contact_gap
 from handmap_qp.trackers.guard import StreamGuard
 from handmap_qp.trackers.landmarks import HAND_LENGTHS, human_name, measure_hand
-from handmap_qp.trackers.recording import Recording, mirrored
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.trackers.recording import Recording, mirrored, recording_samples
 
 LARGEST_GAP = 0.04
 """Largest contact gap that a file may give [m]."""
@@ -111,14 +110,7 @@ def without_faults(recording: Recording) -> Recording:
     """
     human = load_hand(human_name(recording.side), lengths=measure_hand(recording))
     guard = StreamGuard(human)
-    follows = [
-        not guard.check(
-            HumanSample(float(time), recording.side, landmarks, valid=bool(valid))
-        ).is_held
-        for time, landmarks, valid in zip(
-            recording.time, recording.landmarks, recording.valid, strict=True
-        )
-    ]
+    follows = [not guard.check(sample).is_held for sample in recording_samples(recording)]
     valid = recording.valid & np.array(follows)
     if 2 * valid.sum() < recording.valid.sum():
         return recording

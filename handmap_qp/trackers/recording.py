@@ -15,7 +15,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.trackers.sample import LANDMARK_COUNT
+from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.transform import as_floats, check_poses
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -185,6 +185,36 @@ def mirrored(recording: Recording) -> Recording:
         wrist=None if wrist is None else _MIRROR @ wrist @ _MIRROR,
         side="left" if recording.side == "right" else "right",
     )
+
+
+def recording_samples(
+    recording: Recording, wrist_poses: np.ndarray | None = None
+) -> list[HumanSample]:
+    """Return the samples of a recording, as a tracker would send them.
+
+    Args:
+        recording: The recording.
+        wrist_poses: Wrist poses with our axes, shape (T, 4, 4). Those of the recording are left
+            out, because their axes are the tracker's own; the palm gives the wrist then.
+    """
+    return [
+        HumanSample(
+            float(recording.time[i]),
+            recording.side,
+            recording.landmarks[i],
+            None if wrist_poses is None or not recording.valid[i] else wrist_poses[i],
+            bool(recording.valid[i]),
+            _confidence(recording, i),
+        )
+        for i in range(len(recording))
+    ]
+
+
+def _confidence(recording: Recording, i: int) -> float:
+    """Return the tracker's confidence in a sample; 1 if it gives none."""
+    if recording.confidence is None:
+        return 1.0
+    return float(recording.confidence[i]) if recording.valid[i] else 0.0
 
 
 def as_flags(values: Any, name: str, count: int) -> np.ndarray:

@@ -13,8 +13,7 @@ from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.mapping.smoothing import Smoothing
 from handmap_qp.mapping.stages import motion_stages
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.offline.trajectory import recording_samples
-from handmap_qp.trackers.recording import HumanMotion, Recording
+from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)

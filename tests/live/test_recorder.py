@@ -12,10 +12,10 @@ from live_cases import moving_hand
 from handmap_qp import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.live.recorder import Recorder
-from handmap_qp.live.replay import Replay, recording_samples
+from handmap_qp.live.replay import Replay
 from handmap_qp.live.source import run
 from handmap_qp.trackers.injection import inject, parse_faults
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.recording import read_recording, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
 
@@ -37,7 +37,7 @@ class Listed:
             raise self._end
 
 
-SAMPLES = list(recording_samples(moving_hand()))
+SAMPLES = recording_samples(moving_hand())
 
 
 @pytest.mark.parametrize("name", ["copy.npz", "copy.csv"])
@@ -89,7 +89,7 @@ def test_a_hand_never_seen_is_no_recording(tmp_path: Path) -> None:
 
 
 def test_the_other_hand_is_refused(tmp_path: Path) -> None:
-    left = list(recording_samples(moving_hand(side="left")))
+    left = recording_samples(moving_hand(side="left"))
     with pytest.raises(InvalidInputError, match="right hand"):
         run(Listed([*SAMPLES[:5], *left]), [Recorder(tmp_path / "both.npz")])
 

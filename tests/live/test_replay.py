@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -13,8 +14,9 @@ from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
 from handmap_qp.live import replay
-from handmap_qp.live.replay import Replay, recording_samples
+from handmap_qp.live.replay import Replay
 from handmap_qp.trackers.injection import parse_faults
+from handmap_qp.trackers.recording import recording_samples
 
 
 class Clock:
@@ -115,5 +117,11 @@ def test_a_wrong_speed_is_rejected(speed: float) -> None:
         Replay(moving_hand(), speed=speed)
 
 
-def test_samples_of_a_recording_have_no_wrist_of_foreign_axes() -> None:
-    assert all(sample.wrist is None for sample in recording_samples(moving_hand()))
+def test_samples_of_a_recording_have_its_confidence_and_no_wrist_of_foreign_axes() -> None:
+    plain = moving_hand()
+    shares = np.linspace(0.2, 1.0, len(plain))
+    wrist = np.tile(np.eye(4), (len(plain), 1, 1))
+    samples = recording_samples(dataclasses.replace(plain, confidence=shares, wrist=wrist))
+    assert all(sample.wrist is None for sample in samples)
+    expected = np.where(plain.valid, shares, 0.0)
+    np.testing.assert_array_equal([sample.confidence for sample in samples], expected)

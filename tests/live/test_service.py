@@ -14,14 +14,14 @@ from service_tools import PATIENCE, address_of, client_of, connected, lose_sessi
 
 from handmap_qp import InvalidInputError
 from handmap_qp.live.recorder import Recorder
-from handmap_qp.live.replay import Replay, recording_samples
+from handmap_qp.live.replay import Replay
 from handmap_qp.live.service_sink import ServiceSink
 from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.live.source import run
 from handmap_qp.service.server import Server
 from handmap_qp.trackers.injection import parse_faults
 from handmap_qp.trackers.person import Person, measure_person
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.recording import read_recording, recording_samples
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_the_status_says_that_the_service_is_silent(
 ) -> None:
     with ServiceSink(address_of(server), "three_finger", "right", person=person) as sink:
         assert "waiting" in sink.status()
-        samples = recording_samples(moving_hand())
+        samples = iter(recording_samples(moving_hand()))
 
         def send() -> bool:
             sink.put(next(samples))
