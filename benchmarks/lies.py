@@ -92,7 +92,7 @@ def all_lies() -> list[Lie]:
             Lie(f"order of {name}", "order", _ordered(order))
             for name, order in named_orders().items()
         ),
-        Lie("thumb last", "order", _ordered(_finger_order(4, 0, 1, 2, 3))),
+        Lie("thumb last", "order", _ordered(_finger_order(1, 2, 3, 4, 0))),
         Lie("little finger first", "order", _ordered(_finger_order(4, 3, 2, 1, 0))),
         Lie("fingers reversed", "order", _ordered(_finger_order(0, 4, 3, 2, 1))),
         Lie("index and middle", "order", _ordered(_finger_order(0, 2, 1, 3, 4))),
@@ -197,9 +197,9 @@ def _mirrored(take: Take) -> Take:
 
 
 def _scaled(take: Take, factor: float) -> Take:
-    return take._replace(
-        landmarks=take.landmarks * factor, wrist=take.wrist * [[1.0, 1.0, 1.0, factor]]
-    )
+    wrist = take.wrist.copy()
+    wrist[:, :3, 3] *= factor
+    return take._replace(landmarks=take.landmarks * factor, wrist=wrist)
 
 
 def _pixels(take: Take) -> Take:

@@ -71,7 +71,8 @@ def find_order(landmarks: np.ndarray, sign: float, own_evidence: float) -> Order
             continue
         evidence = sign * float(np.median(palmar_evidence(landmarks[:, orders[k]]).total))
         if evidence > min(-_CONTRADICTION, own_evidence):
-            return OrderGuess(names[k], own, float(misfits[k]))
+            name = names[k] if misfits[k] < _NO_HAND else ""
+            return OrderGuess(name, own, float(misfits[k]))
     if shape_misfit(own_distances(landmarks)) > _NO_HAND:
         best = int(misfits.argmin())
         name = names[best] if misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY) else ""

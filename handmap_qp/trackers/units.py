@@ -74,4 +74,7 @@ def find_length_unit(
         if 0.12 <= length * unit <= 0.26:
             other = " (or pixels)" if name == "millimetres" else ""
             return f"{found}, so the landmarks are in {name}{other}", f"multiply them by {unit:g}"
+        if 0.12 <= length / unit <= 0.26:
+            problem = f"{found}, as if metres had been taken for {name}"
+            return problem, f"multiply the landmarks by {1.0 / unit:g}"
     return found, f"give landmarks in metres, of a hand of {low} to {high} m"

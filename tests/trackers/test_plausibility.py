@@ -174,6 +174,22 @@ def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:
     assert steps[10].finding is None
 
 
+def test_the_order_is_named_and_no_order_is_not(lies: ModuleType, take: Any) -> None:
+    part = take.part(1.0, 1.0)
+    names = {lie.name: str(find(lie.tell(part))) for lie in lies.all_lies() if lie.kind == "order"}
+    for layout in ("bighand21", "interhand21", "mano21", "rhd21"):
+        assert f"that of the layout {layout}" in names[f"order of {layout}"]
+    assert "index, middle, ring, little, thumb:" in names["thumb last"]
+    assert "thumb, middle, index, ring, little:" in names["index and middle"]
+    assert "no hand in any order known here" in names["random order"]
+
+
+def test_metres_that_were_taken_for_millimetres_are_named(take: Any) -> None:
+    finding = find(take.part(0.0, 1.0)._replace(landmarks=take.landmarks[:60] / 1000.0))
+    assert finding is not None
+    assert finding.advice == "multiply the landmarks by 1000"
+
+
 @pytest.mark.parametrize(
     ("factor", "name"), [(1000.0, "millimetres"), (100.0, "centimetres"), (1 / 0.0254, "inches")]
 )
