@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.trackers.hand_geometry import MIDDLE_FINGER, Distances, median
+from handmap_qp.trackers.landmarks import HAND_LENGTHS
 
 STEPS = (4e-4, 0.5)
 """Shortest and longest median time between samples [s]: from 2500 Hz to 2 Hz."""
-HAND_LENGTHS = (0.08, 0.35)
-"""Lengths that a hand may have [m]: from a baby's to somewhat more than the longest on record
-(0.32). Landmarks outside them are in other units than metres."""
-
 _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _LENGTH_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+_PIXELS = 30.0  # a hand that is longer in any unit
 
 
 def find_time_unit(times: np.ndarray) -> tuple[str, str] | None:
@@ -56,8 +54,8 @@ def find_length_unit(
         Problem and advice; None if they are in metres, or if they are no hand at all.
     """
     low, high = HAND_LENGTHS
-    wrist = landmarks[:, 0]
-    if np.abs(wrist[:, 2]).max() < 1e-4 < np.ptp(wrist[:, :2], axis=0).max():
+    wrist, nearly = landmarks[:, 0], 1e-4 * distances.length(MIDDLE_FINGER)
+    if np.abs(wrist[:, 2]).max() < nearly < np.ptp(wrist[:, :2], axis=0).max():
         # The z of MediaPipe's image landmarks is relative to the wrist's.
         return (
             "the wrist's z is always 0, so these are image coordinates (in pixels or of 0 to 1)",
@@ -77,4 +75,6 @@ def find_length_unit(
         if 0.12 <= length / unit <= 0.26:
             problem = f"{found}, as if metres had been taken for {name}"
             return problem, f"multiply the landmarks by {1.0 / unit:g}"
+    if length > _PIXELS:
+        found += ", as if the landmarks were pixels"
     return found, f"give landmarks in metres, of a hand of {low} to {high} m"

@@ -244,3 +244,13 @@ def find_without_wrist(take: Any) -> Finding | None:
     for time, landmarks in zip(take.time, take.landmarks, strict=True):
         check.update(time, landmarks)
     return check.finding
+
+
+def test_real_image_landmarks_are_no_world_landmarks(recordings: Path) -> None:
+    file = recordings / "rgb_mediapipe_right.npz"
+    recording, image = read_recording(file), np.load(file)["image_landmarks"].astype(float)
+    for scale, word in (((1.0, 1.0, 1.0), "image coordinates"), ((640.0, 480.0, 640.0), "pixels")):
+        finding = examine_recording(replace(recording, landmarks=image * scale, wrist=None))
+        assert finding is not None
+        assert finding.kind == "unit"
+        assert word in finding.problem
