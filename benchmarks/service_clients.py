@@ -16,6 +16,7 @@ from handmap_qp import load_hand
 from handmap_qp.client import Client, Command, KeyFiles, ServiceError, ServiceTimeoutError
 
 TIMEOUT = 1.0
+_OPENING = 20.0
 # Calls may exceed their timeout by this much, because the machine runs other programs too [s].
 _GRACE = 0.5
 _MEMORY = 15.0
@@ -145,11 +146,13 @@ class Honest(threading.Thread):
         releases: bool = False,
     ) -> None:
         super().__init__(daemon=True)
-        self.client = Client(service.address, timeout=TIMEOUT, keys=keys)
+        # Only opening may take longer, while hands are loaded.
+        self.client = Client(service.address, timeout=_OPENING, keys=keys)
         choices = {"name": f"honest-{seed}", "max_dt": _MAX_DT, "is_shared": is_shared}
         self.driver: Driver = open_driver(
             self.client, "three_finger", hears_all=not streams and not is_shared, **choices
         )
+        self.client.timeout = TIMEOUT
         self._listener = Client(service.address, timeout=TIMEOUT, keys=keys)
         if streams:
             self._listener.watch(choices["name"])

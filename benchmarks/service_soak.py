@@ -30,6 +30,7 @@ from service_process import ServiceProcess, serving
 
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 
+_KEPT = 40
 _HANDS = ("three_finger", "allegro_right", "hey5")
 
 
@@ -59,6 +60,12 @@ class Disturber(threading.Thread):
                 self.done[work.__name__.strip("_")] += 1
             except (ServiceError, ServiceTimeoutError, OSError) as error:
                 self.done[f"{work.__name__.strip('_')}: {type(error).__name__}"] += 1
+
+    def fill_caches(self) -> None:
+        """Open as many different sessions as the service keeps hands of."""
+        for number in range(_KEPT):
+            with suppress(ServiceError, ServiceTimeoutError):
+                self._session(5 * number)
 
     def end(self) -> None:
         """Stop."""
@@ -108,6 +115,7 @@ def soak(duration: float) -> dict[str, Any]:
             honest(service, 3) as clients,
         ):
             disturber = Disturber(service)
+            disturber.fill_caches()
             disturber.start()
             memory: list[float] = []
             opened: list[int] = []
