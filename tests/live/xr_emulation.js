@@ -1,19 +1,19 @@
 // A headset in a browser that has none: navigator.xr with hand tracking, as far as the page needs
 // it. `emulated` controls it: `hands` holds positions of 25 joints by side, `rate` is in Hz.
 "use strict";
+const SIZE = [480, 270]; // of the picture that the headset shows [px]
 window.emulated = { hands: {}, rate: 72, isSupported: true, hasHands: true, frames: 0, requests: [] };
 
 class EmulatedLayer {
   constructor(session, gl) {
     this.gl = gl;
     this.framebuffer = null;
-    gl.canvas.width = 960;
-    gl.canvas.height = 540;
+    [gl.canvas.width, gl.canvas.height] = SIZE;
     emulated.gl = gl;
   }
 
   getViewport() {
-    return { x: 0, y: 0, width: 960, height: 540 };
+    return { x: 0, y: 0, width: SIZE[0], height: SIZE[1] };
   }
 }
 
@@ -40,7 +40,7 @@ class EmulatedFrame {
     }
     const scale = 1.2;
     const projectionMatrix = new Float32Array(
-      [(scale * 540) / 960, 0, 0, 0, 0, scale, 0, 0, 0, 0, -1, -1, 0, 0, -0.02, 0],
+      [(scale * SIZE[1]) / SIZE[0], 0, 0, 0, 0, scale, 0, 0, 0, 0, -1, -1, 0, 0, -0.02, 0],
     );
     const transform = { matrix, inverse: { matrix: new Float32Array(inverse) } };
     return { transform, views: [{ projectionMatrix, transform }] };
