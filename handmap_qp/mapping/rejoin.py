@@ -19,11 +19,11 @@ from handmap_qp.transform import affine
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""
 
-FINGER_SPEED = 0.2
+FINGER_SPEED = 0.4
 """Largest speed that fading adds to a point in wrist axes [m/s]."""
-PALM_SPEED = 0.25
+PALM_SPEED = 0.5
 """Largest speed that fading adds to the wrist [m/s]."""
-TURN_SPEED = 1.5
+TURN_SPEED = 3.0
 """Largest angular speed that fading adds to the wrist [rad/s]."""
 _SHORTEST = 0.1
 """Shortest time of fading [s]."""

@@ -35,7 +35,7 @@ from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses
 from handmap_qp.offline.takes import Take
-from handmap_qp.offline.trajectory import Trajectory, map_recording
+from handmap_qp.offline.trajectory import Trajectory, follow_recording
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.transform import as_floats
 
@@ -81,7 +81,8 @@ class OwnMethod:
             trajectory = _map_ahead(take, robot, method, ik)
         else:
             mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
-            trajectory = map_recording(mapper, take.recording, wrist_poses=take.wrist)
+            # Mappings are compared, not how faults of the tracker are met: peers meet none.
+            trajectory = follow_recording(mapper, take.recording, wrist_poses=take.wrist)
         return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 

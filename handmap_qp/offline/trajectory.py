@@ -123,13 +123,12 @@ def map_motion(
     Raises:
         InvalidInputError: If no sample of `motion` is valid, or a sample cannot be mapped.
     """
-    unseen = Verdict("missing", True, False, 0.0, math.nan)
 
     def map_sample(i: int) -> MapStep | Verdict:
         return mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
 
     return _map_samples(
-        mapper, motion.time, lambda i: map_sample(i) if motion.valid[i] else unseen, progress
+        mapper, motion.time, lambda i: map_sample(i) if motion.valid[i] else _UNSEEN, progress
     )
 
 
@@ -158,6 +157,33 @@ def map_recording(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
+
+
+def follow_recording(
+    mapper: HandMapper, recording: Recording, *, wrist_poses: np.ndarray | None = None
+) -> Trajectory:
+    """Map every valid sample of a recording, whatever it shows: to compare mappings.
+
+    Args:
+        mapper: The mapper; its human hand must be scaled to the person.
+        recording: The recording.
+        wrist_poses: As of `map_recording`.
+
+    Returns:
+        The robot's trajectory, which holds in samples that are not valid.
+
+    Raises:
+        InvalidInputError: If a sample cannot be mapped.
+    """
+    steps, landmarks = recording.steps, recording.landmarks
+
+    def map_sample(i: int) -> MapStep | Verdict:
+        if not recording.valid[i]:
+            return _UNSEEN
+        wrist = None if wrist_poses is None else wrist_poses[i]
+        return mapper.map_landmarks(landmarks[i], wrist, dt=steps[i])
+
+    return _map_samples(mapper, recording.time, map_sample, None)
 
 
 def map_samples(
@@ -250,6 +276,8 @@ def _map_samples(
     )
 
 
+_UNSEEN = Verdict("missing", True, False, 0.0, math.nan)
+"""Verdict on samples that are not valid, where no guard sees them."""
 _FOLLOWED = Verdict("", False, False, 0.0, math.nan)
 """Verdict on joint angles, which no guard sees."""
 
