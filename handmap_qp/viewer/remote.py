@@ -295,7 +295,7 @@ class ServiceSession:
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
             is_limited=np.array([name in command.at_limit for name in self.robot.joint_names]),
-            status=command.status,
+            status=f"{command.status}: {command.rule}" if command.rule else command.status,
             duration=command.solve_time,
             is_seen=command.detail is not None,
         )

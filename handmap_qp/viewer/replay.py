@@ -34,7 +34,7 @@ class ViewSample:
         pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
             (n,).
-        status: How the inverse kinematics ended.
+        status: How the step ended, and the rule that the sample broke, as in `held: jump`.
         duration: Wall time of the mapping step [s].
         is_seen: Whether the robot followed the sample; if not, the previous one is held.
     """
@@ -204,7 +204,7 @@ def view_sample(
         deformation=None if stages is None else stages.motion_deformation[:3, :3],
         pivot=None if stages is None else stages.pivot,
         is_limited=step.at_bound,
-        status=step.status,
+        status=f"{step.status}: {step.rule}" if step.rule else step.status,
         duration=step.duration,
         is_seen=is_seen,
     )

@@ -405,7 +405,8 @@ def caption(sample: ViewSample) -> str:
     parts = [f"{sample.time:.2f} s"]
     if sample.targets is not None:
         parts.append(f"point error {1e3 * sample.point_error.mean():.1f} mm")
-    parts.append("hand not seen, robot held" if not sample.is_seen else sample.status)
+    is_named = sample.is_seen or ":" in sample.status
+    parts.append(sample.status if is_named else "hand not seen, robot held")
     return " · ".join(parts)
 
 

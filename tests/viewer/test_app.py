@@ -271,8 +271,8 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
 
 def test_caption_says_that_the_hand_was_not_seen() -> None:
     samples = make_replay().samples
-    assert "hand not seen" in caption(samples[GAP.start])
-    assert "hand not seen" not in caption(samples[0])
+    assert "held: missing" in caption(samples[GAP.start])
+    assert "held" not in caption(samples[0])
 
 
 # -- controls
