@@ -24,6 +24,7 @@ import shared_hands
 from handmap_qp import hand_names, load_hand
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import described_hands
 from handmap_qp.mapping.presets import default_preset
 from handmap_qp.offline.compared_methods import own_method
 from handmap_qp.offline.comparison import Run, compare_methods
@@ -61,7 +62,7 @@ def main(words: Sequence[str] | None = None) -> list[dict[str, Any]]:
     with common.progress("mapping", len(hands)) as advance:
         for hand in hands:
             if hand.side not in takes:
-                takes[hand.side] = [prepare_take(one, hand.side) for one in recordings]
+                takes[hand.side] = [prepare_take(one, hand.spec.side) for one in recordings]
             rows.append(measure(hand, takes[hand.side]))
             advance()
     title = f"{len(rows)} hands, means over {len(recordings)} recordings"
@@ -80,6 +81,7 @@ def load_hands(count: int | None = None) -> tuple[list[Hand], list[str]]:
         os.environ.setdefault("HANDMAP_HANDS", str(folder))
     hands, notes = [], []
     names = [name for name in hand_names() if not name.startswith("human")]
+    names += [name for name in described_hands() if name not in names]
     for name in names[:count]:
         try:
             hand = load_hand(name)

@@ -10,6 +10,8 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -21,6 +23,7 @@ from handmap_qp.onboarding.check_points import check_points
 from handmap_qp.onboarding.measure import (
     FingerReach,
     colliding_links,
+    measure_arm,
     measure_reach,
     measure_size,
     try_motion,
@@ -29,6 +32,10 @@ from handmap_qp.onboarding.report import Report
 
 # A point this far from its target is out of reach [m].
 _OUT_OF_REACH = 0.02
+# A person's hand moves this far to all sides in front of the body [m].
+_ARM_MOTION = 0.25
+# An arm follows if it reaches that far in this share of the directions.
+_MOST_DIRECTIONS = 0.8
 
 
 def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
@@ -63,6 +70,7 @@ def _check(hand: str | Path, has_motion: bool) -> Report:
         ("rest", _check_collisions),
         ("reach", _check_reach),
         ("size", _check_size),
+        ("arm", _check_arm),
     ]
     if has_motion:
         checks.append(("motion", _check_motion))
@@ -131,6 +139,27 @@ def _check_size(report: Report, hand: Hand) -> None:
         report.add(
             "warning", "palm.xyz", what, "check the URDF's unit (metres) and the palm's origin"
         )
+
+
+def _check_arm(report: Report, hand: Hand) -> None:
+    """Compare the reach of an arm with that of a person's hand in front of the body."""
+    reach = measure_arm(hand)
+    if reach is None:
+        return
+    far = int((reach >= _ARM_MOTION).sum())
+    what = (
+        f"the arm moves the wrist by {1e3 * _ARM_MOTION:.0f} mm in {far} of {len(reach)} "
+        f"directions from rest, and by {1e3 * np.median(reach):.0f} mm in half of them"
+    )
+    scale = float(np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0)
+    if far < _MOST_DIRECTIONS * len(reach):
+        advice = "rest in the middle of the arm's range"
+        if scale >= 0.05:
+            what += f"; a scale of {scale:.2g} fits"
+            advice += f", or map with --teleoperation.scale {scale:.2g}"
+        report.add("advice", "rest", what, advice)
+    else:
+        report.add("fine", "rest", what)
 
 
 def _check_motion(report: Report, hand: Hand) -> None:

@@ -20,6 +20,12 @@ _LEAST_MOTION = 0.003
 # Links of a compact joint are shorter than this and overlap when it bends [m].
 _SHORT = 0.025
 _SAMPLES = 200
+# Random postures of an arm, directions in which its reach is measured, and cosine of their cones.
+_ARM_SAMPLES = 1500
+_DIRECTIONS = np.array(
+    [v / np.linalg.norm(v) for i in np.ndindex(3, 3, 3) if (v := np.array(i) - 1.0).any()]
+)
+_CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
 
 
@@ -123,6 +129,29 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
             )
         )
     return tuple(rows)
+
+
+def measure_arm(hand: Hand) -> np.ndarray | None:
+    """Measure how far an arm moves the wrist from rest, by random postures.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Distance that it reaches in each of 26 directions around rest [m]; 0 where rest is at the
+        edge of its range. None without an arm.
+    """
+    if hand.is_floating or not hand.has_moving_wrist:
+        return None
+    generator = np.random.default_rng(0)
+    shares = generator.random((_ARM_SAMPLES, len(hand.rest)))
+    postures = hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
+    start = hand.frame_pose("wrist", hand.rest)[:3, 3]
+    moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
+    lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
+    # In each direction, the farthest wrist within a cone.
+    near = _DIRECTIONS @ (moved / lengths[:, None]).T > _CONE
+    return np.array([lengths[row].max() if row.any() else 0.0 for row in near])
 
 
 def measure_size(hand: Hand) -> Size:

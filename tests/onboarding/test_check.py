@@ -19,7 +19,7 @@ from handmap_qp.onboarding.check import check_hand
 from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
 from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.gestures import make_fist, measure_pinches
-from handmap_qp.onboarding.measure import try_motion
+from handmap_qp.onboarding.measure import measure_arm, try_motion
 from handmap_qp.onboarding.picture import _Scene
 from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import write_hand
@@ -280,3 +280,19 @@ def test_a_chain_that_crashes_urdf_readers_is_refused(made: MadeHand) -> None:
     ]
     with pytest.raises(HandError, match="chain of 2001 links; expected at most 2000"):
         detect_text(made.urdf.replace("</robot>", "".join(parts) + "</robot>"), Path("x.urdf"))
+
+
+def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
+    assert measure_arm(load_hand("allegro_right")) is None
+    reach = measure_arm(load_hand("ur5_allegro"))
+    assert reach is not None
+    # A UR5 reaches 0.85 m; wrist and flange add to it, so from rest at most twice a metre.
+    assert reach.shape == (26,)
+    assert 0.3 < np.median(reach) < reach.max() < 2.0
+    short = measure_arm(load_hand("g1_arm_left"))
+    assert short is not None
+    assert np.median(short) < np.median(reach)
+    found = check_hand("g1_arm_left", has_motion=False).findings
+    (line,) = (f for f in found if "the arm moves the wrist" in f.what)
+    assert line.level == "advice"
+    assert "directions from rest" in line.what
