@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -17,7 +18,7 @@ from handmap_qp.ik.qp import active_bounds
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
-from handmap_qp.trackers.guard import Verdict
+from handmap_qp.trackers.guard import RULES, Verdict
 from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
@@ -237,8 +238,11 @@ def _map_samples(
         if progress is not None:
             progress(i + 1)
     if last is None:
+        rule, broken = Counter(verdict.rule for verdict in verdicts).most_common(1)[0]
         raise InvalidInputError(
-            argument="motion", expected="at least one valid sample", got=f"none of {count}"
+            argument="motion",
+            expected="at least one sample that makes sense",
+            got=f"none of {count}; in {broken}, {RULES.get(rule, rule)}",
         )
     q = np.array([step.command.q for step in steps])
     wrist = np.array([step.command.wrist for step in steps])

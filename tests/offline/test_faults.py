@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import Hand, HandMapper, load_hand, read_recording
+from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.mapping.rejoin import PALM_SPEED, TURN_SPEED
 from handmap_qp.offline.events import count_rules, find_holds
@@ -81,6 +81,14 @@ def test_no_fault_makes_the_robot_snap(stage: Stage, fault: str, rule: str) -> N
     assert guarded[2] <= clean[2] + TURN_SPEED
     # Half a second after the fault and the way back, both robots do the same.
     np.testing.assert_allclose(faulty.q[-1], stage.clean.q[-1], atol=0.05)
+
+
+def test_a_recording_without_a_sample_that_makes_sense_is_an_error_that_says_why(
+    stage: Stage,
+) -> None:
+    zeros = list(inject(stage.samples[:20], parse_faults("zero@0+9")))
+    with pytest.raises(InvalidInputError, match="none of 20; in 20, landmarks lie in one place"):
+        stage.run(zeros)
 
 
 def test_holds_are_events_with_name_time_and_duration(stage: Stage) -> None:
