@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -120,6 +121,7 @@ def run_batch(
     engine: Engine,
     shard: tuple[int, int] = (1, 1),
     progress: Callable[[Line], None] | None = None,
+    is_stopped: Callable[[], bool] = lambda: False,
 ) -> Tally:
     """Run the jobs of a plan; each episode is written before its line in the manifest.
 
@@ -129,42 +131,51 @@ def run_batch(
         engine: What runs the jobs.
         shard: Which part of how many.
         progress: Called with every line.
+        is_stopped: Asked now and then; after it said True, what is under way is finished, and
+            nothing more is begun.
 
     Returns:
-        What was done. After Ctrl-C, what had been under way is finished first.
+        What was done.
 
     Raises:
         InvalidInputError: If the manifest cannot be written.
     """
     started, useful = _cpu_time(), 0.0
     last: dict[str, Line] = {}
-    is_complete = True
     with Manifest(folder, shard) as manifest:
-        try:
-            for line in engine.outcomes(plan.jobs, plan.kills):
-                manifest.append(line)
-                useful += line.cpu_s
-                last[line.key] = line
-                if progress is not None:
-                    progress(line)
-        except KeyboardInterrupt:
-            is_complete = False
+        for line in engine.outcomes(plan.jobs, plan.kills, is_stopped):
+            manifest.append(line)
+            useful += line.cpu_s
+            last[line.key] = line
+            if progress is not None:
+                progress(line)
+    is_complete = len(last) == len(plan.jobs)
+    is_complete &= all(line.status != "killed" for line in last.values())
     return Tally(tuple(last.values()), is_complete, useful, _cpu_time() - started)
 
 
 @contextmanager
-def interrupted_by_sigterm() -> Iterator[None]:
-    """Treat SIGTERM, by which schedulers end jobs, like Ctrl-C inside the block."""
-    import signal
+def stopped_by_signals() -> Iterator[Callable[[], bool]]:
+    """Note Ctrl-C, and SIGTERM, by which schedulers end jobs, inside the block.
 
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
+    A second Ctrl-C interrupts at once.
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    Yields:
+        A function that returns whether one of them has come.
+    """
+    seen: list[int] = []
+
+    def note(number: int, _: object) -> None:
+        if seen and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        seen.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield lambda: bool(seen)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _is_same(line: Line, task: Task, digest: str) -> bool:

@@ -159,7 +159,7 @@ class Batch:
 
     def run(self) -> None:
         """List, map, and say what was done."""
-        from handmap_qp.datasets.batch import interrupted_by_sigterm, plan_batch, run_batch
+        from handmap_qp.datasets.batch import plan_batch, run_batch, stopped_by_signals
 
         shard = _shard(self.shard)
         engine = self._engine()
@@ -170,9 +170,9 @@ class Batch:
         with _bar("listing") as (start, advance):
             start(0)
             plan = plan_batch(self.inputs, self.out, options, shard)
-        with interrupted_by_sigterm(), _bar("mapping") as (start, advance):
+        with stopped_by_signals() as is_stopped, _bar("mapping") as (start, advance):
             start(plan.frames)
-            tally = run_batch(plan, self.out, engine, shard, advance)
+            tally = run_batch(plan, self.out, engine, shard, advance, is_stopped)
         written = self._assemble(options, plan, tally)
         self._report(plan, tally, written)
         if not tally.is_complete:

@@ -13,7 +13,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -34,12 +34,16 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class Engine(Protocol):
     """Runs jobs."""
 
-    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
+    def outcomes(
+        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
         """Run jobs, the first ones first.
 
         Args:
             jobs: The jobs.
             kills: How often the worker of a recording has died before, by key; kept up to date.
+            is_stopped: Asked now and then; after it said True, what is under way is finished, and
+                nothing more is begun.
 
         Yields:
             A line for every job that has ended, and one for every death of a worker.
@@ -50,9 +54,13 @@ class Engine(Protocol):
 class SerialEngine:
     """Runs jobs one after the other in this process."""
 
-    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
+    def outcomes(
+        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
         """Run jobs in order; see `Engine`."""
         for job in jobs:
+            if is_stopped():
+                return
             yield run_job(job)
 
 
@@ -69,24 +77,35 @@ class PoolEngine:
     def __init__(self, workers: int) -> None:
         self._workers = workers
 
-    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
-        """Run jobs in the pool; see `Engine`. Ctrl-C ends what is under way, and stops."""
+    def outcomes(
+        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
+        """Run jobs in the pool; see `Engine`."""
         waiting = deque(job for job in jobs if not kills.get(job.task.key))
         suspects = deque(job for job in jobs if kills.get(job.task.key))
-        while waiting or suspects:
+        while (waiting or suspects) and not is_stopped():
             if suspects:
-                yield from self._alone(suspects, kills)
-            yield from self._together(waiting, suspects, kills)
+                yield from self._alone(suspects, kills, is_stopped)
+            yield from self._together(waiting, suspects, kills, is_stopped)
 
     def _together(
-        self, waiting: deque[Job], suspects: deque[Job], kills: dict[str, int]
+        self,
+        waiting: deque[Job],
+        suspects: deque[Job],
+        kills: dict[str, int],
+        is_stopped: Callable[[], bool],
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies."""
         flying: dict[Future[Line], Job] = {}
         with _pool(self._workers) as pool:
             try:
-                while waiting or flying:
-                    while waiting and len(flying) < IN_FLIGHT * self._workers:
+                while (waiting and not is_stopped()) or flying:
+                    if is_stopped():
+                        # Cancelled ones are given up: a next run begins with them.
+                        flying = {
+                            future: job for future, job in flying.items() if not future.cancel()
+                        }
+                    while waiting and not is_stopped() and len(flying) < IN_FLIGHT * self._workers:
                         job = waiting.popleft()
                         flying[pool.submit(run_in_worker, job, False)] = job
                     for future in wait(flying, return_when=FIRST_COMPLETED).done:
@@ -95,9 +114,6 @@ class PoolEngine:
                         yield line
             except BrokenProcessPool:
                 yield from self._sorted_out(flying, waiting, suspects, kills)
-            except KeyboardInterrupt:
-                yield from _finished(flying)
-                raise
 
     def _sorted_out(
         self,
@@ -118,12 +134,14 @@ class PoolEngine:
             else:
                 waiting.appendleft(job)
 
-    def _alone(self, suspects: deque[Job], kills: dict[str, int]) -> Iterator[Line]:
+    def _alone(
+        self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
         """Run suspects one at a time; a death of the worker is then theirs."""
-        while suspects:
+        while suspects and not is_stopped():
             with _pool(1) as pool:
                 try:
-                    while suspects:
+                    while suspects and not is_stopped():
                         job = suspects[0]
                         line = pool.submit(run_in_worker, job, True).result()
                         suspects.popleft()
@@ -208,15 +226,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _finished(flying: dict[Future[Line], Job]) -> Iterator[Line]:
-    """Give up what has not begun, and wait for the rest."""
-    running = [future for future in flying if not future.cancel()]
-    wait(running)
-    for future in running:
-        if future.exception() is None:
-            yield future.result()
 
 
 def _killed(job: Job, kills: dict[str, int]) -> Line:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from handmap_qp.datasets.engines import IN_FLIGHT
@@ -33,7 +33,9 @@ class RayEngine:
         self._ray: Any = ray
         self._workers = workers
 
-    def outcomes(self, jobs: Sequence[Job], kills: dict[str, int]) -> Iterator[Line]:
+    def outcomes(
+        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
         """Run jobs under Ray; see `Engine`."""
         ray = self._ray
         is_ours = not ray.is_initialized()
@@ -41,7 +43,7 @@ class RayEngine:
             self._start()
         try:
             cpus = max(1, int(ray.cluster_resources().get("CPU", self._workers)))
-            yield from self._run(deque(jobs), kills, IN_FLIGHT * cpus)
+            yield from self._run(deque(jobs), kills, IN_FLIGHT * cpus, is_stopped)
         finally:
             if is_ours:
                 ray.shutdown()
@@ -59,12 +61,18 @@ class RayEngine:
             options["num_cpus"] = self._workers
         self._ray.init(**options)
 
-    def _run(self, waiting: deque[Job], kills: dict[str, int], most: int) -> Iterator[Line]:
+    def _run(
+        self,
+        waiting: deque[Job],
+        kills: dict[str, int],
+        most: int,
+        is_stopped: Callable[[], bool],
+    ) -> Iterator[Line]:
         ray = self._ray
         remote = ray.remote(num_cpus=1, max_retries=0)(run_job)
         flying: dict[Any, Job] = {}
-        while waiting or flying:
-            while waiting and len(flying) < most:
+        while (waiting and not is_stopped()) or flying:
+            while waiting and not is_stopped() and len(flying) < most:
                 job = waiting.popleft()
                 flying[remote.remote(job)] = job
             for reference in ray.wait(list(flying), num_returns=1)[0]:

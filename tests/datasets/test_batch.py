@@ -337,3 +337,14 @@ def test_the_report_finds_the_worst(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["report", str(tmp_path)]) == 2
     assert "run handmap batch first" in capsys.readouterr().err
     assert main(["report", str(out), "--keep", "0"]) == 2
+
+
+def test_a_stop_finishes_what_is_under_way_and_writes_it_down(inputs: Path, tmp_path: Path) -> None:
+    plan = plan_batch([inputs], tmp_path, OPTIONS)
+    seen: list[Line] = []
+    tally = run_batch(
+        plan, tmp_path, SerialEngine(), progress=seen.append, is_stopped=lambda: bool(seen)
+    )
+    assert not tally.is_complete
+    assert len(tally.done) == len(read_manifests(tmp_path)) == len(episodes(tmp_path)) == 1
+    assert len(batch(inputs, tmp_path).done) == 2
