@@ -66,6 +66,10 @@ class LiveSource(Protocol):
         """Request that mapping resumes."""
         ...
 
+    def stop(self) -> None:
+        """Request an emergency stop, which works also where nothing else can be steered."""
+        ...
+
     def configure(self, changes: dict[str, Any]) -> None:
         """Request another preset or other values of some options, as of `Choice`."""
         ...
@@ -89,6 +93,7 @@ class LiveViewer:
         sample: The newest one.
         rows: `gauge_row` of each sample of the last 10 s.
         status_text: The sample rate, or that no sample arrives.
+        stop: Button of the emergency stop.
         steering: Clutch and options; None if the source cannot be steered.
         display: What the scene shows.
 
@@ -121,6 +126,12 @@ class LiveViewer:
         self.gauges = Gauges(server, source.robot)
         dock_main_panel(server)
         self.status_text = server.gui.add_markdown("")
+        self.stop = server.gui.add_button(
+            "Stop the robot",
+            color="red",
+            hint="Emergency stop: the robot holds until its client clears the stop",
+        )
+        self.stop.on_click(lambda _: source.stop())
         self.steering = (
             SteeringControls(
                 server,

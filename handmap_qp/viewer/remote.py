@@ -186,6 +186,10 @@ class ServiceSession:
         """Request that mapping resumes."""
         self._requests.append(self._client.clutch)
 
+    def stop(self) -> None:
+        """Request an emergency stop, which works also where nothing else can be steered."""
+        self._requests.append(self._client.stop)
+
     def configure(self, changes: dict[str, Any]) -> None:
         """Request another preset or other values of some options, as of `Choice`."""
         rest = dict(changes)

@@ -33,6 +33,7 @@ class Source:
         self.human, self.robot, self.samples = replay.human, replay.robot, replay.samples
         self.choice = replay.choice
         self.is_shared, self.is_released, self.is_busy, self.is_outdated = True, False, False, False
+        self.is_stopped = False
         self.last_error: HandmapError | None = None
         self.asked: list[dict[str, Any]] = []
         self.given: queue.Queue[ViewSample | HandmapError | None] = queue.Queue()
@@ -48,6 +49,9 @@ class Source:
 
     def clutch(self) -> None:
         self.is_released = False
+
+    def stop(self) -> None:
+        self.is_stopped = True
 
     def configure(self, changes: dict[str, Any]) -> None:
         self.asked.append(changes)
@@ -141,6 +145,16 @@ def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source:
     assert server.scene.get_handle_by_name("/robot/targets/0") is None
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
     assert server.scene.get_handle_by_name("/robot/points/0").visible
+    viewer.close()
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_a_stop_reaches_every_source(server: Any, source: Source, is_shared: bool) -> None:
+    source.is_shared = is_shared
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    press(viewer.stop)
+    assert source.is_stopped
     viewer.close()
 
 
