@@ -18,6 +18,7 @@ from patience import wait_until
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.arguments import MappingArguments
 from handmap_qp.cli import main
+from handmap_qp.datasets.assemble import assemble
 from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.datasets.engines import Engine, PoolEngine, SerialEngine
 from handmap_qp.datasets.job import JobOptions
@@ -25,6 +26,7 @@ from handmap_qp.datasets.manifest import MOST_KILLS, Line, Manifest, read_manife
 from handmap_qp.datasets.sources import find_files, tasks_of
 from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import write_recordings
+from handmap_qp.trackers.formats.lerobot_v3 import LeRobotReader
 
 LONG = 240.0
 """Timeout for batches in processes of their own on a busy machine [s]."""
@@ -250,8 +252,6 @@ def test_the_data_set_keeps_limits_and_pairs_hands(
     left, right = load_hand("allegro_left"), load_hand("allegro_right")
     count = len(left.joint_names) + 7
     if form == "lerobot":
-        from handmap_qp.trackers.formats.lerobot_v3 import LeRobotReader
-
         reader = LeRobotReader(out / "lerobot")
         names = reader.features["observation.state"].names
         assert names is not None
@@ -281,6 +281,25 @@ def test_the_data_set_keeps_limits_and_pairs_hands(
             np.testing.assert_allclose(np.linalg.norm(quats, axis=1), 1.0, atol=1e-6)
         assert valid[:, 0].any()
     assert [bool(valid[:, 1].any()) for _, _, valid in episodes_] == [True, False]
+
+
+def test_rounding_to_float32_stays_inside_the_limits(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    hand = load_hand("allegro_right")
+    ends = np.stack([hand.lower_limits, hand.upper_limits])
+    assert (ends.astype(np.float32) != ends).any(), "some limits are no float32"
+    (tmp_path / "episodes").mkdir()
+    columns = {"time": np.array([0.0, 0.1]), "wrist": np.tile(np.eye(4), (2, 1, 1)), "q": ends}
+    np.savez(tmp_path / "episodes/a.npz", valid=np.ones(2, dtype=bool), **columns)
+    about = {"path": "a", "size": 1, "mtime_ns": 1, "options": ""}
+    line = Line("a::", "done", side="right", frames=2, out="episodes/a.npz", **about)
+    root = assemble([line], tmp_path, "lerobot", 10.0, {"right": hand})
+    reader = LeRobotReader(root)
+    state = reader.read(reader.episodes()[0], ("observation.state",))["observation.state"]
+    q = state[:, : len(hand.joint_names)].astype(float)
+    assert (q >= hand.lower_limits).all()
+    assert (q <= hand.upper_limits).all()
+    np.testing.assert_allclose(q, ends, atol=1e-6)
 
 
 BAD: dict[tuple[str, ...], str] = {

@@ -119,8 +119,8 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarra
             for length in shape:
                 count *= length
             size = count * dtype.itemsize
-            # Compared before it is allocated: a header may ask for anything.
-            content = stream.read(size) if size <= member.file_size else b""
+            # A header may ask for anything; this takes what is there, at most `member.file_size`.
+            content = stream.read(size)
             # Reading on to the end verifies the checksum.
             if len(content) != size or stream.read(1):
                 raise _DamageError(name, f"is torn: its header tells of {size} bytes")
