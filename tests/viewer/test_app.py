@@ -392,7 +392,7 @@ def shown(server: Any, path: str) -> list[bool]:
 def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayViewer) -> None:
     seek(viewer, COUNT - 1)
     replay, steering, options = viewer.replay, viewer.steering, viewer.steering.options
-    assert steering.preset.options == ("teleoperation", "object", "paper")
+    assert steering.preset.options == ("teleoperation", "object", "paper", "fixed_wrist")
     before = viewer.sample.robot_q
     few = len(replay.robot.reference_points)
     assert shown(viewer.server, "/robot/points") == [True] * few
