@@ -200,7 +200,7 @@ def test_robot_without_named_fingers_is_rejected(take: Take, robot: Hand) -> Non
 
 
 def test_own_methods_are_presets_and_methods_by_name() -> None:
-    assert set(own_methods()) == (set(PRESETS) | set(METHODS)) - {"homogeneous"}
+    assert set(own_methods()) == (set(PRESETS) | set(METHODS)) - {"homogeneous", "fixed_wrist"}
     assert own_method("paper+smooth") == OwnMethod("paper+smooth")
     for name in ("homogeneous", "paper+", "+smooth", ""):
         with pytest.raises(InvalidInputError) as caught:
