@@ -408,7 +408,7 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayVi
         assert shown(viewer.server, f"/robot/{part}") == [True] * many
     handles = options.handles
     assert {"pinch_weight", "contact_gap", "rest_weight"} <= handles.keys()
-    assert "scale" not in handles
+    assert "pivot" not in handles
     assert handles["ridge"].value == 0.1
     assert all(handle.visible for handle in handles.values())
     ellipsoid = viewer.server.scene.get_handle_by_name("/human/ellipsoid")
