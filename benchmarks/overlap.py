@@ -54,7 +54,7 @@ class OverlapMeter:
         worst = 0.0
         for k, result in enumerate(self._placed.distanceResults):
             if result.min_distance < NEAR or checks_all:
-                gap = self._gap(k, np.array(result.normal))
+                gap = float(self._gap(k, np.array(result.normal)))
                 if result.min_distance > max(gap, 0.0) + 1e-5:
                     gap = self._searched(k)
                     self.disputed += result.min_distance > max(gap, 0.0) + 1e-4

@@ -239,10 +239,11 @@ def _map_samples(
             progress(i + 1)
     if last is None:
         rule, broken = Counter(verdict.rule for verdict in verdicts).most_common(1)[0]
+        reason = next((text for name, text in RULES.items() if name == rule), rule)
         raise InvalidInputError(
             argument="motion",
             expected="at least one sample that makes sense",
-            got=f"none of {count}; in {broken}, {RULES.get(rule, rule)}",
+            got=f"none of {count}; in {broken}, {reason}",
         )
     q = np.array([step.command.q for step in steps])
     wrist = np.array([step.command.wrist for step in steps])

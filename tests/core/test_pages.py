@@ -1,10 +1,13 @@
 """Code, commands and pictures on all pages work, and the site is built from them."""
 
 import json
+import os
 import re
 import runpy
 import shlex
+import subprocess
 import sys
+import sysconfig
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
@@ -99,3 +102,29 @@ def test_notebooks_run(
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     exec(compile("\n".join(code), notebook.name, "exec"), {})
     assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_to_files_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"(?<!!)\[[^\]]*\]\(([^)#]+)[^)]*\)", page.read_text("utf-8")):
+        assert "://" in link or (page.parent / link).exists(), link
+
+
+@pytest.mark.slow
+def test_the_site_is_complete_and_asks_no_other_host(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs")
+    site = tmp_path / "site"
+    done = subprocess.run(
+        [Path(sysconfig.get_path("scripts")) / "mkdocs", "build", "--strict", "--site-dir", site],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "docs"), "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "not included in the" not in done.stderr, "a page is missing in nav of mkdocs.yml"
+    html = "".join(page.read_text("utf-8") for page in site.rglob("*.html"))
+    assert not re.findall(r"<(?:script|img|iframe)[^>]+src=\"https?:[^\"]*", html)
+    assert not re.findall(r"<link[^>]+rel=\"(?:stylesheet|preconnect)\"[^>]+https?:[^>]*", html)
+    assert "<math" in html
+    assert "$$" not in re.sub(r"<pre.*?</pre>", "", html, flags=re.DOTALL)

@@ -113,7 +113,7 @@ def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path) -> No
         inner = trimesh.convex.convex_hull(rng.uniform(-0.01, 0.01, size=(60, 3)))
         mesh = trimesh.util.concatenate([inner, outer])
         mesh.export(tmp_path / f"{name}.stl")
-        corners.append(np.array(mesh.vertices))
+        corners.append(np.vstack([inner.vertices, outer.vertices]))
     text = FINGER.format(mesh="palm.stl")
     text = text.replace('<box size="0.02 0.02 0.02"/>', '<mesh filename="tip.stl"/>')
     (tmp_path / "hand.urdf").write_text(text)

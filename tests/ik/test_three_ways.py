@@ -6,6 +6,7 @@ Mink's way on Pinocchio, preallocated arrays, and mink's own tasks on MuJoCo.
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import mink
 import numpy as np
@@ -104,7 +105,7 @@ def admitted(ik: PointIk, displacement: np.ndarray, dt: float) -> np.ndarray:
     collisions = CollisionLimit(ik.hand)
     collisions.rows(ik.configuration)
     limits = BoxLimits(ik.hand, max_acceleration=ik.options.max_acceleration)
-    state = SimpleNamespace(velocity=ik.state.velocity, stop_time=ik.state.stop_time)
+    state: Any = SimpleNamespace(velocity=ik.state.velocity, stop_time=ik.state.stop_time)
     start = collisions.path_start(ik.configuration)
     return StopGuard(limits, collisions.path).admit(start, displacement, displacement, dt, state)
 
