@@ -28,6 +28,8 @@ IN_FLIGHT = 3
 """Jobs given to each worker in advance, so that it never waits."""
 RUNNING = ".running"
 """Folder of a file for each job that a worker is busy with."""
+_MOST_STARTS = 10
+"""Deaths of starting workers after which the machine is to blame."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -138,6 +140,7 @@ class PoolEngine:
         self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
     ) -> Iterator[Line]:
         """Run suspects one at a time; a death of the worker is then theirs."""
+        starts = 0
         while suspects and not is_stopped():
             with _pool(1) as pool:
                 try:
@@ -147,6 +150,12 @@ class PoolEngine:
                         suspects.popleft()
                         yield line
                 except BrokenProcessPool:
+                    if not _marker(suspects[0]).exists():
+                        # The worker died while it started: the recording had no part in it.
+                        starts += 1
+                        if starts >= _MOST_STARTS:
+                            raise
+                        continue
                     job = suspects.popleft()
                     _marker(job).unlink(missing_ok=True)
                     yield _killed(job, kills)
