@@ -487,7 +487,10 @@ def _joint_metrics(
         "speed_ratio": float(speed[moving].max()) if moving.any() else float("nan"),
     }
     if human_q is not None:
-        results["jerk_ratio"] = rms_jerk(q, time, counts) / rms_jerk(human_q, time, counts)
+        human_jerk = rms_jerk(human_q, time, counts)
+        results["jerk_ratio"] = (
+            rms_jerk(q, time, counts) / human_jerk if human_jerk > 0.0 else float("nan")
+        )
     return results
 
 
