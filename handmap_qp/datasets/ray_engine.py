@@ -27,7 +27,7 @@ class RayEngine:
 
     def __init__(self, workers: int) -> None:
         try:
-            import ray
+            import ray  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise MissingExtraError("ray", "cluster") from error
         self._ray: Any = ray
