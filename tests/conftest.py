@@ -23,7 +23,7 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 # `-m "not slow"` draws few examples; the whole suite draws all of them.
-settings.register_profile("fast", settings.get_profile("ci"), max_examples=12)
+settings.register_profile("fast", settings.get_profile("ci"), max_examples=6)
 settings.load_profile("ci")
 
 TESTS = Path(__file__).resolve().parent

@@ -28,6 +28,9 @@ from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.lerobot_v3 import LeRobotReader
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 LONG = 240.0
 """Timeout for batches in processes of their own on a busy machine [s]."""
 OPTIONS = JobOptions({"right": "three_finger"})

@@ -17,6 +17,9 @@ pytest.importorskip("h5py")
 pytest.importorskip("pyarrow")
 pytest.importorskip("rosbags")
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 NAMES = [form.name for form in FORMATS]
 
 

@@ -32,6 +32,9 @@ from handmap_qp.grasp.preshape import Preshape, default_preshape, palm_centre
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 HANDS = ("human", "human_left", "three_finger", "allegro_right")
 CUBE = Box((0.05, 0.05, 0.05))
 SHAPES = (CUBE, Sphere(0.03), Cylinder(0.025, 0.09))

@@ -18,6 +18,9 @@ from handmap_qp.onboarding.detect import detect
 from handmap_qp.trackers.fit import fit_recording
 from handmap_qp.trackers.recording import HumanMotion
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parents[1] / "data" / "urdf"
 OWN = (
     "chained_mimics",

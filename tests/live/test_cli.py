@@ -17,6 +17,9 @@ from service_tools import address_of, serving
 from handmap_qp import cli
 from handmap_qp.trackers.recording import read_recording
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:

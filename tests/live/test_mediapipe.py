@@ -20,6 +20,9 @@ from handmap_qp.live.mediapipe_process import position_in_camera
 from handmap_qp.live.mediapipe_source import MediapipeSource
 from handmap_qp.trackers.recording import read_recording
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT, FOV = 640, 480, 65.0
 FOCAL = 0.5 * WIDTH / math.tan(math.radians(0.5 * FOV))
 # A stand-in reads from a file what the real one would see in each picture.

@@ -23,6 +23,9 @@ from handmap_qp.trackers.injection import parse_faults
 from handmap_qp.trackers.person import Person, measure_person
 from handmap_qp.trackers.recording import read_recording, recording_samples
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:

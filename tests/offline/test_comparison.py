@@ -30,6 +30,9 @@ from handmap_qp.offline.takes import Take, held_samples, prepare_take
 from handmap_qp.trackers.recording import read_recording
 from handmap_qp.transform import rotation_from_rpy
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True)
 class Still:

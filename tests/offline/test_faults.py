@@ -18,6 +18,9 @@ from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import measure_person
 from handmap_qp.trackers.sample import HumanSample
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 class Stage:
     """A real recording, and what maps it."""

@@ -15,6 +15,9 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.onboarding.detect import Detection, detect, detect_text
 from handmap_qp.onboarding.finger_names import named_fingers, named_side
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 from made_hands import MadeHand, make_hand  # noqa: E402

@@ -25,6 +25,9 @@ from handmap_qp.onboarding.picture import _Scene
 from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import write_hand
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 from made_hands import MadeHand, make_hand  # noqa: E402

@@ -29,6 +29,9 @@ from handmap_qp.onboarding.picture import draw_hand, picture_path
 from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import hand_text, write_hand
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parents[1] / "data" / "urdf"
 OWN = (
     "chained_mimics",

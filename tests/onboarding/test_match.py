@@ -15,6 +15,9 @@ from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.onboarding.match import Match, match_hand, own_file, write_matched
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 ROMEO = urdf_directory() / "romeo_right" / "hand.yaml"
 THREE = urdf_directory() / "three_finger" / "hand.yaml"
 HUMAN = load_hand("human", points="landmarks")

@@ -17,6 +17,9 @@ from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.hands.urdf.sources import package_folder
 from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parents[1] / "data" / "urdf"
 ROBOTS = package_folder("example-robot-data") / "robots"
 G1 = ROBOTS / "g1_description" / "urdf" / "g1_29dof_with_hand_rev_1_0.urdf"

@@ -32,6 +32,9 @@ from handmap_qp.experiments.section_four import (
 )
 from handmap_qp.grasp.paper_cube import reference_grasp
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 SYNERGIES = (1, 2, 3)
 MODELS = {"rigid": None, "quasi-static": UNIT}
 METRE = np.array([1.0, 0.0, 0.0])

@@ -40,6 +40,9 @@ from handmap_qp.service import messages
 from handmap_qp.service.messages import Request
 from handmap_qp.service.server import Server
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 FILE = Path(handmap_qp.client.__file__)
 WRIST = np.eye(4)
 

@@ -31,6 +31,9 @@ from service_tools import (
 from handmap_qp.client import AsyncClient, Client, Command, ServiceError
 from handmap_qp.service.server import Server
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 WRIST = np.eye(4)
 # Longer than the idle time of sessions [s].
 LONG = 100.0

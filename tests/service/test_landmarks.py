@@ -18,6 +18,9 @@ from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.trackers.recording import read_recording
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 PERIOD = 1.0 / 60.0
 SETTLING_SAMPLES = 10
 """More samples than the guard waits for after a fault."""

@@ -29,6 +29,9 @@ from handmap_qp.service.session import Session
 from handmap_qp.trackers.layout import Layout, load_layout
 from handmap_qp.trackers.sample import HumanSample
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 LENGTH = 0.19
 POINTS = ("webxr25", "unity26", "mano21")
 OTHERS = ("angles20", "markers13", "visionpro27")

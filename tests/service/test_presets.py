@@ -39,6 +39,9 @@ from handmap_qp.service.session import Session
 from handmap_qp.trackers.landmarks import TIPS, measure_hand
 from handmap_qp.transform import affine, rotation_from_quat_wxyz
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 FIXED = {"mount": "fixed"}
 
 

@@ -39,6 +39,9 @@ from handmap_qp.service.messages import PROTOCOL, Request, Status
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.websocket import WebSettings
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 WRIST = np.eye(4)
 
 

@@ -42,6 +42,9 @@ from handmap_qp.service.run import run_server
 from handmap_qp.service.schema import schema_text
 from handmap_qp.service.websocket import WebSettings
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "service.md").read_text(encoding="utf-8")
 PATIENCE = 20.0
 """Longest wait of a test that fails [s]."""

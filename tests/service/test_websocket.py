@@ -30,6 +30,9 @@ from handmap_qp.service.messages import PROTOCOL, Close, Status, Subscribe
 from handmap_qp.service.server import Server
 from handmap_qp.service.websocket import WebSettings, _Outbox
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 WEB = WebSettings(port=0)
 TOKEN = "a-token-of-the-tests"
 ENCODE: dict[bool, Callable[[Any], bytes | str]] = {

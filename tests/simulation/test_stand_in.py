@@ -16,6 +16,9 @@ from handmap_qp.simulation.physics import Body
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.stand_in import Report, StandIn
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 def simulator(robot: str = "three_finger") -> Simulator:
     return Simulator(load_hand(robot), Body(Sphere(0.02), 0.05))

@@ -35,6 +35,9 @@ h5py = pytest.importorskip("h5py")
 pq = pytest.importorskip("pyarrow.parquet")
 pytest.importorskip("rosbags")
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 LOSSLESS = ("npz", "lerobot", "robomimic")
 FORM = {form.name: form for form in FORMATS}
 

@@ -17,6 +17,9 @@ from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import Person, measure_person, read_person, write_person
 from handmap_qp.trackers.recording import Recording, mirrored
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 def recording(lengths: HumanLengths = LENGTHS) -> Recording:
     hand = load_hand("human", points="landmarks", lengths=lengths)

@@ -41,6 +41,9 @@ from handmap_qp.viewer.replay import Replay
 from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
 from handmap_qp.viewer.serving import serving
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 PAPER = preset_choice("paper")
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 

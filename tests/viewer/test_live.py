@@ -22,6 +22,9 @@ from handmap_qp.viewer.live import LiveViewer, show_live
 from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.serving import serving
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 

@@ -33,6 +33,9 @@ from handmap_qp.viewer.remote import ServiceSession
 from handmap_qp.viewer.replay import ViewSample
 from handmap_qp.viewer.serving import serving
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 WRIST = np.eye(4)
 WRIST[:3, 3] = 0.1, 0.2, 0.3
 
