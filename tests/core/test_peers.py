@@ -21,6 +21,9 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.recording import Recording, read_recording
 from handmap_qp.transform import affine, transform_points
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 MODULES = ("build", "runner", "results")
 CURLED = 0.6

@@ -24,6 +24,9 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 POSE = affine(rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5]))
 
 

@@ -14,6 +14,9 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import HandSpec, PalmSpec, PointSpec, WristSpec
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.8, 0.1)
 WRIST = affine(rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5]))
 

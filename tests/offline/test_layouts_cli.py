@@ -14,6 +14,9 @@ from handmap_qp.trackers.layout import layout_names, load_layout, typical_human
 from handmap_qp.trackers.person import Person, write_person
 from handmap_qp.transform import affine
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 def write_hand(path: Path, name: str = "webxr25", *, count: int = 30, side: str = "right") -> Path:
     """Half a second of a right hand that closes, in a layout's own form."""

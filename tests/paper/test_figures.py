@@ -28,6 +28,9 @@ from handmap_qp.experiments.style import box_triangles
 pytest.importorskip("matplotlib")
 pytest.importorskip("trimesh")
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 NAMES = PAPER_FIGURES + BEYOND_FIGURES
 TABLES = ("claims.csv", "final_errors.csv", "report.md")
 

@@ -31,6 +31,9 @@ from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.service.store import PostureStore
 
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
 
 def test_a_stopped_robot_holds_whatever_comes_until_it_is_cleared_and_clutched() -> None:
     session, sample = make_session(watchdog=0.1, return_after=0.1), Sampler()
