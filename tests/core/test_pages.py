@@ -103,7 +103,11 @@ def test_notebooks_run(
     monkeypatch.setenv("MPLBACKEND", "agg")
     cells = json.loads(notebook.read_text("utf-8"))["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    exec(compile("\n".join(code), notebook.name, "exec"), {})
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    try:
+        exec(compile("\n".join(code), notebook.name, "exec"), {})
+    finally:
+        pyplot.close("all")
     assert capsys.readouterr().out
 
 
