@@ -32,6 +32,16 @@ PersonFile = Annotated[
     tyro.conf.arg(metavar="PERSON.yaml", help_behavior_hint="(default: measured in the recording)"),
 ]
 """File of a person's hand, of `handmap calibrate`."""
+OpenSession = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only open session)"),
+]
+"""Name of a session of the service that another client has opened."""
+KeyFiles = Annotated[
+    tuple[Path, Path] | None,
+    tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
+]
+"""A client's secret key and the server's key, of `handmap keys`."""
 _HANDED = 3  # fingers with human names; a robot with fewer is neither a left nor a right hand
 PointSet = Annotated[
     str | None, tyro.conf.arg(metavar="SET", help_behavior_hint="(default: the hand's own)")

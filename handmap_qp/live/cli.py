@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import tyro
 
+from handmap_qp.arguments import KeyFiles, OpenSession
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.presets import PresetName
@@ -61,10 +62,7 @@ class Target:
             metavar="PERSON.yaml", help_behavior_hint="(default: measured in the first samples)"
         ),
     ] = None
-    keys: Annotated[
-        tuple[Path, Path] | None,
-        tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
-    ] = None
+    keys: KeyFiles = None
     json: bool = False
 
     def check(self) -> None:
@@ -254,14 +252,8 @@ class TrackRecord:
         str,
         tyro.conf.arg(name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
     ]
-    session: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only open session)"),
-    ] = None
-    keys: Annotated[
-        tuple[Path, Path] | None,
-        tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
-    ] = None
+    session: OpenSession = None
+    keys: KeyFiles = None
     json: bool = False
 
     def run(self) -> None:

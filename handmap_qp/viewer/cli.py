@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from handmap_qp.addresses import check_port
-from handmap_qp.arguments import InputArguments, MappingArguments, PersonFile, fit_side
+from handmap_qp.arguments import (
+    InputArguments,
+    KeyFiles,
+    MappingArguments,
+    OpenSession,
+    PersonFile,
+    fit_side,
+)
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -64,14 +71,8 @@ class View:
     live: Annotated[
         str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
     ] = None
-    session: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only open session)"),
-    ] = None
-    keys: Annotated[
-        tuple[Path, Path] | None,
-        tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
-    ] = None
+    session: OpenSession = None
+    keys: KeyFiles = None
     mirror: bool = False
     person: PersonFile = None
     html: Annotated[
