@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -157,26 +157,25 @@ def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -
 def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -> None:
     with (
         connected(service, "allegro_right", None, name="lab", is_shared=True) as client,
-        moving(client),
         serving() as page,
+        ExitStack() as views,
     ):
-        session = ServiceSession(host_of(service))
-        viewer = LiveViewer(page, session)
-        steering = viewer.steering
-        assert steering is not None
-        assert steering.preset.value == "teleoperation"
-        try:
+        with moving(client):
+            session = ServiceSession(host_of(service))
+            viewer = views.enter_context(closing(LiveViewer(page, session)))
+            steering = viewer.steering
+            assert steering is not None
+            assert steering.preset.value == "teleoperation"
             many = len(session.robot.reference_points)
             for preset, count in (("object", 4), ("teleoperation", many)):
                 steering.preset.value = preset
                 tick_until(viewer, partial(is_shown, viewer, session, preset, count))
                 assert about_lab(service).preset == preset
-            # Samples of another client.
-            client.configure(preset="object", mapping={"ridge": 0.5})
-            tick_until(viewer, lambda: steering.preset.value == "object")
+        # A client belongs to one thread at a time, so no samples are sent meanwhile.
+        client.configure(preset="object", mapping={"ridge": 0.5})
+        with moving(client):
             tick_until(viewer, lambda: steering.options.handles["ridge"].value == 0.5)
-        finally:
-            viewer.close()
+            assert steering.preset.value == "object"
 
 
 def is_shown(viewer: LiveViewer, session: ServiceSession, preset: str, count: int) -> bool:
