@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from logging import INFO
 
 from handmap_qp.errors import RefusedError
@@ -18,7 +19,7 @@ from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.logs import report
 from handmap_qp.service.messages import Error, Open, encode_reply
 from handmap_qp.service.metrics import Metrics
-from handmap_qp.service.opening import prepare_hands
+from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.service.store import PostureStore, Record
 
@@ -135,12 +136,12 @@ class Sessions:
         self._names_opening.add(name)
         try:
             loop = asyncio.get_running_loop()
-            hands = await loop.run_in_executor(self._executor, prepare_hands, request, self._cache)
+            work = partial(self._prepare, request)
+            hands, calibration = await loop.run_in_executor(self._executor, work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_unattended(self._find_named(request.name))
             former = self._former(request, name, robot.name, len(robot.joint_names))
-            calibration = Calibration(request, self._cache, self._executor.submit)
             session = Session(
                 request, hands, name, self._clock(), calibration=calibration, former=former
             )
@@ -194,6 +195,13 @@ class Sessions:
         for secret in list(self.entries):
             self.end(secret, "no_session", "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _prepare(self, request: Open) -> tuple[Hands, Calibration | None]:
+        """Load the hands of a session, and what measures the human hand if that is needed."""
+        hands = prepare_hands(request, self._cache)
+        if not hands.needs_measuring:
+            return hands, None
+        return hands, Calibration(request, self._cache, self._executor.submit)
 
     def _check(self, request: Open) -> None:
         """Refuse requests that can be refused before hands are loaded."""

@@ -104,7 +104,10 @@ def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:
         read_collision_shapes(hand)
 
 
-def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj"])
+def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path, kind: str) -> None:
+    # Binary STL is read here, all else by coal.
+    suffix = kind.partition("_")[0]
     # Vertices inside the hull, as of a cavity or a screw hole, must not change it.
     rng, corners = np.random.default_rng(0), []
     for name in ("palm", "tip"):
@@ -112,10 +115,12 @@ def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path) -> No
         outer.apply_scale((0.4, 1.0, 0.6))
         inner = trimesh.convex.convex_hull(rng.uniform(-0.01, 0.01, size=(60, 3)))
         mesh = trimesh.util.concatenate([inner, outer])
-        mesh.export(tmp_path / f"{name}.stl")
+        mesh.export(tmp_path / f"{name}.{suffix}", file_type=kind)
         corners.append(np.vstack([inner.vertices, outer.vertices]))
-    text = FINGER.format(mesh="palm.stl")
-    text = text.replace('<box size="0.02 0.02 0.02"/>', '<mesh filename="tip.stl"/>')
+    # One mesh is stretched.
+    text = FINGER.format(mesh=f'palm.{suffix}" scale="0.5 1.5 0.8')
+    text = text.replace('<box size="0.02 0.02 0.02"/>', f'<mesh filename="tip.{suffix}"/>')
+    corners[0] *= (0.5, 1.5, 0.8)
     (tmp_path / "hand.urdf").write_text(text)
     hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path), mount="fixed")
     geometry = read_collision_shapes(hand)
