@@ -11,6 +11,7 @@ import importlib
 import inspect
 import io
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -19,7 +20,13 @@ from functools import reduce
 from operator import or_
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol
 
-from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean
+from handmap_qp.complaints import explained, in_words_of_the_command_line
+from handmap_qp.errors import (
+    HandmapError,
+    InvalidInputError,
+    InvalidOptionsError,
+    did_you_mean,
+)
 
 
 class Command(Protocol):
@@ -141,6 +148,8 @@ _GROUPS = {
 }
 """First words of commands of two words, and what these commands are for."""
 
+_OPTIONS = {"--help", "--version", "--completion"}
+"""Options without a command."""
 _SYSTEM_PACKAGES = {"libgomp": "libgomp1", "libGL.": "libgl1", "libEGL": "libegl1"}
 """Debian's packages of system libraries that slim images lack, by how their file names begin."""
 
@@ -169,9 +178,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code: 0, or 2 after a user error.
     """
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        parse(sys.argv[1:] if arguments is None else arguments).run()
+        parse(words).run()
     except HandmapError as error:
+        name = command_name(words)
+        if name is not None and isinstance(error, InvalidInputError | InvalidOptionsError):
+            error = in_words_of_the_command_line(error, _help_page(name), words)
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except ImportError as error:
@@ -216,24 +229,36 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: After printing the help, the version or the completions that were asked for.
     """
     words = list(arguments)
-    name = next((key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None)
+    name = command_name(words)
     if name is None:
         _answer_without_command(words)
-    command = COMMANDS[name].load()
     words = words[len(name.split()) :]
-    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
-    # tyro reads `completion` and the like in the arguments of any command.
-    parsed, page, complaint = _captured(
-        lambda tyro: tyro.cli(command, prog=f"handmap {name}", description=about, args=words)
-    )
-    if complaint is None:
+    parsed, page, box, error = _captured(lambda tyro: _read(tyro, name, words))
+    if error is not None:
+        raise error
+    if box is None:
         return parsed
-    if complaint:
-        advice = f"see handmap {name} --help"
-        hint = _option_hint(command, name, words)
-        raise InvalidInputError(problem=f"{_first_sentences(complaint)} ({hint or advice})")
-    _print_page(_wrapped(page))
+    if box:
+        raise explained(box, _help_page(name), words, f"see handmap {name} --help")
+    _print_page(_wrapped(_without_types(page)))
     raise SystemExit(0)
+
+
+def command_name(words: Sequence[str]) -> str | None:
+    """Return the command that a line begins with; None if there is none."""
+    return next((key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None)
+
+
+def _read(tyro: Any, name: str, words: Sequence[str]) -> Command:
+    """Let tyro read the arguments of a command."""
+    command = COMMANDS[name].load()
+    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
+    return tyro.cli(command, prog=f"handmap {name}", description=about, args=words)
+
+
+def _help_page(name: str) -> str:
+    """Return the help page of a command."""
+    return _without_types(_captured(lambda tyro: _read(tyro, name, ["--help"])).page)
 
 
 def _answer_without_command(words: list[str]) -> NoReturn:
@@ -266,8 +291,10 @@ def _answer_without_command(words: list[str]) -> NoReturn:
             hint = hint or f"see handmap {group} --help"
             raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
         case [word, *_]:
-            hint = did_you_mean(word, {key.split()[0] for key in COMMANDS})
-            raise InvalidInputError(problem=f"no command {word!r}: {hint or 'see handmap --help'}")
+            known = {key.split()[0] for key in COMMANDS}
+            kind, known = ("option", _OPTIONS) if word.startswith("-") else ("command", known)
+            hint = did_you_mean(word, known) or "see handmap --help"
+            raise InvalidInputError(problem=f"no {kind} {word!r}: {hint}")
     raise SystemExit(0)
 
 
@@ -300,8 +327,9 @@ def _print_completion(shell: str) -> None:
         expected = "bash, zsh or tcsh"
         raise InvalidInputError(argument="--completion", expected=expected, value=shell)
     words = ["--tyro-print-completion", shell]
-    _, page, _ = _captured(lambda tyro: tyro.cli(_any_command(tyro), prog="handmap", args=words))
-    _print_page(page)
+    _print_page(
+        _captured(lambda tyro: tyro.cli(_any_command(tyro), prog="handmap", args=words)).page
+    )
 
 
 def _any_command(tyro: Any) -> Any:
@@ -327,21 +355,37 @@ def _any_command(tyro: Any) -> Any:
     return reduce(or_, groups, union(single))
 
 
-def _captured(call: Callable[[Any], Any]) -> tuple[Any, str, str | None]:
-    """Call tyro with its output captured.
+class _Captured(NamedTuple):
+    """What a call of tyro returned and printed."""
 
-    Returns:
-        The result; what was printed on stdout; None if the call returned, else the message on
-        stderr, empty if the call ended without an error.
-    """
+    result: Any
+    page: str
+    """What it printed on stdout."""
+    box: str | None
+    """None if the call returned, else its message on stderr; empty if it ended without an error."""
+    error: HandmapError | None
+    """Why this package's own types did not take a value."""
+
+
+def _captured(call: Callable[[Any], Any]) -> _Captured:
+    """Call tyro with its output captured."""
     import tyro
 
     message, page = io.StringIO(), _Page()
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
-            return call(tyro), page.getvalue(), None
+            return _Captured(call(tyro), page.getvalue(), None, None)
     except SystemExit as end:
-        return None, page.getvalue(), (message.getvalue() if end.code else "")
+        box = message.getvalue() if end.code else ""
+        return _Captured(None, page.getvalue(), box, _cause(end))
+
+
+def _cause(end: BaseException) -> HandmapError | None:
+    """Return the error of this package that ended a call of tyro, if there is one."""
+    error: BaseException | None = end
+    while error is not None and not isinstance(error, HandmapError):
+        error = error.__context__
+    return error
 
 
 class _Page(io.StringIO):
@@ -363,17 +407,14 @@ def _print_page(page: str) -> None:
     print(page.encode(encoding, "replace").decode(encoding), end="")
 
 
-def _option_hint(command: Any, name: str, words: list[str]) -> str:
-    """Return the option that an unknown one resembles, or nothing."""
-    _, page, _ = _captured(lambda tyro: tyro.cli(command, prog=name, args=["--help"]))
-    known = {word.strip(",│[]") for word in page.split() if word.startswith("--")}
-    given = [word.partition("=")[0] for word in words if word.startswith("--")]
-    hints = (
-        f"{word}: {did_you_mean(word, known)}"
-        for word in given
-        if word not in known and did_you_mean(word, known)
+def _without_types(page: str) -> str:
+    """Leave out of a help page how Python writes that an option may be omitted; keep columns."""
+    page = re.sub(
+        r"\{None(?:\}\|\{?([A-Z]+(?: [A-Z]+)*)\}?|,(.*?\}))",
+        lambda found: (found[1] or f"{{{found[2]}").ljust(len(found[0])),
+        page,
     )
-    return next(hints, "")
+    return page.replace("None)", "none)")
 
 
 def _wrapped(page: str) -> str:
@@ -387,14 +428,6 @@ def _wrapped(page: str) -> str:
             block = textwrap.fill(" ".join(block.split()), width)
         blocks.append(block)
     return "\n\n".join(blocks).rstrip("\n") + "\n"
-
-
-def _first_sentences(box: str) -> str:
-    """Return the message inside the box that tyro prints, on one line."""
-    lines = [line.strip(" │╭╮╰╯─") for line in box.splitlines() if line.startswith("│")]
-    ruled = [i for i, line in enumerate(lines) if not line]
-    # tyro prefixes options of groups without a name.
-    return " ".join(lines[: ruled[0]] if ruled else lines).replace("__tyro-dummy-inner__.", "--")
 
 
 if __name__ == "__main__":

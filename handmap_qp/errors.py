@@ -259,6 +259,11 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     return f"did you mean {nearest[0]}?" if nearest else ""
 
 
+def without_errno(error: Exception) -> str:
+    """Return the text of an error without number and file name, which `OSError` adds to it."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def describe_value(value: Any) -> str:
     """Describe a value in one line of at most 80 characters.
 

@@ -13,38 +13,38 @@ from handmap_qp.errors import InvalidInputError
 
 
 @contextmanager
-def output_folder(directory: Path) -> Iterator[Path]:
-    """Yield a temporary folder, and move its files into `directory` if the block succeeds.
+def output_folder(out: Path) -> Iterator[Path]:
+    """Yield a temporary folder, and move its files into `out` if the block succeeds.
 
     Args:
-        directory: Final folder of the files; created if it does not exist. Files of the same names
-            are replaced.
+        out: Final folder of the files; created if it does not exist. Files of the same names are
+            replaced.
 
     Yields:
         The folder to write to.
 
     Raises:
-        InvalidInputError: If `directory` cannot be written.
+        InvalidInputError: If `out` cannot be written.
     """
     try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        if directory.exists() and not (directory.is_dir() and os.access(directory, os.W_OK)):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if out.exists() and not (out.is_dir() and os.access(out, os.W_OK)):
             raise InvalidInputError(
-                argument="directory",
+                argument="out",
                 expected="a folder that can be written, or a new name",
-                got=str(directory),
+                got=str(out),
             )
-        temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=directory.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=out.parent))
         try:
             yield temporary
-            directory.mkdir(exist_ok=True)
+            out.mkdir(exist_ok=True)
             for file in temporary.iterdir():
-                file.replace(directory / file.name)
+                file.replace(out / file.name)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise InvalidInputError(
-            argument="directory",
-            problem=f"{directory} cannot be written: {error.strerror or error}",
-            value=directory,
+            argument="out",
+            problem=f"{out} cannot be written: {error.strerror or error}",
+            value=out,
         ) from error

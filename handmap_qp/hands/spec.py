@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.errors import HandError, InvalidInputError, without_errno
 from handmap_qp.hands.urdf.sources import is_named_source
 
 Side = Literal["right", "left"]
@@ -434,7 +434,7 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
-        raise HandError(f"cannot be read: {error}", file=path) from error
+        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
     try:
         document = _parse(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: an impossible date

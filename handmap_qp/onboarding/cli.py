@@ -240,6 +240,9 @@ class HandsCheck:
         from handmap_qp.onboarding.picture import draw_hand, picture_path
 
         report = check_hand(self.hand, has_motion=self.motion)
+        if report.hand is None and not self.json:
+            # A table of one error would say it twice.
+            report.raise_if_unusable()
         picture = self.picture or picture_path(self.hand)
         if picture is not None and report.hand is not None:
             draw_hand(report.hand, picture)

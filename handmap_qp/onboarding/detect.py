@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.spec import HandSpec, Mount, PalmSpec, PointSpec, Side, WristSpec
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
@@ -96,7 +96,7 @@ def detect(
     try:
         text = decode_xml(urdf.read_bytes())
     except (OSError, ValueError) as error:  # ValueError: also a null character in the path
-        raise HandError(f"cannot be read: {error}", file=urdf) from error
+        raise HandError(f"cannot be read: {without_errno(error)}", file=urdf) from error
     return detect_text(text, urdf, root=root, base=base, side=side, thumb=thumb, name=name)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import yaml
 
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.detect import Detection, detect
@@ -75,7 +75,7 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:  # ValueError: not UTF-8
-        raise HandError(f"cannot be read: {error}", file=path) from error
+        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
     except yaml.YAMLError as error:
         raise HandError(f"is not YAML: {' '.join(str(error).split())}", file=path) from error
     table = document.get("retargeting") if isinstance(document, dict) else None

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, without_errno
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.contact_gap import measure_contact_gap
@@ -195,7 +195,7 @@ def read_person(path: Path | str) -> Person:
     try:
         document = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or an impossible date
-        raise _unreadable(file, "person", f"cannot be read: {error}") from error
+        raise _unreadable(file, "person", f"cannot be read: {without_errno(error)}") from error
     except (yaml.YAMLError, RecursionError) as error:
         raise _unreadable(file, "person", f"is not valid YAML: {error}") from error
     try:

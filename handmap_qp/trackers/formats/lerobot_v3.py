@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Self
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, without_errno
 from handmap_qp.trackers.formats.archive import DAMAGES
 from handmap_qp.trackers.formats.base import require
 
@@ -334,7 +334,7 @@ class LeRobotReader:
         try:
             info = msgspec.json.decode(file.read_bytes(), type=_Info)
         except (OSError, ValueError) as error:
-            raise RecordingError(f"cannot be read: {error}", file=file) from error
+            raise RecordingError(f"cannot be read: {without_errno(error)}", file=file) from error
         if not info.codebase_version.startswith("v3."):
             problem = f"expected a data set of version v3, got {info.codebase_version!r}"
             raise RecordingError(problem, file=file, array="codebase_version")
