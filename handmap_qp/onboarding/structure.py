@@ -8,6 +8,7 @@ metacarpal with two fingers, are not the palm.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,9 @@ _INSIDE, _IN_THE_AIR = 0.005, 0.012
 _AT_CENTRE, _LARGEST_BALL = 0.001, 0.015
 # A chain whose end stays within this of a point on another finger is part of a linkage [m].
 _LINKAGE_SLACK = 0.004
+# A bar turns at least this far about its pivot [rad], which is at least this share of the bar's
+# length away from the bar's own joint.
+_LEAST_PIVOT, _PIVOT_SHARE = 0.1, 0.4
 
 
 # Fingers of one hand start within this distance of each other [m].
@@ -341,25 +345,31 @@ def _is_at_end(robot: Robot, leaf: str, end: str, cloud: np.ndarray) -> bool:
     return at_centre and 0.0 < beyond < _LARGEST_BALL
 
 
-def tip_track(robot: Robot, chain: Chain, frame: str, samples: int = 5) -> np.ndarray:
+def tip_track(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
     """Return a tip's positions in a frame while the joints of its chain cross their ranges.
 
     Returns:
         Positions [m], shape (samples, 3).
     """
+    tip = chain.tip
+    return np.array(
+        [transform_points(robot.pose_in(tip.link, frame), tip.xyz) for _ in _sweep(robot, chain)]
+    )
+
+
+def _sweep(robot: Robot, chain: Chain, samples: int = 5) -> Iterator[None]:
+    """Place the joints of a chain at evenly spaced positions of their ranges, one after another."""
     columns = [
         robot.active.index(robot.drivers(joint))
         for joint in chain.joints
         if robot.drivers(joint) in robot.active
     ]
-    track = []
     for share in np.linspace(0.0, 1.0, samples):
         q = robot.zero.copy()
         q[columns] = robot.lower[columns] + share * (robot.upper[columns] - robot.lower[columns])
         robot.place(q)
-        track.append(transform_points(robot.pose_in(chain.tip.link, frame), chain.tip.xyz))
+        yield
     robot.place(robot.zero)
-    return np.array(track)
 
 
 def _drop_idle(robot: Robot, chains: list[Chain]) -> tuple[list[Chain], list[str]]:
@@ -398,7 +408,7 @@ def _shared(chain: Chain, other: Chain) -> int:
 
 
 def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[Chain]:
-    """Drop bars of linkages: driven by another finger's joint, their end fixed on that finger."""
+    """Drop bars of linkages: driven by another finger's joint, and hinged to that finger."""
     kept = []
     for chain in chains:
         drivers = {robot.drivers(joint) for joint in chain.joints}
@@ -408,10 +418,7 @@ def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[
             if other is not chain
             and len(other.joints) > len(chain.joints)
             and drivers == {robot.drivers(joint) for joint in other.joints}
-            and any(
-                np.ptp(tip_track(robot, chain, link), axis=0).max() < _LINKAGE_SLACK
-                for link in other.links
-            )
+            and any(_is_hinged(robot, chain, link) for link in other.links)
         ]
         if hosts:
             notes.append(
@@ -421,6 +428,31 @@ def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[
         else:
             kept.append(chain)
     return kept
+
+
+def _is_hinged(robot: Robot, bar: Chain, link: str) -> bool:
+    """Return whether the last link of a bar stays at rest in a link, or turns about a point of it.
+
+    The pivot p in the bar and c in the link solve `R p + t = c` for the bar's poses (R, t).
+    """
+    own = bar.links[-1]
+    tip = transform_points(robot.pose_in(bar.tip.link, own), bar.tip.xyz)
+    length = float(np.linalg.norm(tip))
+    poses = [robot.pose_in(own, link) for _ in _sweep(robot, bar)]
+    turns = [float(np.linalg.norm(pose[:3, :3] - poses[0][:3, :3])) for pose in poses]
+    if max(turns) < _LEAST_PIVOT:
+        return bool(np.ptp(tip_track(robot, bar, link), axis=0).max() < _LINKAGE_SLACK)
+    matrix = np.vstack([np.hstack([pose[:3, :3], -np.eye(3)]) for pose in poses])
+    shifts = np.concatenate([-pose[:3, 3] for pose in poses])
+    # All points on the pivot's axis fit: the shortest solution is the one nearest to both origins.
+    solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
+    residual = np.linalg.norm((matrix @ solution - shifts).reshape(-1, 3), axis=1)
+    axis = robot.axes[bar.joints[-1]]
+    off_axis = float(np.linalg.norm(np.cross(axis, solution[:3])))
+    return bool(
+        residual.max() < _LINKAGE_SLACK
+        and _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
+    )
 
 
 def _idle(robot: Robot, palm: str, chains: list[Chain]) -> tuple[str, ...]:

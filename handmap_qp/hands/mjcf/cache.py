@@ -11,6 +11,9 @@ from pathlib import Path
 from handmap_qp.errors import HandError
 from handmap_qp.hands.mjcf.convert import convert_mjcf, write_converted
 
+# Counts changes of the conversion, so that URDFs of an earlier one are not used.
+_CONVERSION = 2
+
 
 def cached_urdf(file: Path) -> Path:
     """Return the URDF of an MJCF file, converted again if an XML file beside it has changed.
@@ -54,7 +57,7 @@ def cache_folder() -> Path:
 def _fingerprint(file: Path) -> str:
     """Return a digest of the file's path, the XML files beside it, and the versions at work."""
     versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
-    parts = [str(file.resolve()), *versions]
+    parts = [str(file.resolve()), *versions, str(_CONVERSION)]
     for other in sorted(file.parent.glob("*.xml")):
         stat = other.stat()
         parts.append(f"{other.name} {stat.st_size} {stat.st_mtime_ns}")

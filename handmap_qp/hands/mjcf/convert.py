@@ -17,25 +17,28 @@ import mujoco
 import numpy as np
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.mjcf.compile import compile_mjcf
+from handmap_qp.hands.mjcf.compile import (
+    SMALL_RANGE,
+    CompiledMjcf,
+    compile_mjcf,
+    widest_range,
+)
 from handmap_qp.hands.mjcf.couplings import Coupling, read_couplings
+from handmap_qp.hands.mjcf.loops import close_loops
 from handmap_qp.hands.mjcf.shapes import ShapeWriter, add_origin, binary_stl, file_name
 from handmap_qp.hands.urdf.elements import set_numbers
 from handmap_qp.transform import affine, rotation_from_quat_wxyz
 
-_FREE, _BALL, _SLIDE, _HINGE = (
+_FREE, _BALL, _SLIDE = (
     int(kind)
     for kind in (
         mujoco.mjtJoint.mjJNT_FREE,
         mujoco.mjtJoint.mjJNT_BALL,
         mujoco.mjtJoint.mjJNT_SLIDE,
-        mujoco.mjtJoint.mjJNT_HINGE,
     )
 )
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
-# A range of this size in radians is one of pi in degrees [rad].
-_SMALL_RANGE = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,10 +79,10 @@ def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
     Raises:
         HandError: If MuJoCo cannot compile the file, or no joint moves in it.
     """
-    model, name = compile_mjcf(file)
-    if not (model.jnt_type != _FREE).any():
+    compiled = compile_mjcf(file)
+    if not (compiled.model.jnt_type != _FREE).any():
         raise HandError("no joint moves in the MJCF", file=file)
-    return _Converter(model, name, meshes).convert()
+    return _Converter(compiled, meshes).convert()
 
 
 def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
@@ -125,11 +128,11 @@ class _Axis(NamedTuple):
 class _Converter:
     """Writes the links and joints of one model."""
 
-    def __init__(self, model: Any, name: str, meshes: str) -> None:
-        self.model = model
-        self.robot = ET.Element("robot", name=file_name(name).removesuffix(".stl"))
+    def __init__(self, compiled: CompiledMjcf, meshes: str) -> None:
+        self.model = model = compiled.model
+        self.robot = ET.Element("robot", name=file_name(compiled.name).removesuffix(".stl"))
         self.shapes = ShapeWriter(model, meshes)
-        self.notes: list[str] = []
+        self.notes: list[str] = [*compiled.notes]
         used: set[str] = set()
         kept = self._kept()
         self.links = {
@@ -143,7 +146,13 @@ class _Converter:
                 self.joints[joint] = _unique(model.joint(joint).name or f"joint{joint}", taken)
         self._used, self._taken = used, taken
         self.rules, coupled = read_couplings(model, self.joints)
-        self.notes += coupled
+        loops, closed, omitted = close_loops(model, self.rules, self.joints)
+        self.rules.update(loops)
+        self.notes += [*coupled, *closed]
+        if omitted:
+            self.notes.append(
+                f"{omitted} connect constraint(s) close loops, which a URDF cannot: left out"
+            )
 
     def convert(self) -> ConvertedMjcf:
         """Write all links and joints."""
@@ -180,13 +189,10 @@ class _Converter:
 
     def _suspicious_ranges(self) -> list[str]:
         """Return a note if all hinges have a range so small that radians were read as degrees."""
-        model = self.model
-        hinges = (model.jnt_type == _HINGE) & (model.jnt_limited != 0)
-        widths = np.ptp(model.jnt_range[hinges], axis=1)
-        if not len(widths) or widths.max() > _SMALL_RANGE:
+        if (widest := widest_range(self.model)) > SMALL_RANGE:
             return []
         return [
-            f"no hinge has a range of more than {np.degrees(widths.max()):.2g} deg: if the file "
+            f"no hinge has a range of more than {np.degrees(widest):.2g} deg: if the file "
             'means radians, write <compiler angle="radian"/> into it'
         ]
 

@@ -43,13 +43,12 @@ def read_couplings(model: Any, names: Mapping[int, str]) -> tuple[dict[int, Coup
     """
     rules: dict[int, Coupling] = {}
     notes: list[str] = []
-    loops: list[str] = []
+    welds = 0
     ruled: set[int] = set()
     for index in range(model.neq):
         kind = _EQUALITY(int(model.eq_type[index]))
         follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-        if kind in (_EQUALITY.mjEQ_CONNECT, _EQUALITY.mjEQ_WELD):
-            loops.append(kind.name.removeprefix("mjEQ_").lower())
+        welds += kind == _EQUALITY.mjEQ_WELD
         if kind == _EQUALITY.mjEQ_TENDON and (rule := _tendon_rule(model, index, names)):
             drawn, line = rule
             if drawn not in rules and not _leads_back(rules, drawn, line.leader or 0):
@@ -67,12 +66,9 @@ def read_couplings(model: Any, names: Mapping[int, str]) -> tuple[dict[int, Coup
         else:
             rules[follower], note = _linear_rule(model, index, follower, leader, names)
             notes += note
-    if loops:
-        kinds = " and ".join(sorted(set(loops)))
-        notes.append(
-            f"{len(loops)} {kinds} constraint(s) close loops, which a URDF cannot: left out"
-        )
-    return rules, notes + _tendon_notes(model, names, ruled)
+    if welds:
+        notes.append(f"{welds} weld constraint(s) close loops, which a URDF cannot: left out")
+    return rules, notes + _tendon_notes(model, names, rules, ruled)
 
 
 def _leads_back(rules: Mapping[int, Coupling], follower: int, leader: int) -> bool:
@@ -148,12 +144,22 @@ def _fixed_tendon(model: Any, tendon: int) -> list[tuple[int, float]] | None:
     return [(int(j), float(f)) for j, f in zip(model.wrap_objid[wraps], factors, strict=True)]
 
 
-def _tendon_notes(model: Any, names: Mapping[int, str], ruled: set[int]) -> list[str]:
-    """Name the joints that fixed tendons couple, and count the other tendons.
+def _first(rules: Mapping[int, Coupling], joint: int) -> int:
+    """Return the joint that moves a joint through all rules; itself if it is free or held."""
+    while joint in rules and (leader := rules[joint].leader) is not None:
+        joint = leader
+    return joint
+
+
+def _tendon_notes(
+    model: Any, names: Mapping[int, str], rules: Mapping[int, Coupling], ruled: set[int]
+) -> list[str]:
+    """Name the independent joints that fixed tendons couple, and count the other tendons.
 
     Args:
         model: `mujoco.MjModel`.
         names: Names of the converted joints.
+        rules: Rules of all couplings, by follower.
         ruled: Tendons that mimic rules express.
     """
     coupled, spatial = [], 0
@@ -161,7 +167,9 @@ def _tendon_notes(model: Any, names: Mapping[int, str], ruled: set[int]) -> list
         joints = _fixed_tendon(model, tendon)
         if joints is None:
             spatial += 1
-        elif len(joints) > 1 and all(joint in names for joint, _ in joints):
+        elif len({_first(rules, joint) for joint, _ in joints}) == 1:
+            continue
+        elif all(joint in names for joint, _ in joints):
             terms = " + ".join(f"{factor:g} {names[joint]}" for joint, factor in joints)
             coupled.append(f"{model.tendon(tendon).name or f'tendon {tendon}'} = {terms}")
     notes = []

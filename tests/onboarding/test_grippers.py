@@ -1,0 +1,96 @@
+"""Four-bar grippers: closed loops of MJCF as mimic rules, and two fingers in place of four bars."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from handmap_qp.hands.mjcf.convert import ConvertedMjcf, convert_mjcf
+from handmap_qp.onboarding.detect import detect_text
+
+RADIANS = '<compiler angle="radian"/>'
+# A joint within the coupler gives each loop a second degree of freedom.
+ELBOW = '<joint axis="1 0 0" range="-.1 .9"/>'
+
+
+def _gripper(unit: str = RADIANS, elbow: str = "") -> str:
+    """Return a gripper of two parallelograms, each closed by a constraint."""
+
+    def finger(side: str, sign: int) -> str:
+        return f"""
+        <body name="{side}_driver" pos="{0.03 * sign} 0 0">
+          <joint name="{side}_driver" axis="0 {-sign} 0" range="0 .8"/>
+          <geom type="capsule" size=".004" fromto="0 0 0 0 0 .05"/>
+        </body>
+        <body name="{side}_link" pos="{0.01 * sign} 0 0">
+          <joint name="{side}_link" axis="0 {-sign} 0" range="0 .8"/>
+          <geom type="capsule" size=".004" fromto="0 0 0 0 0 .05"/>
+          <body name="{side}_pad" pos="0 0 .05">
+            <joint name="{side}_pad" axis="0 {sign} 0" range="-.1 .9"/>{elbow}
+            <geom type="box" size=".003 .01 .02" pos="{0.01 * sign} 0 .02"/>
+          </body>
+        </body>"""
+
+    loops = "".join(
+        f'<connect body1="{side}_driver" body2="{side}_pad" anchor="0 0 .05"/>'
+        for side in ("left", "right")
+    )
+    return f"""<mujoco model="gripper">{unit}
+      <worldbody><body name="base"><geom type="cylinder" size=".035 .03" pos="0 0 -.03"/>
+      {finger("left", 1)}{finger("right", -1)}</body></worldbody>
+      <equality>{loops}<joint joint1="right_driver" joint2="left_driver"/></equality>
+      <actuator><position joint="left_driver"/></actuator></mujoco>"""
+
+
+def _converted(folder: Path, text: str) -> ConvertedMjcf:
+    file = folder / "gripper.xml"
+    file.write_text(text, encoding="utf-8")
+    return convert_mjcf(file)
+
+
+@pytest.mark.parametrize("unit", [RADIANS, ""])
+def test_mimic_rules_close_the_loops_of_a_gripper(tmp_path: Path, unit: str) -> None:
+    """Without a unit, a range of 0.8 degrees makes no sense."""
+    converted = _converted(tmp_path, _gripper(unit))
+    assert ("taken as radians" in " ".join(converted.notes)) == (unit == "")
+    rules = {
+        joint.get("name"): joint.find("mimic")
+        for joint in ET.fromstring(converted.text).iterfind("joint")
+    }
+    model = converted.model
+    data = mujoco.MjData(model)
+    for position in np.linspace(0.0, 0.8, 5):
+        for joint, name in converted.joints.items():
+            slope, offset = 1.0, 0.0
+            if (rule := rules[name]) is not None:
+                assert rule.get("joint") == "left_driver"
+                slope, offset = (float(rule.get(key, "nan")) for key in ("multiplier", "offset"))
+            data.qpos[model.jnt_qposadr[joint]] = slope * position + offset
+        mujoco.mj_forward(model, data)
+        closing = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        assert closing.any()
+        assert np.abs(data.efc_pos[closing]).max() < 1e-6
+
+
+def test_a_gripper_of_four_bars_has_two_fingers(tmp_path: Path) -> None:
+    found = detect_text(_converted(tmp_path, _gripper()).text, tmp_path / "gripper.urdf")
+    assert found.spec.joints == ("left_driver",)
+    assert {point.link for point in found.spec.points if "tip" in point.name} == {
+        "left_pad",
+        "right_pad",
+    }
+    np.testing.assert_allclose(found.spec.palm.distal, [0.0, 0.0, 1.0], atol=1e-9)
+    assert abs(found.spec.palm.dorsal[0]) == pytest.approx(1.0)
+    # Nothing tells which finger is the thumb.
+    sure = {clue.what: clue.confidence for clue in found.clues}
+    assert max(sure["thumb"], sure["fingers"]) < 0.6
+
+
+def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:
+    converted = _converted(tmp_path, _gripper(elbow=ELBOW))
+    assert "2 connect constraint(s) close loops, which a URDF cannot: left out" in converted.notes
+    assert converted.text.count("<mimic") == 1
