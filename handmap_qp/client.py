@@ -569,7 +569,8 @@ class Client(_Core):
             layout: Layout of the numbers that samples have in place of landmarks, such as webxr25.
             side: The human hand.
             hand_length: From wrist crease to middle fingertip [m].
-            lengths: The measured hand: `bases` (5, 3) and `segments` (5, 3) [m].
+            lengths: The measured hand: `bases` (5, 3) and `segments` (5, 3) [m], and `rolls` (5,)
+                [rad].
             contact_gap: Distance of thumb and finger landmarks where the skin touches [m]; with
                 `lengths`, the arguments of a person's file (`Person.session_fields`).
             human_points: Set of reference points on the human hand.

@@ -1,4 +1,4 @@
-"""The human hand: its twenty joints, the lengths of a person's bones, and scaling to them.
+"""The human hand: its twenty joints, the measures of a person's hand, and scaling to them.
 
 The hand itself is an ordinary hand in `urdf/human`. It can be scaled to a person (`HumanLengths`,
 `scaled_human_urdf`), always as a right hand: a left person's lengths are given mirrored, and the
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
 from xml.etree import ElementTree as ET
@@ -59,11 +59,18 @@ _BUCHHOLZ_RADIAL = np.array([0.196, 0.251, 0.0, -0.206, -0.402])
 _BREADTH_OVER_LENGTH = 0.512
 
 
+LARGEST_ROLL = math.radians(45.0)
+"""Largest roll of a finger [rad]."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HumanLengths:
-    """The lengths of a person's hand, as a right hand.
+    """The lengths of a person's hand and the rolls of its fingers, as a right hand.
 
-    A left hand's lengths are given mirrored in the palm's plane x = 0.
+    A left hand's are given mirrored in the palm's plane x = 0.
+
+    The paper's hand bends all fingers about parallel axes. Fingers of people converge as they bend,
+    the little finger most: its axes are turned by 10 to 20 degrees about the palm's y axis.
 
     Attributes:
         bases: First joint of each finger (thumb CMC, the other fingers' MCP) in the palm frame:
@@ -71,19 +78,22 @@ class HumanLengths:
             `FINGERS`.
         segments: Bone lengths outwards from there: thumb metacarpal, proximal, distal; fingers
             proximal, middle, distal [m], shape (5, 3).
+        rolls: Turn of all joint axes of each finger about the palm's y axis, from their directions
+            in the paper's hand [rad], shape (5,), within 45 degrees of 0.
 
     Raises:
         InvalidInputError: On a wrong shape, a number that is not finite, a bone that is not longer
-            than 0, a finger whose MCP joint is not distal of the wrist, or an index finger that is
-            not at the -x side of the little one.
+            than 0, a finger whose MCP joint is not distal of the wrist, an index finger that is
+            not at the -x side of the little one, or a roll that is too large.
     """
 
     bases: np.ndarray
     segments: np.ndarray
+    rolls: np.ndarray = field(default_factory=partial(np.zeros, 5))
 
     def __post_init__(self) -> None:
-        for name in ("bases", "segments"):
-            object.__setattr__(self, name, frozen_floats(getattr(self, name), (5, 3), name))
+        for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), shape, name))
         if not (self.segments > 0.0).all():
             expected = "bones that are all longer than 0"
             shortest = f"{self.segments.min():.6g} m"
@@ -103,9 +113,14 @@ class HumanLengths:
                 got="a left one",
                 advice="mirror a left hand's",
             )
+        if not (np.abs(self.rolls) <= LARGEST_ROLL).all():
+            expected, largest = "angles within 45 degrees of 0", np.abs(self.rolls).max()
+            raise InvalidInputError(
+                argument="rolls", expected=expected, value=self.rolls, got=f"{largest:.3g} rad"
+            )
 
-    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray]]:
-        return type(self), (self.bases, self.segments)
+    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return type(self), (self.bases, self.segments, self.rolls)
 
     @property
     def hand_length(self) -> float:
@@ -160,16 +175,17 @@ class HumanLengths:
         segments = [
             [_position(joints[name])[0] for name in _chain(finger)[2:]] for finger in FINGERS
         ]
-        return cls(bases=np.array(bases), segments=np.array(segments))
+        rolls = [_rpy(joints[_chain(finger)[0]])[0] for finger in FINGERS]
+        return cls(bases=np.array(bases), segments=np.array(segments), rolls=np.array(rolls))
 
 
 def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
     """Scale a right human hand's URDF to the lengths of a person.
 
-    Joint origins, fingertips and shapes move; axes, limits and names stay. Bones are stretched
-    along themselves, and all thicknesses scale with the length of the whole hand. In the palm, a
-    shape named after a finger (`index_metacarpal`) follows that finger's first joint. The other
-    shapes follow the breadth and length of the palm and the middle of the knuckles.
+    Joint origins, fingertips and shapes move, and fingers roll; limits and names stay. Bones are
+    stretched along themselves, and all thicknesses scale with the length of the whole hand. In the
+    palm, a shape named after a finger (`index_metacarpal`) follows that finger's first joint. The
+    other shapes follow the breadth and length of the palm and the middle of the knuckles.
 
     Args:
         text: URDF of the right human hand (`urdf/human/hand.urdf`, or one scaled before).
@@ -190,7 +206,10 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
     size = lengths.hand_length / old.hand_length
     for i, finger in enumerate(FINGERS):
         chain = _chain(finger)
-        _set_position(joints[chain[0]], lengths.bases[i])
+        first = joints[chain[0]]
+        _set_position(first, lengths.bases[i])
+        # Fingers point along their x axes, about which the first of the three turns is.
+        set_numbers(_origin(first), "rpy", [lengths.rolls[i], *_rpy(first)[1:]])
         for k, name in enumerate(chain[2:]):
             _set_position(joints[name], np.array([lengths.segments[i, k], 0.0, 0.0]))
             stretch = np.array([lengths.segments[i, k] / old.segments[i, k], size, size])
@@ -258,6 +277,10 @@ def _position(element: ET.Element) -> np.ndarray:
     return np.array(get_numbers(_origin(element), "xyz", 3, "0 0 0"))
 
 
+def _rpy(element: ET.Element) -> list[float]:
+    return get_numbers(_origin(element), "rpy", 3, "0 0 0")
+
+
 def _set_position(element: ET.Element, position: np.ndarray) -> None:
     set_numbers(_origin(element), "xyz", list(position))
 
@@ -294,7 +317,7 @@ def _palm_map(
 def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
     origin, centre = _origin(shape), _position(shape)
-    axes = rotation_from_rpy(get_numbers(origin, "rpy", 3, "0 0 0"))
+    axes = rotation_from_rpy(_rpy(shape))
     primitive = shape.find("geometry/*")
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):

@@ -61,7 +61,7 @@ def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
     if lengths is None:
         return None
     return msgspec.convert(
-        {"bases": lengths.bases.tolist(), "segments": lengths.segments.tolist()}, Lengths
+        {name: getattr(lengths, name).tolist() for name in Lengths.__struct_fields__}, Lengths
     )
 
 

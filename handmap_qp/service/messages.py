@@ -58,6 +58,10 @@ class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     segments: Annotated[
         tuple[Vector, Vector, Vector, Vector, Vector], _doc("Bone lengths outwards from there [m].")
     ]
+    rolls: Annotated[
+        tuple[float, float, float, float, float],
+        _doc("Turn of each finger's joint axes about the palm's y axis [rad]."),
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Request(
@@ -655,8 +659,10 @@ def _bad_number(request: Request) -> tuple[str, str] | None:
         )
     if isinstance(request, Open) and request.lengths is not None:
         lengths = request.lengths
-        found = _bad_points("lengths.bases", lengths.bases) or _bad_points(
-            "lengths.segments", lengths.segments
+        found = (
+            _bad_points("lengths.bases", lengths.bases)
+            or _bad_points("lengths.segments", lengths.segments)
+            or _bad_row("lengths.rolls", lengths.rolls)
         )
         if found is not None:
             return found

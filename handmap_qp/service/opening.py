@@ -120,4 +120,4 @@ def _human_lengths(request: Open) -> HumanLengths | None:
         )
     if not all(0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)):
         raise InvalidInputError(argument="lengths", expected="lengths between 0 and 1 m")
-    return HumanLengths(np.array(lengths.bases), np.array(lengths.segments))
+    return HumanLengths(*map(np.array, (lengths.bases, lengths.segments, lengths.rolls)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.trackers.recording import LANDMARK_COUNT, Recording
@@ -29,6 +29,11 @@ HAND_LENGTHS = (0.08, 0.35)
 (0.32). Landmarks outside them are in other units than metres."""
 _PALM_RATIOS = (0.5, 2.0)
 """Size of a sample's palm over the hand's own, which is constant; 0.87 to 1.12 in recordings."""
+_BENT = math.sin(math.radians(15.0))
+"""Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans
+a plane."""
+_FEWEST_BENT = 20
+"""Bent samples that a finger's roll needs."""
 
 
 class PalmShape:
@@ -143,7 +148,7 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
 
 
 def measure_hand(recording: Recording) -> HumanLengths:
-    """Measure a person's hand: medians of bones and palm over the valid samples.
+    """Measure a person's hand: medians of bones, palm and rolls over the valid samples.
 
     Args:
         recording: The recording.
@@ -167,8 +172,35 @@ def measure_hand(recording: Recording) -> HumanLengths:
     for _ in range(3):
         palm = np.median(_lay_on(landmarks, palm)[:, PALM], axis=0)
         palm = palm - palm[0]
-    bases = np.median(_lay_on(landmarks, palm)[:, FIRST_JOINTS], axis=0)
-    return HumanLengths(bases=bases, segments=segments)
+    laid = _lay_on(landmarks, palm)
+    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
+    return HumanLengths(bases=bases, segments=segments, rolls=_rolls(laid))
+
+
+def _rolls(landmarks: np.ndarray) -> np.ndarray:
+    """Measure how far the flexion axes of the fingers are turned about the palm's y axis [rad].
+
+    The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
+    about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
+
+    Args:
+        landmarks: Samples in the palm frame of a right hand [m], shape (T, 21, 3).
+
+    Returns:
+        Medians over the samples that bend the finger, shape (5,); 0 for the thumb, whose bones
+        bend about two axes, and for a finger that hardly bends.
+    """
+    fingers = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
+    proximal, beyond = fingers[:, :, 1] - fingers[:, :, 0], fingers[:, :, 3] - fingers[:, :, 1]
+    normals = np.cross(proximal, beyond)
+    angles = np.arctan2(normals[..., 2], -normals[..., 0])
+    lengths = np.linalg.norm(proximal, axis=2) * np.linalg.norm(beyond, axis=2)
+    is_bent = np.linalg.norm(normals, axis=2) > _BENT * lengths
+    rolls = np.zeros(len(FINGERS))
+    for i in range(1, len(FINGERS)):
+        if is_bent[:, i].sum() >= _FEWEST_BENT:
+            rolls[i] = np.median(angles[is_bent[:, i], i])
+    return np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
 
 
 def scaled_human(

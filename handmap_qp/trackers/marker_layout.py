@@ -13,6 +13,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import PointSpec, Side, Vector
+from handmap_qp.hands.urdf.mirror import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.trackers.layout import TYPICAL_LENGTH, UNITS, Hands, Layout, LayoutTable
@@ -160,8 +161,5 @@ class MarkerLayout(Layout[MarkerTable]):
 
 def _lengths_of(human: Hand) -> HumanLengths:
     """Return the lengths of a human hand, as a right one."""
-    landmarks = human.with_points("landmarks").points(np.zeros(len(human.joint_names)))
-    chains = landmarks[1:].reshape(5, 4, 3)
-    if human.spec.side == "left":
-        chains = chains * _MIRROR
-    return HumanLengths(chains[:, 0], np.linalg.norm(np.diff(chains, axis=1), axis=2))
+    text = human.urdf_text
+    return HumanLengths.from_urdf(text if human.spec.side == "right" else mirrored_urdf(text))

@@ -34,7 +34,7 @@ class Person:
 
     Attributes:
         name: Name of the person or of the recording.
-        lengths: Lengths of the hand, as a right hand.
+        lengths: Lengths and rolls of the hand, as a right hand.
         contact_gap: Distance between thumb and finger landmarks where the skin touches [m], from 0
             to 0.04. It depends on the tracker too.
 
@@ -75,6 +75,7 @@ class Person:
         lengths = {
             "bases": self.lengths.bases.tolist(),
             "segments": self.lengths.segments.tolist(),
+            "rolls": self.lengths.rolls.tolist(),
         }
         return {"lengths": lengths, "contact_gap": self.contact_gap}
 
@@ -162,19 +163,22 @@ def write_person(person: Person, file: Path) -> None:
 
 
 def person_text(person: Person) -> str:
-    """Return the text of a person's file; lengths are rounded to 0.01 mm."""
+    """Return the text of a person's file; lengths are rounded to 0.01 mm, rolls to 1e-5 rad."""
     lines = [
         "# Measured by `handmap calibrate`. Lengths in metres, in the palm frame of a right hand:",
         "# origin at the wrist, x away from the thumb, y distal, z dorsal.",
         yaml.safe_dump({"name": person.name}, allow_unicode=True).rstrip("\n"),
         "# Distance between thumb and finger landmarks where the skin touches.",
         f"contact_gap: {person.contact_gap:.{_DECIMALS}f}",
-        "# First joint of each finger, and its bones from there to the tip.",
+        "# First joint of each finger, its bones from there to the tip, and the turn of its joint",
+        "# axes about y [rad].",
         "fingers:",
     ]
-    rows = zip(FINGERS, person.lengths.bases, person.lengths.segments, strict=True)
+    lengths = person.lengths
+    rows = zip(FINGERS, lengths.bases, lengths.segments, lengths.rolls, strict=True)
     lines += [
-        f"  {name}: {{base: {_row(base)}, bones: {_row(bones)}}}" for name, base, bones in rows
+        f"  {name}: {{base: {_row(base)}, bones: {_row(bones)}, roll: {roll:.{_DECIMALS}f}}}"
+        for name, base, bones, roll in rows
     ]
     return "\n".join(lines) + "\n"
 
@@ -209,21 +213,25 @@ def read_person(path: Path | str) -> Person:
         lengths = HumanLengths(
             bases=np.array([finger.base for finger in fingers]),
             segments=np.array([finger.bones for finger in fingers]),
+            rolls=np.array([finger.roll for finger in fingers]),
         )
         return Person(found.name, lengths, found.contact_gap)
     except InvalidInputError as error:
-        key = {"bases": "fingers.*.base", "segments": "fingers.*.bones"}.get(error.argument)
+        key = _KEYS.get(error.argument)
         raise _unreadable(file, key or error.argument, error.what) from error
 
 
+_KEYS = {"bases": "fingers.*.base", "segments": "fingers.*.bones", "rolls": "fingers.*.roll"}
+"""Keys of a person's file by the fields of `HumanLengths`."""
 _Three = tuple[float, float, float]
 
 
 class _FingerFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One finger of a person's file: its first joint and its bones [m]."""
+    """One finger of a person's file: its first joint and its bones [m], and its roll [rad]."""
 
     base: _Three
     bones: _Three
+    roll: float = 0.0
 
 
 class _FingersFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

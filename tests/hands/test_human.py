@@ -57,7 +57,8 @@ def persons(draw: st.DrawFn) -> HumanLengths:
     bases = np.array(DEFAULT.bases) * draw(st.floats(0.5, 1.6))
     bases += draw(arrays(float, (5, 3), elements=st.floats(-0.008, 0.008)))
     segments = draw(arrays(float, (5, 3), elements=st.floats(0.006, 0.07)))
-    return HumanLengths(bases=bases, segments=segments)
+    rolls = draw(arrays(float, 5, elements=st.floats(-0.7, 0.7)))
+    return HumanLengths(bases=bases, segments=segments, rolls=rolls)
 
 
 def test_joints_are_named_in_order() -> None:
@@ -175,6 +176,21 @@ def test_scaled_hand_has_the_lengths_asked_for(person: HumanLengths, angles: np.
     )
 
 
+@given(person=persons(), angles=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
+def test_a_rolled_finger_is_the_finger_turned_about_the_axis_of_the_palm(
+    person: HumanLengths, angles: np.ndarray
+) -> None:
+    straight = HumanLengths(bases=person.bases, segments=person.segments)
+    rolled, unrolled = (
+        tip_and_joint_positions(scaled_human_urdf(HUMAN, lengths), angles)
+        for lengths in (person, straight)
+    )
+    for i, roll in enumerate(person.rolls):
+        turn = pin.exp3(np.array([0.0, roll, 0.0]))
+        expected = person.bases[i] + (unrolled[i] - person.bases[i]) @ turn.T
+        np.testing.assert_allclose(rolled[i], expected, atol=1e-12)
+
+
 @settings(max_examples=15)
 @given(person=persons())
 def test_scaling_forgets_earlier_scaling(person: HumanLengths) -> None:
@@ -182,6 +198,7 @@ def test_scaling_forgets_earlier_scaling(person: HumanLengths) -> None:
     back = HumanLengths.from_urdf(again)
     np.testing.assert_array_equal(back.bases, DEFAULT.bases)
     np.testing.assert_array_equal(back.segments, DEFAULT.segments)
+    np.testing.assert_array_equal(back.rolls, np.zeros(5))
 
 
 @settings(max_examples=15)
@@ -257,6 +274,8 @@ def test_left_hand_is_the_scaled_right_hand_mirrored() -> None:
         ({"segments": np.zeros((5, 3))}, "bones that are all longer than 0"),
         ({"segments": np.full((5, 3), np.inf)}, "segments: expected finite"),
         ({"segments": np.ones((3, 5))}, "segments: expected finite numbers of shape"),
+        ({"rolls": np.zeros(4)}, "rolls: expected finite numbers of shape"),
+        ({"rolls": [0, 0, 0, 0, 12]}, "rolls: expected angles within 45 degrees of 0, got 12 rad"),
     ],
 )
 def test_bad_lengths(change: dict[str, Any], message: str) -> None:
@@ -296,6 +315,7 @@ def test_lengths_and_synergies_are_values() -> None:
         np.testing.assert_array_equal(value.bases, DEFAULT.bases)
         assert not value.bases.flags.writeable
         assert not value.segments.flags.writeable
+        assert not value.rolls.flags.writeable
     again = pickle.loads(pickle.dumps(load_synergies()))
     np.testing.assert_array_equal(again.matrix, load_synergies().matrix)
     assert not again.matrix.flags.writeable

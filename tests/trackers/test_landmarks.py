@@ -17,6 +17,8 @@ from handmap_qp.trackers.fit import MOST_ITERATIONS, LandmarkFitter, fit_recordi
 from handmap_qp.trackers.landmarks import TIPS, PalmShape, human_name, measure_hand
 from handmap_qp.transform import affine
 
+ROLLS = np.radians([0.0, -9.0, 4.0, 9.0, 18.0])
+
 
 def synthetic(
     side: Side, lengths: HumanLengths, count: int = 60
@@ -58,10 +60,11 @@ def test_a_hand_is_measured_as_long_as_it_is(side: Side, hand_length: float) -> 
 def test_a_hand_of_the_standard_shape_is_measured_where_it_is(side: Side, size: float) -> None:
     """Check the position of every palm joint; distances from the wrist do not determine it."""
     standard = HumanLengths.from_urdf(load_hand("human").urdf_text)
-    lengths = HumanLengths(bases=size * standard.bases, segments=size * standard.segments)
+    lengths = HumanLengths(size * standard.bases, size * standard.segments, ROLLS)
     measured = measure_hand(synthetic(side, lengths)[0])
     np.testing.assert_allclose(measured.bases, lengths.bases, atol=1e-9)
     np.testing.assert_allclose(measured.segments, lengths.segments, atol=1e-9)
+    np.testing.assert_allclose(measured.rolls, ROLLS, atol=1e-9)
 
 
 def handedness(bases: np.ndarray) -> float:
@@ -90,7 +93,8 @@ def test_a_palm_that_is_not_flat_is_measured_the_right_way_round(side: Side) -> 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_joint_angles_are_recovered(side: Side) -> None:
-    lengths = HumanLengths.from_hand_length(0.19)
+    typical = HumanLengths.from_hand_length(0.19)
+    lengths = HumanLengths(typical.bases, typical.segments, ROLLS)
     recording, q, poses = synthetic(side, lengths)
     fitter = LandmarkFitter(side, lengths)
     for i in range(len(recording)):

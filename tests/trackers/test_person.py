@@ -41,6 +41,7 @@ def test_what_is_measured_is_what_is_read(file: Path) -> None:
     assert read.contact_gap == pytest.approx(measured.contact_gap, abs=5e-6)
     np.testing.assert_allclose(read.lengths.bases, measured.lengths.bases, atol=6e-6)
     np.testing.assert_allclose(read.lengths.segments, LENGTHS.segments, atol=6e-6)
+    np.testing.assert_allclose(read.lengths.rolls, measured.lengths.rolls, atol=6e-6)
     assert list(file.parent.iterdir()) == [file]
 
 
@@ -52,6 +53,14 @@ def test_a_person_fits_both_hands(file: Path) -> None:
     np.testing.assert_allclose(
         one.points(one.rest), other.points(other.rest) * (-1.0, 1.0, 1.0), atol=1e-9
     )
+
+
+def test_a_file_without_rolls_is_read_as_a_hand_without(file: Path) -> None:
+    document = yaml.safe_load(file.read_text())
+    for finger in document["fingers"].values():
+        del finger["roll"]
+    file.write_text(yaml.safe_dump(document))
+    np.testing.assert_array_equal(read_person(file).lengths.rolls, np.zeros(5))
 
 
 def changed(document: Any, key: str, value: Any) -> Any:
@@ -79,6 +88,7 @@ BAD = {
     "bone of no length": ("fingers.index.bones", [0.04, 0.02, 0.0], "fingers.*.bones"),
     "bone NaN": ("fingers.index.bones", [0.04, 0.02, float("nan")], "fingers.*.bones"),
     "bone of text": ("fingers.index.bones", [0.04, 0.02, "short"], "fingers.index.bones[2]"),
+    "roll in degrees": ("fingers.little.roll", 15, "fingers.*.roll"),
     "left hand": ("fingers.index.base", [0.09, 0.09, 0.0], "fingers.*.base"),
     "hand in millimetres": ("fingers.middle.bones", [45.0, 28.0, 25.0], "fingers"),
     "unknown key": ("age", 40, "person"),
