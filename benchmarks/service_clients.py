@@ -60,7 +60,7 @@ class Driver:
         fastest: Highest speed between two commands, as a share of the limit.
         commands: Number of commands.
         epochs: Number of changes of the epoch.
-        missed: Time of commands that were made and never arrived, since the service was killed [s].
+        missed: Time of commands that were made and never arrived, after a kill or a timeout [s].
         flags: All flags of the commands.
     """
 
@@ -189,6 +189,8 @@ class Honest(threading.Thread):
                     last = time.monotonic()
             except ServiceTimeoutError:
                 self.timeouts += 1
+                # The server may have commanded without being heard.
+                self.driver.missed += _MAX_DT
             except ServiceError as error:
                 self.refusals.append(str(error))
             self.longest = max(self.longest, time.monotonic() - started)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import HandmapError
+from handmap_qp.hands.mjcf.convert import convert_mjcf
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys
 from handmap_qp.trackers.formats import format_to_write, list_sources
 from handmap_qp.trackers.recording import Recording
@@ -45,7 +46,16 @@ def key_without_value(folder: Path) -> None:
     read_server_keys(folder / "keys")
 
 
-@pytest.mark.parametrize("read", [broken_encapsulation, broken_text, key_without_value])
+def name_of_other_encoding(folder: Path) -> None:
+    file = folder / "hand.xml"
+    body = b'<body name="l\xff"><joint/><geom size="0.01"/></body>'
+    file.write_bytes(b"<mujoco><worldbody>" + body + b"</worldbody></mujoco>")
+    convert_mjcf(file)
+
+
+@pytest.mark.parametrize(
+    "read", [broken_encapsulation, broken_text, key_without_value, name_of_other_encoding]
+)
 def test_it_ends_in_one_line(read: Callable[[Path], None], tmp_path: Path) -> None:
     with pytest.raises(HandmapError) as raised:
         read(tmp_path)

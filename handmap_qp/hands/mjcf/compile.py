@@ -70,7 +70,7 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
         The model, its name, and a note if the unit of angles was assumed.
 
     Raises:
-        HandError: If MuJoCo cannot compile it, in its words.
+        HandError: If MuJoCo cannot compile it, in its words, or a name is not UTF-8.
     """
     import mujoco
 
@@ -94,6 +94,10 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
             )
             spec.compiler.degree = False
             model = spec.compile()
+        # Bindings decode names only when they are asked for them.
+        bytes(model.names).decode()
+    except UnicodeDecodeError as error:
+        raise HandError("a word in the MJCF is not UTF-8", file=file) from error
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise HandError(f"MuJoCo cannot compile the MJCF: {reason}", file=file) from error

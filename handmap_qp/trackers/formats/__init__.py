@@ -15,6 +15,7 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.egodex import EgoDexFormat
+from handmap_qp.trackers.formats.isolation import IsolatedFormat
 from handmap_qp.trackers.formats.lerobot import LeRobotFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
 from handmap_qp.trackers.formats.mcap import McapFormat
@@ -26,8 +27,8 @@ FORMATS: tuple[RecordingFormat, ...] = (
     NpzFormat(),
     CsvFormat(),
     LeRobotFormat(),
-    RobomimicFormat(),
-    EgoDexFormat(),
+    IsolatedFormat(RobomimicFormat()),
+    IsolatedFormat(EgoDexFormat()),
     McapFormat(),
     ManoFormat(),
 )
