@@ -137,7 +137,7 @@ WHEELS = (
     Truth("f5d6 right", f"{_DEXMATE}/hands/f5d6_hand/f5d6_right.urdf", "-x", "+z", "right",
           {"thumb": "_th_", "index": "_ff_", "middle": "_mf_", "ring": "_rf_", "little": "_lf_"}),
     Truth("robotiq 2f85", "**/airo_models/grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf", "+z",
-          "-y", "right", {"thumb": "left", "index": "right"}),
+          "+y", "right", {"thumb": "left", "index": "right"}),
     Truth("icub left mk3", f"{_ICUB}/left_hand_mk3/model.urdf", "+x", "+z", "left"),
 )  # fmt: skip
 

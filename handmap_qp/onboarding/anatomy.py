@@ -7,7 +7,7 @@ plane of the knuckles, or names. What is derived from an answer is never surer t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,13 @@ _SNAP, _SNAP_WITH_PALM = 5.0, 16.0
 _SNAP_AXIS = 8.0
 # Directions agree within this angle [deg].
 _AGREEING = 25.0
+# A thumb flexes about the fingers' axis, in the opposite sense, if their cosine is smaller.
+_FACING = -0.9
+# A gripper's thumb points forward as its fingers do, with this cosine, and all are this alike in
+# length.
+_AHEAD, _ALIKE = 0.2, 0.1
+# A thumb opposes the fingers' direction if the cosine between both is smaller.
+_OPPOSED = -0.5
 # Neighbouring fingers closer than this could be in either order [m].
 _NARROW = 0.004
 
@@ -103,8 +110,14 @@ def find_anatomy(
     thumb, thumb_clue = _find_thumb(flexion, names, labels, thumb)
     rest = [i for i in range(len(flexion.bases)) if i != thumb]
     axis = _flexion_axis(flexion, rest)
-    distal, distal_clue = _find_distal(flexion, rest, axis)
+    distal, distal_clue = _find_distal(flexion, rest, thumb, axis)
     bend = _find_dorsal(flexion, rest, thumb, distal, axis)
+    bend = replace(bend, confidence=min(bend.confidence, distal_clue.confidence))
+    if thumb is not None and len(rest) > 1 and flexion.directions[thumb] @ distal < _OPPOSED:
+        # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
+        how = "the thumb points the other way: the best direction may be nearer to the palm's"
+        distal_clue = replace(distal_clue, how=f"{distal_clue.how}; {how}", confidence=_DISPUTED)
+        bend = replace(bend, confidence=min(bend.confidence, distal_clue.confidence))
     radial = _radial(flexion, rest, thumb, distal, bend.dorsal, labels)
     bend, side, side_clue = _find_side(flexion, bend, radial, thumb_clue, declared, side, distal)
     dorsal_clue = Clue("dorsal", _shown(bend.dorsal), bend.how, bend.confidence)
@@ -249,13 +262,15 @@ def _flexion_axis(flexion: FingerFlexion, fingers: list[int]) -> np.ndarray | No
 
 
 def _find_distal(
-    flexion: FingerFlexion, fingers: list[int], axis: np.ndarray | None
+    flexion: FingerFlexion, fingers: list[int], thumb: int | None, axis: np.ndarray | None
 ) -> tuple[np.ndarray, Clue]:
-    directions = flexion.directions[fingers]
-    # The two jaws of a gripper lean in opposite directions: average both.
-    mean = directions.mean(axis=0)
+    mean = flexion.directions[fingers].mean(axis=0)
+    # Fingers and thumb of a gripper lean to opposite sides: take the middle of both.
     if len(flexion.bases) == 2:
         mean = flexion.directions.mean(axis=0)
+    elif thumb is not None and _is_gripper(flexion, fingers, thumb):
+        mean = 0.5 * (mean + flexion.directions[thumb])
+        mean = mean / max(float(np.linalg.norm(mean)), 1e-9)
     agreement = float(np.linalg.norm(mean))
     if agreement < 0.2:
         mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
@@ -274,6 +289,14 @@ def _find_distal(
             how = f"{how}; at right angles to the row of the knuckles"
             confidence = _CERTAIN
     return mean, Clue("distal", _shown(mean), how, confidence)
+
+
+def _is_gripper(flexion: FingerFlexion, fingers: list[int], thumb: int) -> bool:
+    """Return whether a thumb is as long as the fingers, and faces them, at less than 90 degrees."""
+    lengths = flexion.reach[[thumb, *fingers]]
+    faces = flexion.axes[thumb] @ flexion.axes[fingers].mean(axis=0) < _FACING
+    is_ahead = flexion.directions[thumb] @ flexion.directions[fingers].mean(axis=0) > _AHEAD
+    return bool(faces and is_ahead and np.ptp(lengths) < _ALIKE * lengths.mean())
 
 
 def _find_dorsal(
@@ -435,10 +458,10 @@ def _find_side(
         return bend, found, Clue("side", found, how, confidence)
     if declared == found:
         if bend.sign_certainty > 0.6 and _LIKELY <= bend.confidence < _CERTAIN:
-            bend = _Bend(bend.dorsal, f"{bend.how}; the side agrees", _CERTAIN, bend.sign_certainty)
+            bend = replace(bend, how=f"{bend.how}; the side agrees", confidence=_CERTAIN)
         elif bend.confidence < _LIKELY:
             raised = _LIKELY if bend.sign_certainty > 0.05 else bend.confidence
-            bend = _Bend(bend.dorsal, f"{bend.how}; the side agrees", raised, bend.sign_certainty)
+            bend = replace(bend, how=f"{bend.how}; the side agrees", confidence=raised)
         least = min(radial.confidence, thumb.confidence)
         confidence = 1.0 if given is not None else _CERTAIN if least >= _LIKELY else _LIKELY
         what = source if given is not None else f"{source}, and {how}"

@@ -24,7 +24,8 @@ _GRID, _SWEEP = 25, 11
 _LEAST_CURL = 0.06
 # Axes whose cosine exceeds this are parallel.
 _PARALLEL = 0.85
-# A joint of a linkage turns the tip by less than this per radian: it moves it on a circle.
+# A joint of a parallelogram turns the tip by less than this per radian: a jaw that moves on a
+# circle, and curls nothing.
 _LEAST_TURN = 0.1
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
@@ -266,9 +267,11 @@ def _parallel_joints(fingers: FingertipKinematics, i: int) -> list[list[int]]:
             continue
         turn = np.sum(turns, axis=0)
         size = float(np.linalg.norm(turn))
-        axis = turn / size if size > _LEAST_TURN else turns[0] / np.linalg.norm(turns[0])
+        if size < _LEAST_TURN:
+            continue
+        axis = turn / size
         for other, joints in groups:
-            if size > _LEAST_TURN and abs(axis @ other) > _PARALLEL:
+            if abs(axis @ other) > _PARALLEL:
                 joints.insert(0, j)
                 break
         else:
@@ -315,10 +318,6 @@ def _axis_of(
     """Return a group's axis, the base on it, and each joint's sense and gear about it."""
     found = [fingers.axes(q, i, int(j)) for j in joints]
     turns = [np.sum([turn for turn, _ in axes], axis=0) for axes in found]
-    turns = [
-        turn if np.linalg.norm(turn) > _LEAST_TURN else axes[0][0]
-        for turn, axes in zip(turns, found, strict=True)
-    ]
     axis = turns[-1] / np.linalg.norm(turns[-1])
     along = np.array([float(turn @ axis) for turn in turns])
     first, point = found[0][0]
