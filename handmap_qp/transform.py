@@ -43,6 +43,7 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 _IDENTITY = np.eye(4)
 _ONES = np.ones(3)
 
+_SUCCESS = ComputationInfo.Success
 _THIN = int(DecompositionOptions.ComputeThinU) | int(DecompositionOptions.ComputeThinV)
 _FULL = int(DecompositionOptions.ComputeFullU) | int(DecompositionOptions.ComputeFullV)
 
@@ -110,6 +111,24 @@ def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
         raise _mismatch("motion and points", "shapes (4, 4) and (n, 3)") from error
 
 
+def moved_rows(rows: np.ndarray, linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Apply an affine motion to points with a 1 behind each; not checked, for every sample.
+
+    One product takes two thirds of the time of `points @ linear.T + translation`.
+
+    Args:
+        rows: Points [m] and a 1 each, shape (n, 4).
+        linear: Linear part, shape (3, 3).
+        translation: Translation [m], shape (3,).
+
+    Returns:
+        The moved points [m], shape (n, 3); a new array.
+    """
+    columns = np.empty((4, 3))
+    columns[:3], columns[3] = linear.T, translation
+    return rows.dot(columns)
+
+
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the Euclidean length of each row, shape (n,), of vectors of shape (n, 3).
 
@@ -157,7 +176,7 @@ def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = SquareSvd(matrix, _FULL)
     except _ARRAY_ERRORS as error:
         raise _mismatch("matrix", "numbers of shape (3, 3)") from error
-    if found.info() != ComputationInfo.Success:
+    if found.info() != _SUCCESS:
         raise InvalidInputError(argument="matrix", expected="finite numbers", value=matrix)
     return found.matrixU(), found.singularValues(), found.matrixV().T
 

@@ -69,6 +69,7 @@ class Configuration:
         # to the point p.
         self._rows = np.zeros((3 * count + 6, 6))
         self._rows[: 3 * count, :3] = np.tile(np.eye(3), (count, 1))
+        self._wrist_rows = self._rows[-6:]
         self._crosses = np.empty((count, 9))
         self._crosses_3 = self._crosses.reshape(count, 3, 3)
         self._angular = self._rows[: 3 * count].reshape(count, 3, 6)[:, :, 3:]
@@ -196,10 +197,10 @@ class Configuration:
         """
         if not self._has_jacobians:
             raise StaleJacobianError
-        np.dot(self.points, CROSS, out=self._crosses)
+        self.points.dot(CROSS, out=self._crosses)
         self._angular[:] = self._crosses_3
-        np.dot(error_jacobian, self.wrist.toActionMatrixInverse(), out=self._rows[-6:])
-        return np.dot(self._rows, self._joint_columns, out=self._jacobian)
+        error_jacobian.dot(self.wrist.toActionMatrixInverse(), out=self._wrist_rows)
+        return self._rows.dot(self._joint_columns, out=self._jacobian)
 
     def _wrong(self, q: object) -> InvalidInputError:
         expected = f"a Pinocchio configuration of shape ({self.model.nq},)"

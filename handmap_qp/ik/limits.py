@@ -51,20 +51,26 @@ class BoxLimits:
         has_velocity_limits: bool = True,
         max_acceleration: npt.ArrayLike | None = None,
     ) -> None:
-        first_v = 6 if hand.is_floating else 0
         # The solver's order is the model's, not that of `joint_names`.
         order = np.argsort(hand.v_indices)
-        self._q_indices = as_slice(hand.q_indices[order])
-        self._joints = slice(first_v, None)
-        # Only joints have position limits; a free-flyer's are +-1.8e308 in Pinocchio and stay out
-        # of all arithmetic.
+        coordinates = hand.q_indices[order]
         self._lower, self._upper = hand.lower_limits[order], hand.upper_limits[order]
-        self._speed = np.concatenate([np.zeros(first_v), hand.velocity_limits[order]])
+        self._speed = hand.velocity_limits[order]
+        self._joints = slice(0, None)
         if hand.is_floating:
-            self._speed[:3] = hand.spec.wrist.max_linear_speed
-            self._speed[3:6] = hand.spec.wrist.max_angular_speed
+            wrist = hand.spec.wrist
+            speeds = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
+            self._speed = np.concatenate([speeds, self._speed])
+            # Pinocchio's free-flyer has limits of +-1.8e308, which stay out of all arithmetic. With
+            # infinite ones in their place, whole vectors are compared: any six of its seven
+            # coordinates do for its six speeds.
+            coordinates = np.concatenate([np.arange(1, 7), coordinates])
+            self._lower = np.concatenate([np.full(6, -np.inf), self._lower])
+            self._upper = np.concatenate([np.full(6, np.inf), self._upper])
+            self._joints = slice(6, None)
+        self._coordinates = as_slice(coordinates)
         if not has_velocity_limits:
-            self._speed[:] = np.inf
+            self._speed = np.full(len(self._speed), np.inf)
         self._acceleration = (
             None
             if max_acceleration is None
@@ -92,12 +98,10 @@ class BoxLimits:
         Returns:
             Two arrays of shape (nv,), `lower <= upper`.
         """
-        upper = self._speed * dt
-        lower = -upper
-        angles, joints = q[self._q_indices], self._joints
-        slowest, fastest = lower[joints], upper[joints].copy()
-        upper[joints] = np.maximum(np.minimum(self._upper - angles, fastest), slowest)
-        lower[joints] = np.minimum(np.maximum(self._lower - angles, slowest), fastest)
+        farthest = self._speed * dt
+        nearest, angles = -farthest, q[self._coordinates]
+        lower = np.maximum(np.minimum(self._lower - angles, farthest), nearest)
+        upper = np.maximum(np.minimum(self._upper - angles, farthest), nearest)
         if self._acceleration is None:
             return lower, upper
         return self._with_acceleration(
@@ -132,10 +136,8 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             displacement: Displacement, shape (nv,).
         """
-        excess, joints = np.zeros(len(displacement)), self._joints
-        angles = q[self._q_indices] + displacement[joints]
-        excess[joints] = np.maximum(np.maximum(self._lower - angles, angles - self._upper), 0.0)
-        return excess
+        reached = q[self._coordinates] + displacement
+        return np.maximum(np.maximum(self._lower - reached, reached - self._upper), 0.0)
 
     def _with_acceleration(
         self,
@@ -155,7 +157,8 @@ class BoxLimits:
         lowest, highest = middle - change, middle + change
         least, most = lowest.copy(), highest.copy()
         # Past a limit there is no braking distance left; the box brings the joint back.
-        above, below = np.maximum(self._upper - angles, 0.0), np.maximum(angles - self._lower, 0.0)
+        above = np.maximum((self._upper - angles)[joints], 0.0)
+        below = np.maximum((angles - self._lower)[joints], 0.0)
         to_upper = braking_displacement(above, change[joints])
         to_lower = braking_displacement(below, change[joints])
         if stop_times is not None:

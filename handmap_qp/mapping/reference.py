@@ -12,7 +12,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.transform import frozen
+from handmap_qp.transform import affine, frozen
 
 
 class Reference(NamedTuple):
@@ -23,10 +23,12 @@ class Reference(NamedTuple):
         human_offsets: Human reference points from the pivot, `p_i - c_h` [m], shape (n_h, 3).
         human_wrist: Human wrist pose in W, shape (4, 4); None where it was not measured.
         human_pivot: c_h [m], shape (3,).
-        robot_offsets: Robot reference points from the pivot, `s_i - c_r` [m], shape (n_r, 3).
-        robot_wrist: Robot wrist pose in V, shape (4, 4).
+        robot_rows: Robot reference points from the pivot, `s_i - c_r` [m], and a 1 behind each,
+            shape (n_r, 4).
+        robot_wrist: Robot wrist pose in V axes, its translation from the pivot, shape (4, 4).
         robot_pivot: c_r [m], shape (3,).
         alignment: Q, from W axes to V axes, shape (3, 3); None where they agree.
+        shift_map: `scale Q`, from shifts in W axes to V axes, shape (3, 3); None for the identity.
         residual_share: Part of each human point's residual that each robot point takes over, shape
             (n_r, n_h); None for nothing.
     """
@@ -35,10 +37,11 @@ class Reference(NamedTuple):
     human_offsets: np.ndarray
     human_wrist: np.ndarray | None
     human_pivot: np.ndarray
-    robot_offsets: np.ndarray
+    robot_rows: np.ndarray
     robot_wrist: np.ndarray
     robot_pivot: np.ndarray
     alignment: np.ndarray | None
+    shift_map: np.ndarray | None
     residual_share: np.ndarray | None
 
 
@@ -74,15 +77,17 @@ def make_reference(
         human_pivot, robot_pivot = human_palm[:3, 3].copy(), robot_palm[:3, 3]
     else:
         human_pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
+    alignment = _alignment(options, human_palm, robot_palm)
     return Reference(
         estimator=estimator,
         human_offsets=sample.points - human_pivot,
         human_wrist=None if sample.wrist is None else sample.wrist.copy(),
         human_pivot=frozen(human_pivot),
-        robot_offsets=posture.points - robot_pivot,
-        robot_wrist=posture.wrist.copy(),
+        robot_rows=np.column_stack([posture.points - robot_pivot, np.ones(len(posture.points))]),
+        robot_wrist=affine(posture.wrist[:3, :3], posture.wrist[:3, 3] - robot_pivot),
         robot_pivot=robot_pivot,
-        alignment=_alignment(options, human_palm, robot_palm),
+        alignment=alignment,
+        shift_map=_shift_map(alignment, options.scale),
         residual_share=_residual_share(options, sample.points, posture.points, partners),
     )
 
@@ -136,6 +141,13 @@ def _alignment(
     if options.alignment == "world" or human_palm is None:
         return None
     return robot_palm[:3, :3] @ human_palm[:3, :3].T
+
+
+def _shift_map(alignment: np.ndarray | None, scale: float) -> np.ndarray | None:
+    """Return `scale Q`, or None where it is the identity."""
+    if alignment is None:
+        return None if scale == 1.0 else scale * np.eye(3)
+    return scale * alignment
 
 
 def _residual_share(

@@ -18,7 +18,7 @@ from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.reference import Reference
 from handmap_qp.mapping.rigid import RIGID_PARTS, Displacement
-from handmap_qp.transform import affine
+from handmap_qp.transform import affine, moved_rows
 
 
 class Transfer(msgspec.Struct, frozen=True, eq=False):
@@ -88,29 +88,28 @@ def transfer_motion(
     rotation, rigid_image = RIGID_PARTS[options.rigid_from].part(
         Displacement(factors.rotation, image), pivot, reference.human_wrist, sample.wrist
     )
-    points = _points_after(reference, linear, options.scale * (image - pivot))
+    centre = _centre_after(reference, image - pivot)
+    points = moved_rows(reference.robot_rows, _in_robot_axes(reference, linear), centre)
     if reference.residual_share is not None:
         # The residual refers to the imposed motion, so it makes up for clamping and gain.
         residual = sample.points - (reference.human_offsets.dot(linear.T) + image)
         share = reference.residual_share.dot(residual)
         points += share if reference.alignment is None else share @ reference.alignment.T
-    wrist = _wrist_after(reference, rotation, options.scale * (rigid_image - pivot))
+    if rigid_image is not image:
+        centre = _centre_after(reference, rigid_image - pivot)
+    wrist = affine(_in_robot_axes(reference, rotation), centre).dot(reference.robot_wrist)
     return Transfer(
         linear, rotation, pivot, rigid_image, image, factors.stretches, is_clamped, points, wrist
     )
 
 
-def _points_after(reference: Reference, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Move the robot's points by a linear map about the pivot and a shift in W axes; (n_r, 3)."""
+def _centre_after(reference: Reference, shift: np.ndarray) -> np.ndarray:
+    """Return where a shift of the human's pivot takes the robot's [m], shape (3,)."""
+    scaled = reference.shift_map
+    return reference.robot_pivot + (shift if scaled is None else scaled.dot(shift))
+
+
+def _in_robot_axes(reference: Reference, linear: np.ndarray) -> np.ndarray:
+    """Return a linear map of W axes in V axes, shape (3, 3)."""
     Q = reference.alignment
-    if Q is not None:
-        linear, shift = Q @ linear @ Q.T, Q @ shift
-    return reference.robot_offsets.dot(linear.T) + (reference.robot_pivot + shift)
-
-
-def _wrist_after(reference: Reference, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Move the robot's wrist by a rotation about the pivot and a shift in W axes; (4, 4)."""
-    Q, wrist, pivot = reference.alignment, reference.robot_wrist, reference.robot_pivot
-    if Q is not None:
-        rotation, shift = Q @ rotation @ Q.T, Q @ shift
-    return affine(rotation.dot(wrist[:3, :3]), rotation.dot(wrist[:3, 3] - pivot) + (pivot + shift))
+    return linear if Q is None else Q @ linear @ Q.T

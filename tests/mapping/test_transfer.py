@@ -113,7 +113,7 @@ def test_a_rigid_motion_deforms_nothing(
     np.testing.assert_allclose(transfer.stretches, 1.0, atol=1e-12)
     # The robot's points and wrist move as one body.
     body = transfer.wrist_target @ np.linalg.inv(robot_wrist)
-    start_points = reference.robot_offsets + reference.robot_pivot
+    start_points = reference.robot_rows[:, :3] + reference.robot_pivot
     np.testing.assert_allclose(transfer.targets, transform_points(body, start_points), atol=1e-12)
 
 
@@ -200,9 +200,8 @@ def test_the_robots_points_see_the_motion_in_their_own_axes(
     reference = reference_of(options, start, robot_wrist)
     transfer = transfer_of(exact(motion), reference, None, options)
     arms = transfer.targets - transfer.targets.mean(axis=0)
-    linear = np.linalg.lstsq(
-        reference.robot_offsets - reference.robot_offsets.mean(axis=0), arms, rcond=None
-    )[0].T
+    offsets = reference.robot_rows[:, :3]
+    linear = np.linalg.lstsq(offsets - offsets.mean(axis=0), arms, rcond=None)[0].T
     np.testing.assert_allclose(np.linalg.svd(linear)[1], np.abs(transfer.stretches), atol=1e-8)
 
 
@@ -255,7 +254,7 @@ def _in_unit(reference: Reference, options: MappingOptions, unit: float) -> Refe
         human_wrist=_pose_in_unit(human_wrist, unit),
         human_offsets=unit * reference.human_offsets,
         human_pivot=unit * reference.human_pivot,
-        robot_offsets=unit * reference.robot_offsets,
+        robot_rows=reference.robot_rows * (unit, unit, unit, 1.0),
         robot_wrist=_pose_in_unit(reference.robot_wrist, unit),
         robot_pivot=unit * reference.robot_pivot,
     )
