@@ -1,9 +1,13 @@
 # Everything runs inside .venv, which the first target that needs it creates. It takes Python 3.11 or
-# later, make and git.
+# later, make and git. `make demo` installs what it needs; the other targets add the rest.
 
 SHELL := /bin/sh
 VENV := .venv
 BIN := $(VENV)/bin
+# The folder that .venv was made in. Scripts of an environment name that folder, so a copy starts anew.
+FOLDER := $(VENV)/.folder
+# Stamps of what .venv has: pictures and the view, or all extras and the tools of developers.
+SMALL := $(VENV)/.small
 INSTALLED := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CONSTRAINTS := .ci/constraints.txt
@@ -36,11 +40,14 @@ help: ## Show this help
 	@echo "make TARGET, with TARGET one of"
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
-	@echo "The first run installs all it needs into $(VENV): a minute or so, and about 2 GB."
+	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 2.3 GB for the others."
 	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
 
-demo: $(INSTALLED) ## See it work: a human hand's motion on a robot hand, with pictures, in demo/
+demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a human hand's motion on a robot hand, with pictures, in demo/
 	@$(BIN)/handmap demo $(ARGS)
+	@echo
+	@echo "Look at the pictures. For the command in this shell:  . $(BIN)/activate"
+	@echo "Then see it move:  handmap view demo --robot three_finger"
 
 test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
@@ -110,18 +117,20 @@ if [ -z "$$python" ]; then \
 fi
 endef
 
-# The stamp holds the folder it was made in. Scripts of an environment name that folder, so a copied or half-made one starts anew.
-$(INSTALLED): pyproject.toml $(CONSTRAINTS)
-	@if [ "$$(cat $@ 2> /dev/null)" != "$(CURDIR)" ]; then \
+$(SMALL): WANTED := '.[plot,view]'
+$(INSTALLED): WANTED := '.[all]' --group dev
+$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS)
+	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \
 	    echo "Making $(VENV) with $$("$$python" --version)"; \
-	    "$$python" -m venv --clear $(VENV); \
+	    "$$python" -m venv --clear $(VENV) && \
+	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip hatchling editables && \
+	    echo "$(CURDIR)" > $(FOLDER) || exit 1; \
 	fi
-	@echo "Installing into $(VENV) what pyproject.toml asks for"
-	@$(PIP) install -qq --constraint $(CONSTRAINTS) pip hatchling editables
-	@$(PIP) install -qq --constraint $(CONSTRAINTS) --no-build-isolation --editable '.[all]' --group dev
-	@echo "$(CURDIR)" > $@
+	@echo "Installing into $(VENV) the package with all that it needs"
+	@$(PIP) install -qq --constraint $(CONSTRAINTS) --no-build-isolation --editable $(WANTED)
+	@touch $@
 
-ifneq ($(shell cat $(INSTALLED) 2> /dev/null),$(CURDIR))
-.PHONY: $(INSTALLED)
+ifneq ($(shell cat $(FOLDER) 2> /dev/null),$(CURDIR))
+.PHONY: $(SMALL) $(INSTALLED)
 endif

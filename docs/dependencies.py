@@ -12,7 +12,8 @@ HEAD = """# Dependencies
 
 Written by `python docs/dependencies.py` from the metadata of the installed packages. All packages,
 also indirect ones, are in `.ci/constraints.txt`. A release has a software bill of materials
-(CycloneDX) beside the wheel.
+(CycloneDX) beside the wheel. The package itself is under Apache-2.0. Two dependencies are under
+stricter licences: qpsolvers (LGPL), and quadprog (GPL) in the extra `solvers` only.
 
 | package | needed by | bounds | licence |
 |---|---|---|---|

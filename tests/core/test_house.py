@@ -163,5 +163,15 @@ def test_constraints_fit_the_requirements(project: dict[str, Any]) -> None:
         )
 
 
+def test_page_of_dependencies_is_current(project: dict[str, Any]) -> None:
+    # Otherwise `python docs/dependencies.py` was forgotten.
+    page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
+    found = set(re.findall(r"^\| ([\w-]+) \| .* \| `(.*)` \| \w", page, flags=re.MULTILINE))
+    own = project["project"]
+    lines = [*own["dependencies"], *(e for es in own["optional-dependencies"].values() for e in es)]
+    wanted = {re.match(r"([\w-]+)[^<>=]*(.*)", line).groups() for line in lines}  # pyright: ignore
+    assert found == {row for row in wanted if row[0] != own["name"]}
+
+
 def test_ci_script_can_be_run() -> None:
     assert os.access(ROOT / ".ci" / "run", os.X_OK)

@@ -1,6 +1,7 @@
 """Targets, files and names in the README exist; see test_pages.py for its code and commands."""
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,20 @@ def test_files_and_names_in_the_table_exist() -> None:
         for name in re.findall(r"`([A-Za-z_.]+)`", row.split("|")[2]):
             if not name.endswith(".py"):
                 assert f" {name.rpartition('.')[2]}(" in source or f"class {name}" in source, row
+
+
+@pytest.mark.parametrize("address", ["", "https://host/owner/name"])
+def test_the_long_description_has_absolute_links(address: str) -> None:
+    pytest.importorskip("hatchling")
+    hook = runpy.run_path(str(ROOT / ".ci" / "metadata.py"))
+    text = hook["long_description"](README, address, "v1.2.3")
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    assert (len(links) > 5) == bool(address)
+    for link in links:
+        kind, tag, path = link.removeprefix(f"{address}/").split("/", 2)
+        assert (kind in ("raw", "blob"), tag) == (True, "v1.2.3")
+        assert (ROOT / path).is_file()
+    assert all(url.startswith(address) for url in hook["addresses"](address).values())
 
 
 def test_public_names_exist() -> None:

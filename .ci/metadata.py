@@ -1,0 +1,58 @@
+"""hatchling's hook for metadata that depends on where the package is built.
+
+GitHub Actions names the repository by GITHUB_SERVER_URL and GITHUB_REPOSITORY. There, the long
+description shows the pictures of the tag that is built, and the project has its addresses. A build
+elsewhere knows no address, and a package index shows no relative ones: pictures are left out, and
+links to files become their text.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from hatchling.metadata.plugin.interface import MetadataHookInterface
+
+_LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?://|#)([^)]+)\)")
+
+
+class Metadata(MetadataHookInterface):
+    """Set the fields `readme` and `urls`."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        """Set both from README.md and the environment."""
+        server, repository = (
+            os.environ.get(f"GITHUB_{name}", "") for name in ("SERVER_URL", "REPOSITORY")
+        )
+        address = f"{server}/{repository}" if server and repository else ""
+        readme = (Path(self.root) / "README.md").read_text(encoding="utf-8")
+        text = long_description(readme, address, f"v{metadata['version']}")
+        metadata["readme"] = {"content-type": "text/markdown", "text": text}
+        if address:
+            metadata["urls"] = addresses(address)
+
+
+def addresses(address: str) -> dict[str, str]:
+    """Return the pages of a repository by the labels that package indexes know."""
+    pages = {"Source": "", "Issues": "/issues", "Changelog": "/blob/main/CHANGELOG.md"}
+    return {label: f"{address}{page}" for label, page in pages.items()}
+
+
+def long_description(readme: str, address: str, tag: str) -> str:
+    """Return the README with absolute links.
+
+    Args:
+        readme: Its Markdown.
+        address: Address of the repository; without one, pictures and links to files are left out.
+        tag: The tag whose files links lead to.
+    """
+
+    def absolute(link: re.Match[str]) -> str:
+        mark, text, target = link.groups()
+        if not address:
+            return "" if mark else text
+        return f"{mark}[{text}]({address}/{'raw' if mark else 'blob'}/{tag}/{target})"
+
+    return re.sub(r"\n{3,}", "\n\n", _LINK.sub(absolute, readme))
