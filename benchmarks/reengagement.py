@@ -1,9 +1,9 @@
-"""Speed, acceleration and jerk of a session's commands after everything that may make it jump.
+"""Speed, acceleration, jerk and overlap of a session's commands after what may make it jump.
 
 A recording leads a robot through the service's session, without sockets. In the middle of it, a
 client clutches, pauses, reconnects, changes options and so on. The table has the largest values in
 the second after each, over several places in the recording. The exit code is 1 if a speed or an
-acceleration limit is exceeded.
+acceleration limit is exceeded, or links overlap by more than 0.1 mm at or between samples.
 
     python benchmarks/reengagement.py --json reengagement.json
 """
@@ -17,7 +17,9 @@ from typing import Any
 
 import common
 import numpy as np
+from overlap import OverlapMeter
 
+from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Reset, Step
 from handmap_qp.service.opening import Hands, prepare_hands
@@ -55,7 +57,7 @@ class Run:
             hand_length=0.19,
             watchdog=0.2,
             return_after=0.3,
-            ik={} if limit is None else {"max_acceleration": limit},
+            ik={"avoids_self_collision": True, "max_acceleration": limit},
         )
         self._now, self._seq = 0.0, 1
         self.session = Session(self._request, self._hands(), "lab", self._now)
@@ -157,27 +159,45 @@ EVENTS: dict[str, Callable[[Run], None]] = {
 }
 
 
-def extremes(run: Run, first: int) -> tuple[float, float, float]:
-    """Return the largest speed, over its limit; acceleration [rad/s^2]; and jerk [rad/s^3]."""
+def extremes(run: Run, first: int, meter: OverlapMeter) -> tuple[float, float, float, float]:
+    """Return the largest figures after an event.
+
+    Args:
+        run: The session's run.
+        first: Index of the first command after the event.
+        meter: Measures the robot's overlaps.
+
+    Returns:
+        Speed over its limit; acceleration [rad/s^2]; jerk [rad/s^3]; overlap at and between
+        samples [mm].
+    """
     commands = run.commands[max(first - 3, 0) :]
     q = np.array([command.q for command in commands])
     dt = np.array([command.dt for command in commands])[1:, None]
     speed = np.diff(q, axis=0) / dt
     acceleration = np.diff(speed, axis=0) / dt[1:]
     jerk = np.diff(acceleration, axis=0) / dt[2:]
-    limits = run.session.robot.velocity_limits
+    robot = run.session.robot
+    limits = robot.velocity_limits
+    # Postures between samples too; those that repeat are measured once.
+    ways = np.concatenate([q, 0.5 * (q[1:] + q[:-1])])
+    depths = [
+        meter.depth(robot.configuration_vector(each, np.eye(4))) for each in np.unique(ways, axis=0)
+    ]
     return (
         float((np.abs(speed) / limits).max()),
         float(np.abs(acceleration).max()),
         float(np.abs(jerk).max()),
+        1e3 * max(depths),
     )
 
 
 def measure(robot: str, recording: Recording, limit: float | None, places: int) -> list[Any]:
     """Measure all events with one robot and limit; return rows of the table."""
-    rows = []
+    rows, hand = [], Run.cache.robot(robot, None, None)
+    meter = OverlapMeter(hand, named_pairs(hand))
     for name, cause in EVENTS.items():
-        worst = np.zeros(3)
+        worst = np.zeros(4)
         for place in range(places):
             run = Run(robot, recording, limit, 0.5 + 1.37 * place)
             run.lead(_BEFORE)
@@ -185,7 +205,7 @@ def measure(robot: str, recording: Recording, limit: float | None, places: int) 
             cause(run)
             first = min(first, len(run.commands))
             run.lead(_AFTER)
-            worst = np.maximum(worst, extremes(run, first))
+            worst = np.maximum(worst, extremes(run, first, meter))
         rows.append(
             {
                 "robot": robot,
@@ -194,8 +214,11 @@ def measure(robot: str, recording: Recording, limit: float | None, places: int) 
                 "speed / limit": worst[0],
                 "acceleration [rad/s^2]": worst[1],
                 "jerk [rad/s^3]": worst[2],
+                "overlap [mm]": worst[3],
                 "is_kept": bool(
-                    worst[0] <= 1.0 + 1e-6 and (limit is None or worst[1] <= limit * (1.0 + 1e-6))
+                    worst[0] <= 1.0 + 1e-6
+                    and (limit is None or worst[1] <= limit * (1.0 + 1e-6))
+                    and worst[3] <= 0.1
                 ),
             }
         )

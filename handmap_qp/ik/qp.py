@@ -211,6 +211,11 @@ class PointIk:
         self._c_joints = self._c[first_joint:]
         self._zero_step = frozen(np.zeros(nv))
 
+    @property
+    def collisions(self) -> CollisionLimit | None:
+        """Rows of the pairs of shapes that are kept apart; None if there are none."""
+        return self._collisions
+
     def with_options(self, options: IkOptions) -> PointIk:
         """Return a solver with other options that moves the same hand on from where it is."""
         return PointIk(self.hand, options, self.state, contacts=self._contacts)

@@ -17,6 +17,8 @@ import pinocchio as pin
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import braking_displacement
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.slewing import ClearSlew
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Pose
 
@@ -39,7 +41,8 @@ class SpeedGuard:
     Between two commands, no joint moves farther than its speed limit times the time granted. The
     displacement of a floating wrist (its twist in body axes, as in the QP) respects the limits of
     `hand.yaml`. With an acceleration limit, no coordinate's velocity changes faster, and a posture
-    is approached only as fast as the robot can brake.
+    is approached only as fast as the robot can brake. Where the mapper keeps links apart, so does
+    the way to a posture.
 
     Args:
         robot: The robot hand.
@@ -54,6 +57,9 @@ class SpeedGuard:
 
     def __init__(self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> None:
         self.max_acceleration: float | None = None
+        self._slew: ClearSlew | None = None
+        # Coordinates of a group come to a stop together.
+        self._groups = (np.ones(robot.model.nv, dtype=bool),)
         self._robot = robot
         self._workspace = robot.configuration()
         # Mimic joints are limited through their leaders.
@@ -67,6 +73,15 @@ class SpeedGuard:
         self._last, self._wanted = np.empty(robot.model.nq), np.empty(robot.model.nq)
         self._is_written = False
         self._velocity = np.zeros(robot.model.nv)
+
+    def obey(self, ik: PointIk) -> None:
+        """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
+        self.max_acceleration = ik.options.max_acceleration
+        self._slew, columns = None, np.ones(self._robot.model.nv, dtype=bool)
+        if ik.collisions is not None:
+            self._slew = ClearSlew(ik.hand, ik.collisions, self.max_acceleration)
+            columns = self._slew.columns
+        self._groups = tuple(group for group in (columns, ~columns) if group.any())
 
     @property
     def is_moving(self) -> bool:
@@ -86,15 +101,22 @@ class SpeedGuard:
         return self._workspace.wrist.homogeneous
 
     def advance(
-        self, q: np.ndarray, wrist: np.ndarray | None, dt: float, share: float = 1.0
+        self,
+        q: np.ndarray,
+        wrist: np.ndarray | None,
+        dt: float,
+        share: float = 1.0,
+        *,
+        is_clear: bool = False,
     ) -> bool:
-        """Move towards a posture as far as the speed limits allow.
+        """Move towards a posture as far as the limits allow.
 
         Args:
             q: Target joint angles [rad], shape (n,).
             wrist: Target pose of the wrist, shape (4, 4); None keeps it. The first one places it.
             dt: Time since the last command [s].
             share: Share of the speed limits to use.
+            is_clear: Whether the whole way was found to be clear of overlaps already.
 
         Returns:
             Whether the posture is reached. A target that is not finite is ignored.
@@ -111,18 +133,24 @@ class SpeedGuard:
         change = pin.difference(self._robot.model, self._last, self._wanted)
         lower, upper = self._box(change, dt, share)
         slack = _ROUNDING * (upper - lower) + (1e-12 if self.max_acceleration else _ROUNDING)
-        if ((change <= upper + slack) & (change >= lower - slack)).all():
+        is_near = bool(((change <= upper + slack) & (change >= lower - slack)).all())
+        wanted = change if is_near else self._on_the_way(change, lower, upper, dt, share)
+        if self._slew is not None and not (is_near and is_clear):
+            wanted = self._slew.admit(self._last, self._velocity, wanted, dt)
+        if wanted is change:
             self._velocity = change / dt
             self.q = q.copy()
             self._wrist = None if self._wrist is None else goal.copy()
             # Reuse the configuration: the next motion starts here.
             self._last, self._wanted, self._is_written = self._wanted, self._last, True
             return True
-        self._displace(self._on_the_way(change, lower, upper, dt, share), dt)
+        self._displace(wanted, dt)
         return False
 
     def brake(self, dt: float) -> None:
         """Come to a stop: at once, or on a straight line within the acceleration limit.
+
+        Where links are kept apart, the mapper has found that line to be clear.
 
         Args:
             dt: Time since the last command [s].
@@ -130,11 +158,14 @@ class SpeedGuard:
         if not self.is_moving:
             self._velocity = np.zeros_like(self._velocity)
             return
-        stop = float(np.abs(self._velocity).max()) / (self.max_acceleration or math.inf)
         if not self._is_written:
             start = np.eye(4) if self._wrist is None else self._wrist
             self._robot.write_configuration(self._last, self.q, start)
-        self._displace(self._velocity * (max(0.0, 1.0 - dt / stop) * dt), dt)
+        kept = np.zeros_like(self._velocity)
+        for group in self._groups:
+            stop = float(np.abs(self._velocity[group]).max()) / (self.max_acceleration or math.inf)
+            kept[group] = max(0.0, 1.0 - dt / stop) if stop > 0.0 else 0.0
+        self._displace(kept * self._velocity * dt, dt)
 
     def _box(self, change: np.ndarray, dt: float, share: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next displacement from speed and acceleration limits."""

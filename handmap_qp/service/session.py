@@ -105,7 +105,7 @@ class Session:
         )
         q, wrist = start if former is None else former.posture
         self._guard = SpeedGuard(self.robot, q, wrist)
-        self._guard.max_acceleration = hands.choice.ik.max_acceleration
+        self._guard.obey(hands.mapper.point_ik)
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
         self._state = SessionState.WAITING
@@ -347,7 +347,6 @@ class Session:
         self._check_not_stopped()
         if request.robot_q is None and request.robot_wrist is None:
             self._reset_mapper(self.robot.rest)
-            self._mapper_state = MapperState.SLEWING
         else:
             q, wrist = self.posture
             if request.robot_q is not None:
@@ -355,7 +354,7 @@ class Session:
             if request.robot_wrist is not None:
                 wrist = start_wrist(self.robot, request.robot_wrist)
             self._guard = SpeedGuard(self.robot, q, wrist)
-            self._guard.max_acceleration = self._choice.ik.max_acceleration
+            self._guard.obey(self._hands.mapper.point_ik)
             self._reset_mapper()
             self._epoch = _new_epoch()
         self._watchdog.restart(now)
@@ -446,7 +445,7 @@ class Session:
         method = None if choice.options == before.options else choice.method
         with_option_errors(hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik))
         self._wanted, self._choice = wanted, choice
-        self._guard.max_acceleration = choice.ik.max_acceleration
+        self._guard.obey(mapper.point_ik)
 
     def _prepare_mapper(self) -> None:
         """Reset the mapper if it must start again from the robot's posture."""
@@ -471,7 +470,9 @@ class Session:
     def _follow(self, mapped: MappedSample) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
         target = mapped.step.command
-        has_arrived = self._guard.advance(target.q, target.wrist, self._dt)
+        # The mapper has checked the way from where it was, which is where the robot is if aligned.
+        is_clear = self._mapper_state is MapperState.ALIGNED
+        has_arrived = self._guard.advance(target.q, target.wrist, self._dt, is_clear=is_clear)
         self._mapper_state = MapperState.ALIGNED if has_arrived else MapperState.SLEWING
         return ["slewing"] if self._is_slewing else []
 
@@ -486,7 +487,8 @@ class Session:
         self._hands.mapper.reset(
             robot_q=angles, robot_wrist=self._guard.wrist if robot.is_floating else None
         )
-        self._mapper_state = MapperState.ALIGNED
+        is_there = q is None and bool((angles == self._guard.q).all())
+        self._mapper_state = MapperState.ALIGNED if is_there else MapperState.SLEWING
 
     def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""

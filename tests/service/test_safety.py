@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 from service_tools import CACHE
 from strategies import generators, motion_of, rotations, translations
 
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import all_pairs
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.service.safety import SHORTEST_DT, SpeedGuard, StepClock
 
 ROBOT = CACHE.robot("three_finger", None, None)
@@ -78,6 +83,83 @@ def test_a_far_posture_is_reached_in_the_time_that_the_slowest_needs(
     is_there = [guard.advance(goal, wanted, 0.02) for _ in range(steps)]
     assert is_there[-1]
     assert np.array_equal(guard.q, goal)
+
+
+class Ways:
+    """Straight ways of a hand, and the distances of its links on them."""
+
+    def __init__(self, hand: Hand) -> None:
+        self.hand, self.pairs = hand, all_pairs(hand, find_fingers(hand))
+        self._distances, self._placed = CollisionLimit(hand, pairs=self.pairs), hand.configuration()
+
+    def nearest(self, before: np.ndarray, after: np.ndarray, count: int) -> float:
+        """Return the smallest distance on a way, its end included [m]."""
+        found = []
+        for part in np.arange(1, count + 1) / count:
+            q = before + part * (after - before)
+            self._placed.place_frames(self.hand.configuration_vector(q))
+            found.append(self._distances.distances(self._placed).min())
+        return min(found)
+
+    def ends(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return two postures, clear of overlaps, with another link between them."""
+        while True:
+            start, goal = angles(self.hand, generator), angles(self.hand, generator)
+            is_clear = self.nearest(goal, start, 1) > 0.0 and self.nearest(start, goal, 1) > 0.0
+            if is_clear and self.nearest(start, goal, 12) < -2e-3:
+                return start, goal
+
+
+@pytest.mark.parametrize("most", [None, 20.0])
+def test_a_slew_never_leads_through_a_link(most: float | None) -> None:
+    ways, generator = Ways(FIXED), np.random.default_rng(3)
+    ik = PointIk(FIXED, IkOptions(max_acceleration=most), contacts=ways.pairs)
+    worst, fastest, arrivals = np.inf, 0.0, 0
+    for _ in range(5):
+        start, goal = ways.ends(generator)
+        guard, velocity, is_there = SpeedGuard(FIXED, start), np.zeros_like(goal), False
+        guard.obey(ik)
+        for k in range(150):
+            before, dt = guard.q, generator.uniform(0.004, 0.03)
+            if k % 50 > 45:
+                guard.brake(dt)
+            else:
+                is_there = guard.advance(goal, None, dt, 0.5)
+            worst = min(worst, ways.nearest(before, guard.q, 2))
+            last, velocity = velocity, (guard.q - before) / dt
+            assert (np.abs(velocity) <= FIXED.velocity_limits * (1.0 + 1e-9)).all()
+            fastest = max(fastest, np.abs(velocity - last).max() / dt)
+            if is_there:
+                break
+        arrivals += is_there
+    assert worst > -1e-4
+    assert arrivals >= 2
+    assert most is None or 0.5 * most < fastest <= most * (1.0 + 1e-6)
+
+
+def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
+    # The mapper has found the joints' own stop to be clear, not a longer one.
+    most, dt = 20.0, 0.01
+    guard = SpeedGuard(ROBOT, ROBOT.rest, np.eye(4))
+    pairs = all_pairs(ROBOT, find_fingers(ROBOT))
+    guard.obey(PointIk(ROBOT, IkOptions(max_acceleration=most), contacts=pairs))
+    far, goal = motion_of(np.eye(3), np.array([0.0, 0.0, 9.0])), guard.q + 0.02
+    postures = [guard.q]
+    for _ in range(6):
+        guard.advance(goal, far, dt)
+        postures.append(guard.q)
+    velocity = (postures[-1] - postures[-2]) / dt
+    stop = np.abs(velocity).max() / most
+    heights = []
+    for _ in range(3):
+        guard.brake(dt)
+        heights.append(np.asarray(guard.wrist)[2, 3])
+        expected = postures[-1] + max(0.0, 1.0 - dt / stop) * dt * velocity
+        assert np.allclose(guard.q, expected, rtol=0.0, atol=1e-12)
+        postures.append(guard.q)
+        velocity, stop = max(0.0, 1.0 - dt / stop) * velocity, stop - dt
+    assert stop < dt
+    assert heights[2] - heights[1] > 1e-3
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
