@@ -47,7 +47,7 @@ def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
 def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     """Find the pairs of links that may collide: thumb and fingers, thumb and palm, neighbours.
 
-    Pairs on one finger, pairs that overlap at rest, stretched or in most postures, and pairs that
+    Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most postures, and pairs that
     never come near each other are left out.
 
     Args:
@@ -77,6 +77,8 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
 
 def _is_wanted(hand: Hand, chains: dict[str, FingerChain], links: tuple[str, str]) -> bool:
     """Return whether links are of the thumb and another finger or the palm, or of neighbours."""
+    if any(_is_bar(hand, chains, link) for link in links):
+        return False
     owners = {_owner(hand, chains, link) for link in links}
     if THUMB in owners:
         return len(owners) == 2
@@ -92,6 +94,15 @@ def _owner(hand: Hand, chains: dict[str, FingerChain], link: str) -> str | None:
     joint = hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
     owners = [finger for finger, chain in chains.items() if joint in chain.joints]
     return owners[0] if len(owners) == 1 else None
+
+
+def _is_bar(hand: Hand, chains: dict[str, FingerChain], link: str) -> bool:
+    """Return whether a link moves on the palm and is on no finger, as the bars of linkages."""
+    model = hand.model
+    joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    palm = model.frames[model.getFrameId(hand.spec.palm.link, pin.FrameType.BODY)].parentJoint
+    is_below = palm in model.supports[joint].tolist() and joint != palm
+    return is_below and not any(joint in chain.joints for chain in chains.values())
 
 
 def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:
