@@ -47,8 +47,8 @@ def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
 def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     """Find the pairs of links that may collide: thumb and fingers, thumb and palm, neighbours.
 
-    Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most postures, and pairs that
-    never come near each other are left out.
+    Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most
+    postures, and pairs that never come near each other are left out.
 
     Args:
         hand: The hand.
