@@ -19,9 +19,16 @@ from handmap_qp.experiments.section_four import HandMotion, Run, Scene, Setting,
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.planning import plan_grasps
-from handmap_qp.grasp.statics import quasistatic
+from handmap_qp.grasp.statics import Stiffness, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.synergies import load_synergies
+from handmap_qp.simulation.actuators import (
+    ActuatorKind,
+    Actuators,
+    PositionActuators,
+    TorqueActuators,
+)
 from handmap_qp.simulation.episode import Episode, Recorder
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.simulator import Simulator
@@ -58,11 +65,13 @@ class Carried:
         slip: Distance that the object moved against the hand's links at the planned contacts, at
             the end [m], shape (n_c,).
         is_lost: Whether the object left its place in the hand.
+        stiffness: Stiffness of the actuators [N m/rad], shape (n, n).
     """
 
     episode: Episode
     slip: np.ndarray
     is_lost: bool
+    stiffness: np.ndarray
 
     @property
     def displacement(self) -> np.ndarray:
@@ -109,6 +118,7 @@ def carry_along_arc(
     mass: float = 0.1,
     physics: Physics | None = None,
     options: ArcOptions | None = None,
+    actuators: ActuatorKind = "position",
 ) -> ArcOutcome:
     """Simulate both hands of Sec. IV.
 
@@ -118,6 +128,7 @@ def carry_along_arc(
         mass: Mass of the object [kg].
         physics: Contacts, actuators and time steps.
         options: How the object is carried.
+        actuators: Kind of the fingers' actuators; see `soft_synergy`.
 
     Returns:
         The outcome for human and robot.
@@ -126,19 +137,36 @@ def carry_along_arc(
         InvalidInputError: If a grasp has fewer than three contacts, or no shape.
     """
     run = run_experiment(scene, setting)
-    human = carry(scene.human, run.human, mass, physics, options)
-    robot = carry(scene.robot, run.robot, mass, physics, options)
+    physics = physics or Physics()
+    of_human = of_robot = PositionActuators()
+    if actuators == "torque":
+        of_human, of_robot = soft_synergy(setting.synergy, physics), TorqueActuators()
+    human = carry(scene.human, run.human, mass, physics, options, of_human)
+    robot = carry(scene.robot, run.robot, mass, physics, options, of_robot)
     return ArcOutcome(run, human, robot)
 
 
-def predicted_force(grasp: Grasp, motion: HandMotion, start: float, stiffness: float) -> float:
+def soft_synergy(synergy: int, physics: Physics) -> TorqueActuators:
+    """Return the human's actuators of Sec. IV: one soft synergy in series with the joints.
+
+    As in the reference numbers, K_z in N m per unit is the number that K_q is in N m/rad.
+
+    Args:
+        synergy: Number of the activated synergy, from 1.
+        physics: Stiffness of the joints.
+    """
+    matrix = load_synergies().matrix[:, [synergy - 1]]
+    return TorqueActuators(matrix, physics.joint_stiffness)
+
+
+def predicted_force(grasp: Grasp, motion: HandMotion, start: float, stiffness: Stiffness) -> float:
     """Predict the sum of the normal forces at the end of a motion by the statics.
 
     Args:
         grasp: The grasp at the start.
         motion: Commands of the joints.
         start: Sum of the normal forces at the start [N].
-        stiffness: Stiffness of the actuators [N m/rad].
+        stiffness: Stiffness of the actuators [N m/rad], one number or shape (n, n).
 
     Returns:
         The sum at the end [N], by the linear model of `quasistatic` with rigid contacts.
@@ -162,6 +190,7 @@ def carry(
     mass: float,
     physics: Physics | None = None,
     options: ArcOptions | None = None,
+    actuators: Actuators | None = None,
 ) -> Carried:
     """Simulate one hand that grasps an object, takes its weight, and follows a motion.
 
@@ -171,16 +200,17 @@ def carry(
         mass: Mass of the object [kg].
         physics: Contacts, actuators and time steps.
         options: How the object is carried.
+        actuators: What moves the joints; servos if omitted.
 
     Returns:
         What the object did.
     """
     physics, options = physics or Physics(), options or ArcOptions()
     assert grasp.shape is not None
-    simulator = Simulator(grasp.hand, Body(grasp.shape, mass), physics)
+    simulator = Simulator(grasp.hand, Body(grasp.shape, mass), physics, actuators)
     weight = np.concatenate([mass * np.array(physics.gravity), np.zeros(3)])
     forces = holding_forces(grasp, weight, options.normal_force)
-    offset = squeeze(grasp, forces, physics.joint_stiffness)
+    offset = squeeze(grasp, forces, simulator.stiffness)
     take_hold(simulator, grasp, offset)
     recorder = Recorder(simulator)
     recorder.sample()
@@ -196,7 +226,8 @@ def carry(
     places = episode.object_in_wrist[:, :3, 3]
     is_lost = bool(np.linalg.norm(places - places[0], axis=1).max() > LOST)
     slip = _slip(grasp, (start_q, start_wrist, start_object), simulator)
-    return Carried(episode, slip, is_lost or episode.touching[-1] == 0)
+    is_lost = is_lost or episode.touching[-1] == 0
+    return Carried(episode, slip, is_lost, simulator.stiffness)
 
 
 def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:

@@ -17,6 +17,7 @@ from handmap_qp.tables import print_rows, progress
 
 if TYPE_CHECKING:
     from handmap_qp.hands.hand import Hand
+    from handmap_qp.simulation.actuators import Actuators
     from handmap_qp.simulation.episode import Episode
     from handmap_qp.simulation.physics import Body, Physics
 
@@ -39,8 +40,8 @@ class Simulate:
     Without a recording: the paper's experiment (Sec. IV). The human's and the robot's hand hold the
     object in planned grasps. The human's wrist follows an arc while a synergy is activated.
 
-    Links touch the object, not each other. Actuators are springs with critical damping. The hand's
-    own weight is compensated.
+    Links touch the object, not each other. Actuators are springs with critical damping: servos, or
+    motors that are told torques. The hand's own weight is compensated.
 
     Examples:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
@@ -57,6 +58,8 @@ class Simulate:
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
+        actuators: Servos that are told positions, or motors that are told the torques of this
+            stiffness; on the arc the human's synergy is then soft too, as in Sec. IV.
         up: World axis against gravity.
         trials: Random objects and places, for every mapping; for a recording.
         objects: Random objects (varied), or the same cube at random places (nominal).
@@ -87,6 +90,7 @@ class Simulate:
     mass: Annotated[float | None, _optional("KG", "0.05, or 0.1 on the arc")] = None
     friction: float = 0.8
     stiffness: float = 3.0
+    actuators: Literal["position", "torque"] = "position"
     up: Annotated[Up | None, _optional("AXIS", "y for a recording, z for the arc")] = None
     trials: int = 0
     objects: Literal["nominal", "varied"] = "varied"
@@ -145,6 +149,11 @@ class Simulate:
             gravity=(gravity[0], gravity[1], gravity[2]),
         )
 
+    def _actuators(self) -> Actuators:
+        from handmap_qp.simulation.actuators import PositionActuators, TorqueActuators
+
+        return TorqueActuators() if self.actuators == "torque" else PositionActuators()
+
     def _body(self) -> Body:
         from handmap_qp.simulation.physics import Body
         from handmap_qp.simulation.shapes import parse_object
@@ -177,7 +186,7 @@ class Simulate:
                 flush=True,
             )
 
-        simulator = Simulator(self._robot(), self._body(), self._physics())
+        simulator = Simulator(self._robot(), self._body(), self._physics(), self._actuators())
         try:
             with Client(self.server) as client:
                 StandIn(simulator, client, session).run(self.duration, show)
@@ -200,7 +209,7 @@ class Simulate:
         with progress("planning grasps") as advance:
             scene = planned_scene(robot, body.shape, seed=self.seed, progress=advance)
         options = ArcOptions(normal_force=self.squeeze)
-        outcome = carry_along_arc(scene, setting, body.mass, physics, options)
+        outcome = carry_along_arc(scene, setting, body.mass, physics, options, self.actuators)
         return [arc_row(outcome)], outcome.robot.episode
 
     def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], Episode | None]:
@@ -208,7 +217,8 @@ class Simulate:
         from handmap_qp.offline.takes import prepare_take
         from handmap_qp.simulation.grip import GripForce
         from handmap_qp.simulation.mapped import chosen_methods, map_commands
-        from handmap_qp.simulation.pinch import PinchTrial, find_pinch, run_pinch
+        from handmap_qp.simulation.pinch import PinchScene, PinchTrial
+        from handmap_qp.simulation.pinch_window import find_pinch
         from handmap_qp.simulation.trials import outcome_row, random_trials, run_trials, trial_row
         from handmap_qp.trackers.recording import read_recording
 
@@ -222,17 +232,18 @@ class Simulate:
         window = find_pinch(read)
         take = prepare_take(read, robot.spec.side)
         grip = None if self.grip is None else GripForce(self.grip)
+        actuators = self._actuators()
         rows, first = [], None
         for method in methods:
-            commands = map_commands(method, take, robot)
+            scene = PinchScene(map_commands(method, take, robot), window, physics, actuators)
             if self.trials:
                 drawn = random_trials(self.trials, self.seed, self.objects)
                 with progress(method.name, len(drawn)) as advance:
-                    outcomes = run_trials(commands, window, drawn, physics, advance, grip)
+                    outcomes = run_trials(scene, drawn, advance, grip)
                 rows.append(trial_row(method.name, outcomes))
             else:
                 trial = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
-                outcome = run_pinch(commands, window, trial, physics, grip)
+                outcome = scene.run(trial, grip)
                 rows.append(outcome_row(method.name, outcome))
                 first = first or outcome.episode
         return rows, first

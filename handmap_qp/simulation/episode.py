@@ -88,7 +88,7 @@ class Recorder:
             (
                 simulator.time,
                 simulator.q,
-                simulator.data.ctrl.copy(),
+                simulator.command,
                 simulator.wrist,
                 simulator.object_pose,
                 normal.sum(),

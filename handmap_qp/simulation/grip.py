@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handmap_qp.grasp.checks import positive_number
-from handmap_qp.simulation.pinch import PadFinder
+from handmap_qp.simulation.pads import PadFinder
 
 # Step of the numerical Jacobian [rad].
 _STEP = 1e-6

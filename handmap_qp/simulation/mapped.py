@@ -10,7 +10,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.offline.compared_methods import outside_methods, own_method
 from handmap_qp.offline.comparison import ComparedMethod
 from handmap_qp.offline.takes import Take
-from handmap_qp.simulation.pinch import Commands
+from handmap_qp.simulation.commands import Commands
 
 
 def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:

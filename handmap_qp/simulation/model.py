@@ -18,6 +18,7 @@ import pinocchio as pin
 from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
+from handmap_qp.simulation.actuators import Actuators, Drive, felt_inertia, install
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 
 OBJECT, STAND, BASE, MOCAP = "object", "stand", "base", "mocap"
@@ -40,6 +41,7 @@ class PhysicalModel:
     Attributes:
         hand: The hand.
         model: `mujoco.MjModel`.
+        drive: The law of the actuators.
         base: Index of the body that carries the wrist; 0 on a hand that is fixed to the world.
         object: Index of the object's body.
         joint_q: Index in `qpos` of every joint of the hand, in the order of `hand.joint_names`.
@@ -51,6 +53,7 @@ class PhysicalModel:
 
     hand: Hand
     model: Any
+    drive: Drive
     base: int
     object: int
     joint_q: np.ndarray
@@ -60,16 +63,17 @@ class PhysicalModel:
     base_q: int
 
 
-def build_model(hand: Hand, body: Body, physics: Physics) -> PhysicalModel:
+def build_model(hand: Hand, body: Body, physics: Physics, actuators: Actuators) -> PhysicalModel:
     """Build the model of a hand and an object.
 
     Args:
         hand: The hand; its root floats, or is fixed to the world.
         body: The object.
-        physics: Contacts, actuators and time steps.
+        physics: Contacts, stiffness and time steps.
+        actuators: What moves the joints.
 
     Returns:
-        The model, with one position actuator for each joint of the hand.
+        The model, with one actuator for each joint of the hand.
 
     Raises:
         HandError: If the hand has no collision shapes, or they cannot be read.
@@ -92,15 +96,18 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> PhysicalModel:
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     model = spec.compile()
-    _set_stiffness(model, hand, physics)
     joints = [model.joint(name) for name in hand.joint_names]
+    joint_v = np.array([joint.dofadr[0] for joint in joints])
+    drive = actuators.drive(hand, physics, felt_inertia(model, joint_v))
+    install(drive, model, hand, physics)
     return PhysicalModel(
         hand=hand,
         model=model,
+        drive=drive,
         base=model.body(BASE).id if hand.is_floating else 0,
         object=model.body(OBJECT).id,
         joint_q=np.array([joint.qposadr[0] for joint in joints]),
-        joint_v=np.array([joint.dofadr[0] for joint in joints]),
+        joint_v=joint_v,
         all_q=np.array([_address(model, name) for name in hand.all_joint_names]),
         object_q=int(model.joint(OBJECT).qposadr[0]),
         base_q=int(model.joint(BASE).qposadr[0]) if hand.is_floating else -1,
@@ -300,24 +307,6 @@ def _couple_followers(spec: Any, hand: Hand) -> None:
         )
         rule.data[:2] = [zero[row], factors[leader]]
         rule.solref, rule.solimp = [_WELD_TIME, 1.0], _STIFF
-
-
-def _set_stiffness(model: Any, hand: Hand, physics: Physics) -> None:
-    """Set stiffness and critical damping of every position actuator, and its largest effort."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    arm = () if hand.spec.arm is None else hand.spec.arm.joints
-    for i, name in enumerate(hand.joint_names):
-        stiffness = physics.arm_stiffness if name in arm else physics.joint_stiffness
-        v = model.joint(name).dofadr[0]
-        damping = 2.0 * np.sqrt(stiffness * inertia[v, v])
-        model.actuator_gainprm[i, 0] = stiffness
-        model.actuator_biasprm[i, :3] = 0.0, -stiffness, -damping
-        if np.isfinite(physics.effort_limit) and name not in arm:
-            model.actuator_forcelimited[i] = 1
-            model.actuator_forcerange[i] = -physics.effort_limit, physics.effort_limit
 
 
 def _wxyz(rotation: np.ndarray) -> np.ndarray:

@@ -74,9 +74,9 @@ class Physics:
         friction: Coulomb coefficient of sliding friction between hand and object.
         torsion: Coefficient of friction against spinning about the contact normal [m]; the radius
             of the patch that a soft pad makes, times `friction`. 0 for hard fingers, as in Sec. IV.
-        joint_stiffness: Stiffness of the fingers' position actuators [N m/rad, N/m].
+        joint_stiffness: Stiffness of the fingers' actuators [N m/rad, N/m].
         arm_stiffness: Stiffness of an arm's actuators [N m/rad].
-        effort_limit: Largest torque of a finger's actuator [N m]; none if infinite.
+        effort_limit: Largest torque at a finger's joint [N m]; none if infinite.
         armature: Inertia of each motor, as felt at its joint [kg m^2].
         density: Density of links whose URDF gives no mass [kg/m^3].
         gravity: Acceleration [m/s^2], in world axes.

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array
 from handmap_qp.hands.hand import Hand
+from handmap_qp.simulation.actuators import Actuators, PositionActuators
 from handmap_qp.simulation.model import MOCAP, OBJECT, STAND, build_model
 from handmap_qp.simulation.physics import Body, Physics
 from handmap_qp.transform import affine, check_pose, inverse_pose
@@ -41,7 +42,8 @@ class Simulator:
     Args:
         hand: The hand; floating, or on an arm, or fixed to the world.
         body: The object.
-        physics: Contacts, actuators and time steps; the usual ones if omitted.
+        physics: Contacts, stiffness and time steps; the usual ones if omitted.
+        actuators: What moves the joints; servos if omitted.
 
     Attributes:
         hand: The hand.
@@ -54,10 +56,16 @@ class Simulator:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(self, hand: Hand, body: Body, physics: Physics | None = None) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        body: Body,
+        physics: Physics | None = None,
+        actuators: Actuators | None = None,
+    ) -> None:
         self.hand, self.body = hand, body
         self.physics = physics or Physics()
-        self.parts = build_model(hand, body, self.physics)
+        self.parts = build_model(hand, body, self.physics, actuators or PositionActuators())
         self.data = mujoco.MjData(self.parts.model)
         self._target: tuple[np.ndarray, np.ndarray | None] | None = None
         self._geom_joint = self._joints_of_geoms()
@@ -97,7 +105,18 @@ class Simulator:
     @property
     def efforts(self) -> np.ndarray:
         """Torques of the actuators [N m], shape (n,)."""
-        return self.data.actuator_force.copy()
+        return self.data.qfrc_actuator[self.parts.joint_v]
+
+    @property
+    def command(self) -> np.ndarray:
+        """Commanded joint angles [rad], shape (n,)."""
+        assert self._target is not None, "reset first"
+        return self._target[0].copy()
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """Stiffness K of the actuators, torque per displacement [N m/rad], shape (n, n)."""
+        return self.parts.drive.stiffness
 
     def reset(
         self, q: npt.ArrayLike, wrist: npt.ArrayLike | None, object_pose: npt.ArrayLike
@@ -125,7 +144,7 @@ class Simulator:
             if address >= 0:
                 self.data.qpos[address] = value
         self._set_pose(self.parts.object_q, pose)
-        self.data.ctrl[:] = angles
+        self._control(angles)
         if place is not None:
             base = place @ inverse_pose(self._base_to_wrist)
             self._set_pose(self.parts.base_q, base)
@@ -166,7 +185,7 @@ class Simulator:
         places = self._places_between(start_wrist, wrist, steps)
         data, model, mocap = self.data, self.parts.model, self._mocap
         for k in range(steps):
-            data.ctrl[:] = start + (k + 1) / steps * (goal - start)
+            self._control(start + (k + 1) / steps * (goal - start))
             if places is not None:
                 data.mocap_pos[mocap], data.mocap_quat[mocap] = places[0][k], places[1][k]
             mujoco.mj_step(model, data)
@@ -178,6 +197,12 @@ class Simulator:
         """Keep the last command, and simulate."""
         assert self._target is not None, "reset first"
         self.follow(*self._target, duration)
+
+    def _control(self, command: np.ndarray) -> None:
+        """Tell the actuators a command [rad], shape (n,)."""
+        data, parts = self.data, self.parts
+        q, velocity = data.qpos[parts.joint_q], data.qvel[parts.joint_v]
+        data.ctrl[:] = parts.drive.controls(command, q, velocity)
 
     def contacts(self) -> Contacts:
         """Return the contacts between the hand and the object."""

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array, positive_number
 from handmap_qp.grasp.contacts import Grasp
+from handmap_qp.grasp.statics import Stiffness
 
 # Share of the cost of tangential forces; they use up friction, normal forces do not.
 _TANGENTIAL = 4.0
@@ -61,18 +62,24 @@ def friction_use(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
     return np.where(normal > 1e-9, tangential / np.maximum(normal, 1e-9), np.inf)
 
 
-def squeeze(grasp: Grasp, forces: np.ndarray, stiffness: float) -> np.ndarray:
-    """Return the displacement of a position command that makes contact forces.
+def squeeze(grasp: Grasp, forces: np.ndarray, stiffness: Stiffness) -> np.ndarray:
+    """Return the displacement of a command that makes contact forces.
 
-    Actuators of stiffness k give the torques `J^T f` if they are commanded `J^T f / k` beyond the
+    Actuators of stiffness K give the torques `J^T f` if they are commanded `K^-1 J^T f` beyond the
     posture in which the hand is held up by the object.
 
     Args:
         grasp: The grasp.
         forces: Forces of the hand on the object [N], shape (n_c, 3).
-        stiffness: Stiffness of the actuators [N m/rad].
+        stiffness: Stiffness of the actuators [N m/rad], one number or shape (n, n).
 
     Returns:
         Displacement of the joints [rad], shape (n,).
+
+    Raises:
+        InvalidInputError: If the stiffness is not positive.
     """
-    return grasp.jacobian.T @ forces.ravel() / positive_number(stiffness, "stiffness")
+    torques = grasp.jacobian.T @ forces.ravel()
+    if isinstance(stiffness, float | int):
+        return torques / positive_number(stiffness, "stiffness")
+    return np.linalg.solve(finite_array(stiffness, (len(torques),) * 2, "stiffness"), torques)

@@ -15,7 +15,7 @@ import numpy as np
 
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.simulation.pinch import PadFinder
+from handmap_qp.simulation.pads import PadFinder
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.transform import affine
 

@@ -9,15 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from handmap_qp.grasp.checks import whole_number
-from handmap_qp.simulation.physics import Physics
-from handmap_qp.simulation.pinch import (
-    Commands,
-    PinchOutcome,
-    PinchTrial,
-    PinchWindow,
-    Regulator,
-    run_pinch,
-)
+from handmap_qp.simulation.pinch import PinchOutcome, PinchScene, PinchTrial, Regulator
 from handmap_qp.simulation.shapes import KINDS, named_shape
 
 Objects = Literal["nominal", "varied"]
@@ -58,26 +50,22 @@ def random_trials(count: int, seed: int, objects: Objects = "varied") -> list[Pi
 
 
 def run_trials(
-    commands: Commands,
-    window: PinchWindow,
+    scene: PinchScene,
     trials: Sequence[PinchTrial],
-    physics: Physics,
     progress: Callable[[int], None] | None = None,
     regulator: Regulator | None = None,
 ) -> list[PinchOutcome]:
     """Simulate trials one after the other.
 
     Args:
-        commands: Commands of one mapping.
-        window: When the human pinches.
+        scene: The robot with the commands of one mapping.
         trials: Objects and places.
-        physics: Actuators, gravity and time steps.
         progress: Called after each trial with the number of trials done.
         regulator: Squeeze term; position control alone if omitted.
     """
     outcomes = []
     for trial in trials:
-        outcomes.append(run_pinch(commands, window, trial, physics, regulator))
+        outcomes.append(scene.run(trial, regulator))
         if progress is not None:
             progress(len(outcomes))
     return outcomes

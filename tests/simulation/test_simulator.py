@@ -14,6 +14,7 @@ from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.grasp.statics import quasistatic
+from handmap_qp.simulation.actuators import Actuators, PositionActuators, TorqueActuators
 from handmap_qp.simulation.arc import take_hold
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.simulator import Simulator
@@ -25,13 +26,24 @@ WEIGHT = np.array([0.0, 0.0, -9.81 * MASS, 0.0, 0.0, 0.0])
 FAR = affine(np.eye(3), np.array([0.0, 0.0, 2.0]))
 
 
-def held(physics: Physics, normal_force: float = 6.0) -> tuple[Simulator, Grasp, np.ndarray]:
+# Each soft synergy bends two fingers.
+SYNERGIES = np.zeros((8, 2))
+SYNERGIES[[0, 3], 0], SYNERGIES[[1, 6], 1] = (1.0, 0.6), (0.7, 0.8)
+SOFT = TorqueActuators(SYNERGIES, 2.0)
+KINDS = pytest.mark.parametrize(
+    "actuators", [PositionActuators(), TorqueActuators(), SOFT], ids=["servos", "motors", "soft"]
+)
+
+
+def held(
+    physics: Physics, normal_force: float = 6.0, actuators: Actuators | None = None
+) -> tuple[Simulator, Grasp, np.ndarray]:
     """The cube in the hand, with its weight."""
     grasp = cube_grasp()
     load = MASS * np.array([*physics.gravity, 0.0, 0.0, 0.0])
     forces = holding_forces(grasp, load, normal_force)
-    offset = squeeze(grasp, forces, physics.joint_stiffness)
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics)
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics, actuators)
+    offset = squeeze(grasp, forces, simulator.stiffness)
     take_hold(simulator, grasp, offset)
     return simulator, grasp, offset
 
@@ -122,25 +134,54 @@ def test_too_little_friction_drops_the_object_and_enough_holds_it() -> None:
     assert moved[2.0] < 3e-3
 
 
-def test_planned_forces_balance_the_load_and_are_found_in_the_simulation() -> None:
+@KINDS
+def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
+    actuators: Actuators,
+) -> None:
     physics = Physics(gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=1.5)
     grasp = cube_grasp()
     forces = holding_forces(grasp, np.zeros(6), 6.0)
     np.testing.assert_allclose(grasp.matrix @ forces.ravel(), 0.0, atol=1e-9)
-    simulator, _, _ = held(physics)
+    simulator, _, _ = held(physics, actuators=actuators)
     found = simulator.contacts().forces
     assert len(found) == len(forces)
+    torques = simulator.stiffness @ (simulator.command - simulator.q)
+    np.testing.assert_allclose(simulator.efforts, torques, atol=2e-3)
     nearest = [np.linalg.norm(found - force, axis=1).min() for force in forces]
     assert max(nearest) < 0.05 * np.linalg.norm(forces, axis=1).max()
 
 
+def test_soft_synergies_are_springs_in_series() -> None:
+    """Both equations of the model, solved for the torques by hand."""
+    hand = cube_grasp().hand
+    drive = Simulator(hand, Body(CUBE), Physics(joint_stiffness=3.0), SOFT).parts.drive
+    q, reference = np.linspace(-0.2, 0.3, 8), np.array([0.4, -0.1])
+    torques = drive.controls(SYNERGIES @ reference, q, np.zeros(8))
+    synergy = reference - SYNERGIES.T @ torques / 2.0
+    np.testing.assert_allclose(torques, 3.0 * (SYNERGIES @ synergy - q), atol=1e-12)
+    # Critical damping of every mode: D M^-1 D = 4 K for one inertia M.
+    inertia = drive.damping @ np.linalg.inv(drive.stiffness) @ drive.damping / 4.0
+    np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-9)
+    with pytest.raises(InvalidInputError, match="synergies"):
+        Simulator(hand, Body(CUBE), actuators=TorqueActuators(np.eye(3)))
+    with pytest.raises(InvalidInputError, match="synergy_stiffness"):
+        TorqueActuators(SYNERGIES, 0.0)
+
+
 @pytest.mark.slow
-def test_slow_motion_changes_forces_and_object_as_the_statics_predict() -> None:
+@pytest.mark.parametrize(
+    ("actuators", "synergies", "stiffness"),
+    [(PositionActuators(), np.eye(8)[:, [0, 1, 3, 6]], np.inf), (SOFT, SYNERGIES, 2.0)],
+    ids=["servos", "soft"],
+)
+def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
+    actuators: Actuators, synergies: np.ndarray, stiffness: float
+) -> None:
     """Eq. of the paper's [22] with rigid contacts, against MuJoCo's own dynamics."""
     physics = Physics(
         gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=2.0, time_step=1e-3, contact_time=2e-3
     )
-    simulator, grasp, offset = held(physics)
+    simulator, grasp, offset = held(physics, actuators=actuators)
     simulator.hold(1.0)
     start, q, pose = simulator.contacts(), simulator.q, simulator.object_pose
     links = [name.replace("f", "finger", 1) for name in start.joints]
@@ -153,24 +194,23 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict() -> None:
     predicted = quasistatic(
         now.jacobian,
         now.matrix,
-        np.eye(len(q)),
+        synergies,
         contact_stiffness=1e5,
         joint_stiffness=physics.joint_stiffness,
-        synergy_stiffness=np.inf,
+        synergy_stiffness=stiffness,
     )
-    for joint in (0, 1, 3, 6):
-        change = 0.01 * np.eye(len(q))[joint]
+    for column, change in enumerate(0.01 * synergies.T):
         base, rest = simulator.object_pose[:3, 3], simulator.contacts().forces
         simulator.follow(grasp.q + offset + change, grasp.wrist_pose, 0.5)
         simulator.hold(0.2)
         forces = (simulator.contacts().forces - rest).ravel()
-        wanted = predicted.contact_forces @ change
+        wanted = 0.01 * predicted.contact_forces[:, column]
         cosine = forces @ wanted / np.linalg.norm(forces) / np.linalg.norm(wanted)
-        assert cosine > 0.95, joint
-        assert np.linalg.norm(forces) == pytest.approx(np.linalg.norm(wanted), rel=0.25), joint
+        assert cosine > 0.95, column
+        assert np.linalg.norm(forces) == pytest.approx(np.linalg.norm(wanted), rel=0.25), column
         moved = simulator.object_pose[:3, 3] - base
-        error = np.linalg.norm(moved - predicted.object_motion[:3] @ change)
-        assert error < 1e-4, joint
+        error = np.linalg.norm(moved - 0.01 * predicted.object_motion[:3, column])
+        assert error < 1e-4, column
         simulator.follow(grasp.q + offset, grasp.wrist_pose, 0.3)
 
 
@@ -197,10 +237,13 @@ def test_a_stand_holds_the_object_until_it_lets_go() -> None:
     assert simulator.object_pose[2, 3] < 1.7
 
 
-def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall() -> None:
+@KINDS
+def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
+    actuators: Actuators,
+) -> None:
     grasp = cube_grasp()
     assert grasp.wrist_pose is not None
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS))
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS), actuators=actuators)
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
     np.testing.assert_allclose(simulator.wrist, grasp.wrist_pose, atol=1e-12)
     target = grasp.wrist_pose.copy()

@@ -16,10 +16,12 @@ from handmap_qp.experiments.section_four import HandMotion
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.hands.hand import Hand
 from handmap_qp.simulation.arc import ArcOptions, Carried, carry
+from handmap_qp.simulation.commands import Commands
 from handmap_qp.simulation.film import Stage, film, picture
 from handmap_qp.simulation.grip import GripForce
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
-from handmap_qp.simulation.pinch import Commands, PinchTrial, PinchWindow, find_pinch, run_pinch
+from handmap_qp.simulation.pinch import PinchScene, PinchTrial
+from handmap_qp.simulation.pinch_window import PinchWindow, find_pinch
 from handmap_qp.simulation.shapes import parse_object
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.trials import random_trials, success_rate
@@ -29,7 +31,7 @@ WINDOW = PinchWindow("index", 0, 10, 60)
 
 
 @pytest.fixture(scope="module")
-def pinching() -> Commands:
+def pinching() -> PinchScene:
     """A gripper that closes within a fifth of a second, and then rises."""
     hand = load_hand("panda_gripper")
     time = np.arange(61) / 50.0
@@ -37,18 +39,29 @@ def pinching() -> Commands:
     wrist = np.tile(np.eye(4), (61, 1, 1))
     wrist[:, :3, :3] = np.diag([1.0, -1.0, -1.0])
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
-    return Commands("closing", hand, time, q, wrist)
+    commands = Commands("closing", hand, time, q, wrist)
+    return PinchScene(commands, WINDOW, Physics(joint_stiffness=2000.0))
 
 
-PHYSICS = Physics(joint_stiffness=2000.0)
-
-
-def test_a_closing_gripper_lifts_the_object(pinching: Commands) -> None:
-    outcome = run_pinch(pinching, WINDOW, PinchTrial(), PHYSICS)
+def test_a_closing_gripper_lifts_the_object(pinching: PinchScene) -> None:
+    outcome = pinching.run(PinchTrial())
     poses = outcome.episode.object_pose[:, :3, 3]
     assert outcome.is_held
     assert poses[-1, 2] - poses[0, 2] == pytest.approx(0.1, abs=0.005)
     assert outcome.held_time == pytest.approx(outcome.pinch_time)
+
+
+def test_the_object_stands_where_the_robots_own_pads_meet(pinching: PinchScene) -> None:
+    """The pads lag behind their commands, so these have gone further by then."""
+    met = pinching.closing.meeting(0.03)
+    assert pinching.pads.gap(met.q, met.wrist) == pytest.approx(0.03, abs=1e-4)
+    commands = pinching.commands
+    assert met.q[0] > np.interp(met.time, commands.time, commands.q[:, 0]) + 1e-4
+    # Wider objects are met earlier.
+    assert pinching.closing.meeting(0.05).time < met.time
+    # What is nearer than the pads can come is met at their nearest.
+    never = pinching.closing.meeting(-1.0)
+    assert pinching.pads.gap(never.q, never.wrist) < 0.005
 
 
 @pytest.mark.parametrize(
@@ -60,13 +73,13 @@ def test_a_closing_gripper_lifts_the_object(pinching: Commands) -> None:
     ],
     ids=["slippery", "below", "beside"],
 )
-def test_what_is_not_gripped_falls(pinching: Commands, trial: PinchTrial) -> None:
-    outcome = run_pinch(pinching, WINDOW, trial, PHYSICS)
+def test_what_is_not_gripped_falls(pinching: PinchScene, trial: PinchTrial) -> None:
+    outcome = pinching.run(trial)
     assert not outcome.is_held
     assert outcome.held_time < outcome.pinch_time
 
 
-def test_trials_repeat_with_their_seed(pinching: Commands) -> None:
+def test_trials_repeat_with_their_seed(pinching: PinchScene) -> None:
     one, same, other = (random_trials(20, seed) for seed in (3, 3, 4))
     for a, b in zip(one, same, strict=True):
         assert (a.offset, a.yaw, a.mass, a.friction) == (b.offset, b.yaw, b.mass, b.friction)
@@ -74,7 +87,7 @@ def test_trials_repeat_with_their_seed(pinching: Commands) -> None:
     assert [t.mass for t in one] != [t.mass for t in other]
     assert all(0.02 <= trial.size <= 0.045 for trial in one)
     assert {trial.mass for trial in random_trials(5, 0, "nominal")} == {0.05}
-    results = [run_pinch(pinching, WINDOW, one[0], PHYSICS) for _ in range(2)]
+    results = [pinching.run(one[0]) for _ in range(2)]
     first, second = (result.episode.object_pose for result in results)
     np.testing.assert_array_equal(first, second)
 
@@ -220,12 +233,12 @@ def test_a_hand_without_shapes_cannot_touch() -> None:
 
 
 @pytest.mark.parametrize("force", [3.0, 8.0])
-def test_the_squeeze_term_keeps_the_wanted_force(pinching: Commands, force: float) -> None:
+def test_the_squeeze_term_keeps_the_wanted_force(pinching: PinchScene, force: float) -> None:
     """Both pads press with it, whatever the command's overlap."""
-    outcome = run_pinch(pinching, WINDOW, PinchTrial(), PHYSICS, GripForce(force))
+    outcome = pinching.run(PinchTrial(), GripForce(force))
     assert outcome.is_held
     assert outcome.episode.force[-10:].mean() == pytest.approx(2.0 * force, rel=0.1)
-    free = run_pinch(pinching, WINDOW, PinchTrial(), PHYSICS)
+    free = pinching.run(PinchTrial())
     assert free.episode.force[-10:].mean() > 3.0 * force
 
 
