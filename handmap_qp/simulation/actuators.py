@@ -12,7 +12,6 @@ from typing import Any, Literal, Protocol
 
 import mujoco
 import numpy as np
-import scipy.linalg
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array, positive_number
@@ -171,6 +170,6 @@ def _joint_stiffness(hand: Hand, physics: Physics) -> np.ndarray:
 
 def _critical(stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Return `2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2`: critical damping of each mode."""
-    root = np.sqrt(inertia)
-    scaled = scipy.linalg.sqrtm(stiffness / np.outer(root, root)).real
-    return 2.0 * np.outer(root, root) * scaled
+    root = np.sqrt(np.outer(inertia, inertia))
+    squares, modes = np.linalg.eigh(stiffness / root)
+    return 2.0 * root * ((modes * np.sqrt(squares)) @ modes.T)

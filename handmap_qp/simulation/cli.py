@@ -46,7 +46,7 @@ class Simulate:
     Examples:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
         handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
-        handmap simulate --robot three_finger --gamma 0.5 --picture arc.png
+        handmap simulate --robot three_finger --gamma 0.5 --actuators torque --html arc.html
         handmap simulate --robot allegro_right --serve lab --object sphere:0.04
 
     Attributes:
@@ -73,6 +73,7 @@ class Simulate:
         out: File of the robot's simulation, .npz.
         picture: Picture of four instants, .png.
         film: Moving picture, .gif or .webp.
+        html: Page that plays in a browser without a server, .html: every mapping, or both hands.
         serve: Name of a session of the mapping service to follow as a stand-in for its robot,
             until Ctrl-C; no recording then.
         server: Address of that service.
@@ -103,6 +104,7 @@ class Simulate:
     out: Annotated[Path | None, _optional("FILE.npz", "none")] = None
     picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
     film: Annotated[Path | None, _optional("FILE.gif", "none")] = None
+    html: Annotated[Path | None, _optional("PAGE.html", "none")] = None
     serve: Annotated[str | None, _optional("SESSION", "none")] = None
     server: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5570"
     duration: Annotated[float, _optional("SECONDS", "until Ctrl-C")] = math.inf
@@ -114,10 +116,12 @@ class Simulate:
             ("--out", self.out, (".npz",)),
             ("--picture", self.picture, (".png",)),
             ("--film", self.film, _FILMS),
+            ("--html", self.html, (".html", ".htm")),
         ):
             if path is not None:
                 check_output(option, path, suffixes)
-        if self.trials and (self.recording is None or self.out or self.picture or self.film):
+        files = (self.out, self.picture, self.film, self.html)
+        if self.trials and (self.recording is None or any(files)):
             raise InvalidInputError(
                 argument="--trials",
                 problem="needs a recording, and writes no file",
@@ -127,15 +131,15 @@ class Simulate:
             self._stand_in(self.serve)
             return
         if self.recording is None:
-            rows, episode = self._arc()
+            rows, episodes = self._arc()
         else:
-            rows, episode = self._pinches(self.recording)
+            rows, episodes = self._pinches(self.recording)
         if self.json:
             print(json.dumps({"robot": self.robot, "seed": self.seed, "rows": rows}))
         else:
             print_rows(f"{self.robot}: simulated", rows)
-        if episode is not None:
-            self._write(episode)
+        if episodes:
+            self._write(episodes)
 
     def _physics(self) -> Physics:
         from handmap_qp.simulation.physics import Physics
@@ -197,7 +201,7 @@ class Simulate:
                 argument="--serve", problem=str(error), value=session
             ) from error
 
-    def _arc(self) -> tuple[list[dict[str, Any]], Episode]:
+    def _arc(self) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
         """Carry the object with both hands along the paper's arc."""
         from handmap_qp.experiments.section_four import Setting
         from handmap_qp.simulation.arc import ArcOptions, arc_row, carry_along_arc, planned_scene
@@ -210,9 +214,10 @@ class Simulate:
             scene = planned_scene(robot, body.shape, seed=self.seed, progress=advance)
         options = ArcOptions(normal_force=self.squeeze)
         outcome = carry_along_arc(scene, setting, body.mass, physics, options, self.actuators)
-        return [arc_row(outcome)], outcome.robot.episode
+        episodes = {"robot": outcome.robot.episode, "human": outcome.human.episode}
+        return [arc_row(outcome)], episodes
 
-    def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], Episode | None]:
+    def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
         """Pinch one object, or many, by every mapping."""
         from handmap_qp.offline.takes import prepare_take
         from handmap_qp.simulation.grip import GripForce
@@ -233,7 +238,8 @@ class Simulate:
         take = prepare_take(read, robot.spec.side)
         grip = None if self.grip is None else GripForce(self.grip)
         actuators = self._actuators()
-        rows, first = [], None
+        rows: list[dict[str, Any]] = []
+        episodes: dict[str, Episode] = {}
         for method in methods:
             scene = PinchScene(map_commands(method, take, robot), window, physics, actuators)
             if self.trials:
@@ -245,21 +251,24 @@ class Simulate:
                 trial = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
                 outcome = scene.run(trial, grip)
                 rows.append(outcome_row(method.name, outcome))
-                first = first or outcome.episode
-        return rows, first
+                episodes[method.name] = outcome.episode
+        return rows, episodes
 
-    def _write(self, episode: Episode) -> None:
+    def _write(self, episodes: dict[str, Episode]) -> None:
+        """Write the files: of the robot, or of the first mapping; the page shows all."""
         import numpy as np
 
         from handmap_qp.offline.trajectory import save_npz
         from handmap_qp.simulation.film import Stage, film, picture
+        from handmap_qp.simulation.page import write_page
 
-        written = []
+        written, episode = [], next(iter(episodes.values()))
+        up = -np.array(self._physics().gravity)
         if self.out is not None:
             save_npz(self.out, episode.columns)
             written.append(self.out)
         if self.picture is not None or self.film is not None:
-            stage = Stage(episode, -np.array(self._physics().gravity))
+            stage = Stage(episode, up)
             if self.picture is not None:
                 picture(stage, self.picture)
                 written.append(self.picture)
@@ -267,6 +276,10 @@ class Simulate:
                 with progress("rendering") as advance:
                     film(stage, self.film, progress=advance)
                 written.append(self.film)
+        if self.html is not None:
+            with progress("writing the page") as advance:
+                write_page(self.html, episodes, up, f"{self.robot} - handmap simulate", advance)
+            written.append(self.html)
         if not self.json:
             for path in written:
                 print(f"wrote {path}")

@@ -11,9 +11,11 @@ import numpy as np
 from handmap_qp.drawing.hands import HandShape, load_shape
 from handmap_qp.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import MissingExtraError
-from handmap_qp.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.grasp.objects import Shape
 from handmap_qp.output_files import replaced_file
 from handmap_qp.simulation.episode import Episode
+from handmap_qp.simulation.physics import MeshShape
+from handmap_qp.simulation.shapes import surface, turn_up
 from handmap_qp.transform import affine, transform_points
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
@@ -34,7 +36,7 @@ class Stage:
         self.episode = episode
         self._shape = load_shape(episode.hand)
         self._object = _object_triangles(episode.body.shape)
-        self._turn = affine(_to_z(up), np.zeros(3))
+        self._turn = affine(turn_up(up), np.zeros(3))
 
     def triangles(self, i: int) -> Triangles:
         """Return everything at one instant."""
@@ -44,9 +46,14 @@ class Stage:
         return _moved(merged([hand, held]), self._turn)
 
     def camera(self, size: tuple[int, int] = _SIZE, **view: float) -> Camera:
-        """Return a camera that sees the whole motion."""
+        """Return a camera that sees the hand's whole motion, and the object at first.
+
+        An object that is lost falls far, and must not make the hand small.
+        """
         shown = range(0, len(self.episode.time), max(1, len(self.episode.time) // 8))
-        points = np.concatenate([self.triangles(i).vertices.reshape(-1, 3)[::7] for i in shown])
+        hands = [_moved(_hand_triangles(self._shape, self.episode, i), self._turn) for i in shown]
+        seen = merged([self.triangles(0), *hands])
+        points = seen.vertices.reshape(-1, 3)[::7]
         return Camera.framing(points, size, **view)
 
     def frame(self, i: int, camera: Camera, *, supersampling: int = 2) -> np.ndarray:
@@ -134,20 +141,9 @@ def _hand_triangles(shape: HandShape, episode: Episode, i: int) -> Triangles:
     return shape.triangles(episode.q[i], wrist)
 
 
-def _object_triangles(shape: Any) -> Triangles:
+def _object_triangles(shape: Shape | MeshShape) -> Triangles:
     """Return the surface of an object in its own frame."""
-    try:
-        import trimesh
-    except ImportError as error:
-        raise MissingExtraError("trimesh", "plot") from error
-    if isinstance(shape, Box):
-        mesh = trimesh.creation.box(extents=shape.size)
-    elif isinstance(shape, Sphere):
-        mesh = trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
-    elif isinstance(shape, Cylinder):
-        mesh = trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
-    else:
-        mesh = trimesh.Trimesh(shape.points).convex_hull
+    mesh = surface(shape)
     corners = np.asarray(mesh.vertices)[mesh.faces]
     normals = np.repeat(np.asarray(mesh.face_normals)[:, None], 3, axis=1)
     return Triangles(corners, np.tile(_OBJECT_COLOUR, (len(corners), 1)), normals)
@@ -159,11 +155,3 @@ def _moved(triangles: Triangles, motion: np.ndarray) -> Triangles:
         triangles.colours,
         triangles.normals @ motion[:3, :3].T,
     )
-
-
-def _to_z(up: np.ndarray) -> np.ndarray:
-    """Return the rotation that turns a direction to +z, shape (3, 3)."""
-    z = np.asarray(up, dtype=float) / np.linalg.norm(up)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    return np.array([x, np.cross(z, x), z])

@@ -1,9 +1,10 @@
-"""Objects by name: `named_shape` for the command line and for trials."""
+"""Objects by name and as surfaces: `named_shape`, `parse_object`, `surface`."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,11 +60,32 @@ def parse_object(text: str) -> Shape | MeshShape:
     )
 
 
+def surface(shape: Shape | MeshShape) -> Any:
+    """Return the surface of an object in its own frame, a `trimesh.Trimesh`.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    trimesh = _trimesh()
+    if isinstance(shape, Box):
+        return trimesh.creation.box(extents=shape.size)
+    if isinstance(shape, Sphere):
+        return trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
+    if isinstance(shape, Cylinder):
+        return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
+    return trimesh.Trimesh(shape.points).convex_hull
+
+
+def turn_up(up: np.ndarray) -> np.ndarray:
+    """Return the rotation that turns a direction to +z, for pictures, shape (3, 3)."""
+    z = np.asarray(up, dtype=float) / np.linalg.norm(up)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(z, x), z])
+
+
 def _mesh(file: Path) -> MeshShape:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise MissingExtraError("trimesh", "plot") from error
+    trimesh = _trimesh()
     try:
         mesh = trimesh.load_mesh(file)
         hull = mesh.convex_hull
@@ -73,3 +95,11 @@ def _mesh(file: Path) -> MeshShape:
             argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
         ) from error
     return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError("trimesh", "plot") from error
+    return trimesh

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ from handmap_qp.simulation.arc import ArcOptions, Carried, carry
 from handmap_qp.simulation.commands import Commands
 from handmap_qp.simulation.film import Stage, film, picture
 from handmap_qp.simulation.grip import GripForce
+from handmap_qp.simulation.page import travel, write_page
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.pinch import PinchScene, PinchTrial
 from handmap_qp.simulation.pinch_window import PinchWindow, find_pinch
-from handmap_qp.simulation.shapes import parse_object
+from handmap_qp.simulation.shapes import parse_object, turn_up
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.trials import random_trials, success_rate
 from handmap_qp.trackers.recording import Recording
@@ -159,6 +161,34 @@ def test_pictures_and_films_show_the_object(carried: Carried, tmp_path: Path) ->
         assert getattr(frames, "n_frames", 1) == int(np.ceil(3.0 * duration))
 
 
+@pytest.mark.slow
+def test_a_page_plays_both_hands_without_a_network(carried: Carried, tmp_path: Path) -> None:
+    page, counts = tmp_path / "run.html", []
+    episodes = {"robot": carried.episode, "again": carried.episode}
+    write_page(page, episodes, np.array([0.0, 0.0, 1.0]), "a <run>", counts.append)
+    text = page.read_text(encoding="utf-8")
+    assert "<title>a &lt;run&gt;</title>" in text
+    assert "__VISER_EMBED_DATA__" in text
+    assert 'src="http' not in text
+    duration = carried.episode.time[-1] - carried.episode.time[0]
+    assert counts[-1] == pytest.approx(30.0 * duration, abs=1.0)
+
+
+def test_a_lost_object_does_not_widen_the_view(carried: Carried) -> None:
+    episode = carried.episode
+    seen = travel(episode, np.eye(3))
+    low, high = seen
+    for i in (0, -1):
+        assert (low <= episode.wrist[i, :3, 3] + 1e-9).all()
+        assert (episode.wrist[i, :3, 3] <= high + 1e-9).all()
+    fallen = episode.object_pose.copy()
+    fallen[-1, 2, 3] = -30.0
+    np.testing.assert_array_equal(travel(replace(episode, object_pose=fallen), np.eye(3)), seen)
+    # Turned so that x is up, heights are along z.
+    turned = travel(episode, turn_up(np.array([1.0, 0.0, 0.0])))
+    np.testing.assert_allclose(np.ptp(turned[:, 2]), np.ptp(seen[:, 0]))
+
+
 @pytest.mark.parametrize(
     ("text", "shape"),
     [
@@ -196,6 +226,7 @@ def test_other_words_are_no_objects(text: str) -> None:
     [
         (["--trials", "5"], "--trials"),
         (["--out", "a.txt"], "--out"),
+        (["--html", "a.txt"], "--html"),
         (["gone.npz"], "gone.npz"),
         (["--object", "brick"], "--object"),
         (["--robot", "gone"], "gone"),

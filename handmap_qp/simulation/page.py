@@ -1,0 +1,205 @@
+"""A simulation as a page that plays in a browser without a server: `write_page`.
+
+Hands and objects move in one world, with up upwards, as `handmap view --html` shows a mapping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from handmap_qp.output_files import replaced_file
+from handmap_qp.simulation.episode import Episode
+from handmap_qp.simulation.shapes import surface, turn_up
+from handmap_qp.transform import quat_wxyz_from_rotation
+from handmap_qp.viewer.scene import in_order, joint_places, load_urdf
+from handmap_qp.viewer.serving import serving
+
+if TYPE_CHECKING:
+    import viser
+
+# Samples per second in a page [1/s].
+_RATE = 30.0
+_FIELD_OF_VIEW = np.radians(35.0)
+# From the front, slightly from above.
+_DIRECTION = np.array([0.1, -1.0, 0.3]) / np.linalg.norm([0.1, -1.0, 0.3])
+# Between hands that are shown side by side, and of what is seen around them [m].
+_GAP, _MARGIN = 0.12, 0.08
+_OBJECT_COLOUR = (237, 140, 38)
+
+
+def write_page(
+    path: Path,
+    episodes: Mapping[str, Episode],
+    up: np.ndarray,
+    title: str,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Write one HTML file that plays simulations in real time.
+
+    Args:
+        path: The file.
+        episodes: What happened, by the name to show; of one length in time.
+        up: Direction against gravity, shape (3,).
+        title: Title of the page.
+        progress: Called after each instant with the number done.
+
+    Raises:
+        MissingExtraError: If viser is not installed.
+        InvalidInputError: If the file cannot be written.
+    """
+    with serving() as server:
+        _set_up(server)
+        places = _side_by_side(episodes, turn_up(up))
+        actors = [
+            _Actor(server, name, episode, turn_up(up), place)
+            for (name, episode), place in zip(episodes.items(), places, strict=True)
+        ]
+        _frame_camera(server, actors)
+        last = max(float(actor.time[-1]) for actor in actors)
+        for actor in actors:
+            actor.draw(0.0)
+        serializer = server.get_scene_serializer()
+        instants = np.arange(1.0 / _RATE, last, 1.0 / _RATE)
+        for count, instant in enumerate(instants, start=1):
+            serializer.insert_sleep(1.0 / _RATE)
+            for actor in actors:
+                actor.draw(float(instant))
+            if progress is not None:
+                progress(count)
+        page = serializer.as_html()
+    page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
+    with replaced_file(path, "--html") as file:
+        file.write(page.encode())
+
+
+class _Actor:
+    """One hand and its object in the page's scene.
+
+    Args:
+        server: A running viser server.
+        name: Name to show.
+        episode: What happened.
+        turn: Rotation from the world to the scene, shape (3, 3).
+        place: Where the world's origin is in the scene [m], shape (3,).
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        name: str,
+        episode: Episode,
+        turn: np.ndarray,
+        place: np.ndarray,
+    ) -> None:
+        from viser.extras import ViserUrdf
+
+        self.episode, self.time = episode, episode.time - episode.time[0]
+        scene, hand, node = server.scene, episode.hand, f"/{name.replace(' ', '_')}"
+        scene.add_frame(
+            node, show_axes=False, wxyz=quat_wxyz_from_rotation(turn), position=tuple(place)
+        )
+        self._body = scene.add_frame(f"{node}/hand", show_axes=False)
+        urdf = load_urdf(hand)
+        self._root = urdf.base_link
+        self._model = ViserUrdf(server, urdf, root_node_name=f"{node}/hand")
+        self._order = joint_places(hand, self._model.get_actuated_joint_names())
+        mesh = surface(episode.body.shape)
+        self._object: Any = scene.add_mesh_simple(
+            f"{node}/object",
+            np.asarray(mesh.vertices, dtype=np.float32),
+            np.asarray(mesh.faces, dtype=np.uint32),
+            color=_OBJECT_COLOUR,
+            flat_shading=True,
+        )
+        self.corners = travel(episode, turn) + place
+        low, high = self.corners
+        below = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2] - 0.6 * _MARGIN)
+        self._name = name
+        self._label: Any = scene.add_label(
+            f"{node}_caption", name, position=below, anchor="top-center", font_screen_scale=1.1
+        )
+
+    def draw(self, instant: float) -> None:
+        """Show the sample that is nearest to an instant since the start [s]."""
+        episode, hand = self.episode, self.episode.hand
+        i = int(np.argmin(np.abs(self.time - instant)))
+        wrist = episode.wrist[i] if hand.is_floating else None
+        base = hand.link_poses([self._root], episode.q[i], wrist)[0]
+        self._body.wxyz = quat_wxyz_from_rotation(base[:3, :3])
+        self._body.position = base[:3, 3]
+        self._model.update_cfg(in_order(self._order, episode.q[i]))
+        pose = episode.object_pose[i]
+        self._object.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
+        self._object.position = pose[:3, 3]
+        self._label.text = (
+            f"{self._name} · {self.time[i]:.2f} s · {episode.force[i]:.1f} N · "
+            f"{int(episode.touching[i])} links touch"
+        )
+
+
+def travel(episode: Episode, turn: np.ndarray) -> np.ndarray:
+    """Return the box in which fingertips and wrist move, along turned axes.
+
+    The object counts where it is at first: one that is lost falls far.
+
+    Args:
+        episode: What happened.
+        turn: Rotation from the world to the box's axes, shape (3, 3).
+
+    Returns:
+        Lowest and highest corner [m], shape (2, 3).
+    """
+    hand = episode.hand
+    shown = np.linspace(0, len(episode.time) - 1, 12).round().astype(int)
+    points = [
+        hand.points(episode.q[i], episode.wrist[i] if hand.is_floating else None) for i in shown
+    ]
+    every = np.concatenate([*points, episode.wrist[:, :3, 3], episode.object_pose[:1, :3, 3]])
+    turned = every @ turn.T
+    return np.array([turned.min(axis=0), turned.max(axis=0)])
+
+
+def _side_by_side(episodes: Mapping[str, Episode], turn: np.ndarray) -> list[np.ndarray]:
+    """Return where each world's origin goes, so that hands stand in a row on one floor."""
+    places, edge = [], 0.0
+    for episode in episodes.values():
+        low, high = travel(episode, turn)
+        places.append(np.array([edge - low[0], -0.5 * (low[1] + high[1]), -low[2]]))
+        edge += high[0] - low[0] + _GAP + _MARGIN
+    return places
+
+
+def _set_up(server: viser.ViserServer) -> None:
+    scene = server.scene
+    scene.set_up_direction("+z")
+    scene.world_axes.visible = False
+    scene.add_grid(
+        "/floor",
+        plane="xy",
+        infinite_grid=True,
+        cell_size=0.05,
+        section_size=0.25,
+        cell_color=(225, 228, 232),
+        section_color=(205, 210, 216),
+        cell_thickness=0.6,
+        section_thickness=0.8,
+        fade_distance=3.0,
+        position=(0.0, 0.0, -_MARGIN),
+    )
+
+
+def _frame_camera(server: viser.ViserServer, actors: list[_Actor]) -> None:
+    """Point the camera at everything that moves."""
+    corners = np.concatenate([actor.corners for actor in actors])
+    low, high = corners.min(axis=0) - _MARGIN, corners.max(axis=0) + _MARGIN
+    middle = 0.5 * (low + high)
+    radius = 0.5 * max(high[0] - low[0], high[2] - low[2])
+    distance = radius / np.tan(0.5 * _FIELD_OF_VIEW) + 0.5 * (high[1] - low[1])
+    camera = server.initial_camera
+    camera.look_at, camera.fov = middle, float(_FIELD_OF_VIEW)
+    camera.up, camera.position = np.array([0.0, 0.0, 1.0]), middle + distance * _DIRECTION
