@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from handmap_qp.addresses import service_address
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.spec import Side
+from handmap_qp.live.service_errors import TIMEOUT, reported_as
 from handmap_qp.mapping.presets import PresetName
 from handmap_qp.trackers.person import Person
 from handmap_qp.trackers.sample import HumanSample
@@ -22,13 +22,10 @@ try:
 except ModuleNotFoundError as missing:
     raise MissingExtraError(str(missing.name), "service") from missing
 
-TIMEOUT = 3.0
-"""Longest wait for an answer of the service [s]."""
 _SILENCE = 1.0
 """Time without a command after which the service counts as silent [s]."""
 _LAST_COMMAND = 0.5
 """Longest wait at the end for the command of the last sample [s]."""
-_T = TypeVar("_T")
 
 
 class ServiceSink:
@@ -62,14 +59,15 @@ class ServiceSink:
         person: Person | None = None,
         keys: tuple[Path, Path] | None = None,
     ) -> None:
-        self._address = service_address("--to", host)
+        address = service_address("--to", host)
         self._robot = robot
-        self._client = self._asked(lambda: Client(self._address, timeout=TIMEOUT, keys=keys))
-        try:
-            self.session = self._asked(lambda: self._open(side, session, preset, person))
-        except BaseException:
-            self._client.close()
-            raise
+        with reported_as("--to", address, refused="--to"):
+            self._client = Client(address, timeout=TIMEOUT, keys=keys)
+            try:
+                self.session = self._open(side, session, preset, person)
+            except BaseException:
+                self._client.close()
+                raise
         self._sent = self._lost = self._unanswered = 0
         self._statuses: Counter[str] = Counter()
         self._flags: Counter[str] = Counter()
@@ -181,20 +179,3 @@ class ServiceSink:
         code, field = error.error.code, error.error.field.partition("[")[0]
         self._refusals[f"{code} {field}".strip()] += 1
         self._refusal = str(error)
-
-    def _asked(self, call: Callable[[], _T]) -> _T:
-        """Call the service; report a failure as an error of `--to`."""
-        try:
-            return call()
-        except ServiceTimeoutError as error:
-            raise InvalidInputError(
-                argument="--to",
-                problem=f"no service answers at {self._address}",
-                advice="start one with handmap serve",
-            ) from error
-        except ServiceError as error:
-            raise InvalidInputError(
-                argument="--to", problem=f"the service refused the session: {error}"
-            ) from error
-        except (zmq.ZMQError, OSError, ValueError) as error:
-            raise InvalidInputError(argument="--to", problem=str(error)) from error

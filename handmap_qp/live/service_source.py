@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from handmap_qp.addresses import service_address
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.spec import Side
+from handmap_qp.live.service_errors import TIMEOUT, reported_as
 from handmap_qp.trackers.sample import HumanSample
 
 try:
-    import zmq
-
     from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError, State
 except ModuleNotFoundError as missing:
     raise MissingExtraError(str(missing.name), "service") from missing
 
-TIMEOUT = 3.0
-"""Longest wait for an answer of the service [s]."""
 _WAIT = 0.25
 """Time without a command after which the session's state is asked for [s]."""
-_T = TypeVar("_T")
 
 
 class ServiceSource:
@@ -52,29 +48,14 @@ class ServiceSource:
         keys: tuple[Path, Path] | None = None,
     ) -> None:
         address = service_address("--from", host)
-        self._client = self._asked(address, lambda: Client(address, timeout=TIMEOUT, keys=keys))
-        try:
-            self.name = session or self._only_session(address)
-            state: State = self._asked(address, lambda: self._client.watch(self.name))
-            about: dict[str, Any] = state.about or {}
-            if about["input"] != "landmarks":
-                raise InvalidInputError(
-                    argument="--session",
-                    expected="a session led by landmarks",
-                    got=f"one led by {about['input']}",
-                    value=self.name,
-                )
-            if not about["has_detail"]:
-                raise InvalidInputError(
-                    argument="--session",
-                    problem=f"commands of {self.name} do not carry landmarks",
-                    value=self.name,
-                    advice="its client must open it with has_detail",
-                )
-        except BaseException:
-            self._client.close()
-            raise
-        self._side: Side = about["side"]
+        with reported_as("--from", address, refused="--session"):
+            self._client = Client(address, timeout=TIMEOUT, keys=keys)
+            try:
+                self.name = session or self._only_session(address)
+                self._side: Side = self._side_of(self._client.watch(self.name))
+            except BaseException:
+                self._client.close()
+                raise
 
     @property
     def side(self) -> Side:
@@ -122,8 +103,27 @@ class ServiceSource:
             return True
         return True
 
+    def _side_of(self, state: State) -> Side:
+        """Return the human hand of a session, whose commands must carry its landmarks."""
+        about: dict[str, Any] = state.about or {}
+        if about["input"] != "landmarks":
+            raise InvalidInputError(
+                argument="--session",
+                expected="a session led by landmarks",
+                got=f"one led by {about['input']}",
+                value=self.name,
+            )
+        if not about["has_detail"]:
+            raise InvalidInputError(
+                argument="--session",
+                problem=f"commands of {self.name} do not carry landmarks",
+                value=self.name,
+                advice="its client must open it with has_detail",
+            )
+        return about["side"]
+
     def _only_session(self, address: str) -> str:
-        state: State = self._asked(address, self._client.status)
+        state = self._client.status()
         if len(state.names) == 1:
             return state.names[0]
         if state.names:
@@ -136,18 +136,3 @@ class ServiceSource:
             problem=f"no session is open at {address}",
             advice="start a client that opens one, such as handmap track replay",
         )
-
-    def _asked(self, address: str, call: Callable[[], _T]) -> _T:
-        """Call the service; report a failure as an error of `--from`."""
-        try:
-            return call()
-        except ServiceTimeoutError as error:
-            raise InvalidInputError(
-                argument="--from",
-                problem=f"no service answers at {address}",
-                advice="start one with handmap serve",
-            ) from error
-        except ServiceError as error:
-            raise InvalidInputError(argument="--session", problem=error.error.message) from error
-        except (zmq.ZMQError, OSError, ValueError) as error:
-            raise InvalidInputError(argument="--from", problem=str(error)) from error

@@ -60,8 +60,9 @@ def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path
     assert "calibrating" not in summary["statuses"]
     assert sink._command is not None
     assert np.abs(np.subtract(sink._command.q, before)).max() > 0.1
-    with pytest.raises(InvalidInputError, match="no session"):
+    with pytest.raises(InvalidInputError, match="no session") as refused:
         ServiceSource(address_of(server), session="chain")
+    assert refused.value.argument == "--session"
 
 
 def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(server: Server, person: Person) -> None:
@@ -154,11 +155,11 @@ def test_a_service_that_is_not_there_is_one_line(
     monkeypatch.setattr("handmap_qp.live.service_sink.TIMEOUT", 0.2)
     monkeypatch.setattr("handmap_qp.live.service_source.TIMEOUT", 0.2)
     nobody = f"127.0.0.1:{free_port}"
-    with pytest.raises(InvalidInputError, match="handmap serve"):
+    with pytest.raises(InvalidInputError, match="--to: .*handmap serve"):
         ServiceSink(nobody, "three_finger", "right")
-    with pytest.raises(InvalidInputError, match="handmap serve"):
+    with pytest.raises(InvalidInputError, match="--from: .*handmap serve"):
         ServiceSource(nobody)
-    with pytest.raises(InvalidInputError, match="no hand 'nonsense'"):
+    with pytest.raises(InvalidInputError, match="--to: .*no hand 'nonsense'"):
         ServiceSink(address_of(server), "nonsense", "right")
     for wrong in ("", ":", "127.0.0.1:port", "127.0.0.1:99999"):
         with pytest.raises(InvalidInputError, match="--to"):
