@@ -62,7 +62,9 @@ def main() -> None:
     parser = make_parser(__doc__ or "")
     parser.add_argument("--frames", type=int, default=265, help="frames of a recording")
     given = parse_arguments(parser)
-    files = 2 if given.quick else 12
+    files = 12
+    if given.quick:
+        files, given.frames = 1, _SHORT + 15
     rows, results = [], {}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

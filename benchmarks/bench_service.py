@@ -284,7 +284,7 @@ def main(words: Sequence[str] | None = None) -> None:
         "--robot", default="three_finger", help="robot hand; three_finger by default"
     )
     arguments = common.parse_arguments(parser, words)
-    duration, clients = (2.0, 4) if arguments.quick else (arguments.duration, arguments.clients)
+    duration, clients = (0.5, 4) if arguments.quick else (arguments.duration, arguments.clients)
     with (
         serving(web=True, web_port=0) as service,
         echoing() as echo,

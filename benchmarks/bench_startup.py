@@ -1,6 +1,7 @@
 """What is paid once: CPU time of imports and of a recording, memory of an import and of a session.
 
-Every number is that of a fresh process, the least of several. With `--compare`, processes of
+Every number is that of a fresh process, the least of several; with `--quick`, one process runs all
+programs, so that their numbers mean nothing. With `--compare`, processes of
 another checkout take turns with these.
 
     python benchmarks/bench_startup.py
@@ -58,10 +59,10 @@ PROGRAMS = {
     ),
     "memory of one more session, MB": (
         _HANDS + "robot = load_hand('allegro_right')\n"
-        "kept = [session(robot) for _ in range(5)]\n"
+        "kept = [session(robot) for _ in range(count // 4)]\n"
         "start = memory()\n"
-        "kept += [session(robot) for _ in range(20)]\n"
-        "result = (memory() - start) / 20"
+        "kept += [session(robot) for _ in range(count)]\n"
+        "result = (memory() - start) / count"
     ),
     "measuring a person, per sample, us": (
         "from handmap_qp import read_recording\n"
@@ -69,18 +70,18 @@ PROGRAMS = {
         "recording = read_recording({recording!r})\n"
         "measure_hand(recording)\n"
         "start = cpu()\n"
-        "for _ in range(5):\n"
+        "for _ in range(count // 4):\n"
         "    measure_hand(recording)\n"
-        "result = 1e3 * (cpu() - start) / (5 * int(recording.valid.sum()))"
+        "result = 1e3 * (cpu() - start) / (count // 4 * int(recording.valid.sum()))"
     ),
     "reading the hands of a recording, ms": (
         _HANDS + "load_hand('human', points='landmarks')\n"
         "load_hand('allegro_right')\n"
         "start = cpu()\n"
-        "for _ in range(10):\n"
+        "for _ in range(count // 2):\n"
         "    load_hand('human', points='landmarks', lengths=lengths)\n"
         "    load_hand('allegro_right')\n"
-        "result = (cpu() - start) / 10"
+        "result = (cpu() - start) / (count // 2)"
     ),
     "matching person and robot, ms": (
         _HANDS + "robot = load_hand('allegro_right')\n"
@@ -91,13 +92,15 @@ PROGRAMS = {
         "result = cpu() - start"
     ),
 }
-"""Programs by what they measure; each sets `result`."""
+"""Programs by what they measure; each sets `result`, the mean of about `count` repetitions."""
 
 
-def measure(tree: Path, program: str) -> float:
-    """Run a program in a fresh process with the package of a checkout; return its result."""
+def measure(tree: Path, *programs: str, count: int = 20) -> list[float]:
+    """Run programs in a fresh process with the package of a checkout; return their results."""
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    code = f"{_CLOCK}\n{program}\nprint(json.dumps(result))"
+    code = "".join(
+        f"{_CLOCK}\ncount = {count}\n{program}\nprint(json.dumps(result))\n" for program in programs
+    )
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=tree,  # which comes before PYTHONPATH
@@ -108,7 +111,7 @@ def measure(tree: Path, program: str) -> float:
     )
     if done.returncode:
         common.stop(f"{tree}: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads(done.stdout.splitlines()[-1])
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def measure_all(
@@ -119,25 +122,32 @@ def measure_all(
     Args:
         trees: Checkouts by name.
         recording: The recording to measure a person in; None to leave that out.
-        rounds: Processes for each number, of which the least counts.
+        rounds: Processes for each number, of which the least counts; 0 for one process in all.
 
     Returns:
         A row a program.
     """
-    rows = []
-    with common.progress("programs", len(PROGRAMS)) as advance:
-        for what, text in PROGRAMS.items():
+    programs = {
+        what: text.replace("{recording!r}", repr(str(recording)))
+        for what, text in PROGRAMS.items()
+        if recording is not None or "{recording" not in text
+    }
+    found: dict[str, dict[str, float]] = {what: {} for what in programs}
+    together = [[what] for what in programs] if rounds else [list(programs)]
+    with common.progress("programs", len(together)) as advance:
+        for names in together:
+            texts = [programs[what] for what in names]
+            for _ in range(max(rounds, 1)):
+                for tree, folder in trees.items():
+                    for what, value in zip(
+                        names, measure(folder, *texts, count=20 if rounds else 4), strict=True
+                    ):
+                        found[what][tree] = min(value, found[what].get(tree, value))
             advance()
-            if "{recording" in text and recording is None:
-                continue
-            program = text.replace("{recording!r}", repr(str(recording)))
-            found: dict[str, list[float]] = {name: [] for name in trees}
-            for _ in range(rounds):
-                for name, tree in trees.items():
-                    found[name].append(measure(tree, program))
-            least = {name: min(values) for name, values in found.items()}
-            ratio = {"of other": least["this"] / least["other"]} if "other" in least else {}
-            rows.append({"what": what, **least, **ratio})
+    rows = []
+    for what, least in found.items():
+        ratio = {"of other": least["this"] / least["other"]} if "other" in least else {}
+        rows.append({"what": what, **least, **ratio})
     return rows
 
 
@@ -165,7 +175,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if arguments.compare is not None:
         trees["other"] = interleaved.check_tree(arguments.compare)
     file = arguments.recordings / f"{_RECORDING}.npz"
-    rows = measure_all(trees, file if file.is_file() else None, 1 if arguments.quick else 3)
+    rows = measure_all(trees, file if file.is_file() else None, 0 if arguments.quick else 3)
     common.print_table(
         "Paid once: the least of fresh processes",
         rows,

@@ -77,14 +77,14 @@ class ServiceProcess:
     def kill(self) -> None:
         """Kill the process."""
         self.process.send_signal(signal.SIGKILL)
-        self.process.wait()
+        self.process.communicate()
 
     def stop(self) -> None:
         """Stop the service, and delete its log."""
         asked = time.monotonic()
         self.process.terminate()
         try:
-            self.process.wait(5.0)
+            self.process.communicate(timeout=5.0)
         except subprocess.TimeoutExpired:
             self.kill()
         self.stop_times.append(time.monotonic() - asked)
@@ -176,7 +176,7 @@ def echoing() -> Iterator[dict[str, int]]:
         yield json.loads(process.stdout.readline() if process.stdout else "")
     finally:
         process.terminate()
-        process.wait(5.0)
+        process.communicate(timeout=5.0)
 
 
 async def _echo() -> None:

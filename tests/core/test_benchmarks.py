@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -25,25 +27,44 @@ def run(script: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def shared() -> Iterator[dict[str, ModuleType]]:
-    """Import the modules beside the scripts, with their folder on the path as for a script."""
+def benchmark() -> Iterator[Callable[[str], Any]]:
+    """Import modules by name, with the folder of the scripts on the path as for a script."""
     sys.path.insert(0, str(FOLDER))
     try:
-        yield {name: importlib.import_module(name) for name in ("common", "scenes")}
+        yield importlib.import_module
     finally:
         sys.path.remove(str(FOLDER))
+
+
+@pytest.fixture(scope="module")
+def shared(benchmark: Callable[[str], Any]) -> dict[str, Any]:
+    """The modules that the scripts share."""
+    return {name: benchmark(name) for name in ("common", "scenes")}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_every_benchmark_runs_and_writes_its_numbers(
-    script: Path, request: pytest.FixtureRequest, tmp_path: Path
+    script: Path,
+    benchmark: Callable[[str], Any],
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
-    if "find_recordings" in script.read_text(encoding="utf-8"):
+    text = script.read_text(encoding="utf-8")
+    assert text.endswith('\nif __name__ == "__main__":\n    main()\n')
+    if "find_recordings" in text:
         request.getfixturevalue("recordings")
     results, drawing = tmp_path / "results.json", tmp_path / "results.png"
-    done = run(script, "--quick", "--json", results, "--picture", drawing)
-    assert done.returncode == 0, done.stderr
+    # In this process, because most of a quick run would be imports.
+    words = [script, "--quick", "--json", results, "--picture", drawing]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in words])
+    module, pyplot = benchmark(script.stem), pytest.importorskip("matplotlib.pyplot")
+    try:
+        with patch.dict(os.environ):
+            module.main()
+    finally:
+        pyplot.close("all")
     document = json.loads(results.read_text(encoding="utf-8"))
     assert document["benchmark"] in script.stem
     assert document["facts"]["versions"]["handmap-qp"]
@@ -70,7 +91,7 @@ def test_without_recordings_a_benchmark_says_so_in_one_line(tmp_path: Path) -> N
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_any_work(
-    shared: dict[str, ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shared: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     common = shared["common"]
     with pytest.raises(SystemExit) as stopped:
@@ -81,7 +102,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(
     assert "the folder does not exist" in capsys.readouterr().err
 
 
-def test_json_holds_plain_numbers(shared: dict[str, ModuleType], tmp_path: Path) -> None:
+def test_json_holds_plain_numbers(shared: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "out.json"
     shared["common"].write_json(
         str(file), "test", {"a": np.float64(1.5), "b": [float("nan"), np.arange(2)], 3: {"c": True}}
@@ -90,16 +111,14 @@ def test_json_holds_plain_numbers(shared: dict[str, ModuleType], tmp_path: Path)
     assert (document["a"], document["b"], document["3"]) == (1.5, [None, [0, 1]], {"c": True})
 
 
-def test_tables_are_never_cut(
-    shared: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tables_are_never_cut(shared: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     columns = {f"a long column {i}": f"{i} and words" for i in range(30)}
     shared["common"].print_table("Title", [columns, {}, columns])
     printed = capsys.readouterr().out
     assert all(text in printed for pair in columns.items() for text in pair)
 
 
-def test_cpu_time_is_that_of_the_call(shared: dict[str, ModuleType]) -> None:
+def test_cpu_time_is_that_of_the_call(shared: dict[str, Any]) -> None:
     common, seen = shared["common"], []
     times = common.cpu_times(seen.append, 5)
     assert seen == [0, 1, 2, 3, 4]
@@ -109,9 +128,7 @@ def test_cpu_time_is_that_of_the_call(shared: dict[str, ModuleType]) -> None:
     )
 
 
-def test_every_other_sample_takes_twice_the_time(
-    shared: dict[str, ModuleType], recordings: Path
-) -> None:
+def test_every_other_sample_takes_twice_the_time(shared: dict[str, Any], recordings: Path) -> None:
     scene = shared["scenes"].load_scene(recordings / "leap_pinch_move_right.npz", samples=30)
     motion: HumanMotion = scene.motion
     thinned: HumanMotion = shared["scenes"].thinned(motion, 2)
@@ -120,7 +137,7 @@ def test_every_other_sample_takes_twice_the_time(
     assert shared["scenes"].thinned(motion, 1) is motion
 
 
-def test_robots_are_found_for_either_side(shared: dict[str, ModuleType]) -> None:
+def test_robots_are_found_for_either_side(shared: dict[str, Any]) -> None:
     robot_for = shared["scenes"].robot_for
     assert [robot_for("allegro", side).side for side in ("left", "right")] == ["left", "right"]
     right, left = (robot_for("three_finger", side).reference_points for side in ("right", "left"))

@@ -155,11 +155,11 @@ def test_a_service_that_is_not_there_is_one_line(
     monkeypatch.setattr("handmap_qp.live.service_sink.TIMEOUT", 0.2)
     monkeypatch.setattr("handmap_qp.live.service_source.TIMEOUT", 0.2)
     nobody = f"127.0.0.1:{free_port}"
-    with pytest.raises(InvalidInputError, match="--to: .*handmap serve"):
+    with pytest.raises(InvalidInputError, match=r"--to: .*handmap serve"):
         ServiceSink(nobody, "three_finger", "right")
-    with pytest.raises(InvalidInputError, match="--from: .*handmap serve"):
+    with pytest.raises(InvalidInputError, match=r"--from: .*handmap serve"):
         ServiceSource(nobody)
-    with pytest.raises(InvalidInputError, match="--to: .*no hand 'nonsense'"):
+    with pytest.raises(InvalidInputError, match=r"--to: .*no hand 'nonsense'"):
         ServiceSink(address_of(server), "nonsense", "right")
     for wrong in ("", ":", "127.0.0.1:port", "127.0.0.1:99999"):
         with pytest.raises(InvalidInputError, match="--to"):
