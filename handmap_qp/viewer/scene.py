@@ -22,6 +22,7 @@ from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.options import Alignment, Rotation
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
 from handmap_qp.viewer.camera import BrowserCameras
+from handmap_qp.viewer.merged_shapes import merge_shapes
 from handmap_qp.viewer.replay import ViewSample
 
 if TYPE_CHECKING:
@@ -421,7 +422,9 @@ def load_urdf(hand: Hand) -> Any:
         for i, visual in enumerate(link.iterfind("visual")):
             visual.set("name", f"{link.get('name')}_shape_{i}")
     text = io.BytesIO(ET.tostring(robot))
-    return URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+    urdf = URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+    merge_shapes(urdf)
+    return urdf
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
