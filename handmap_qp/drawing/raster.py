@@ -178,10 +178,11 @@ def render(
     picture = _shaded(triangles, solid, fine, has_creases=True)
     if marks is not None and len(marks.vertices):
         surface = _rasterise(marks.vertices, fine)
-        shaded = _shaded(marks, surface, fine, has_creases=False)
-        is_hidden = surface.depth > solid.depth
-        opacity = shaded[..., 3:] * np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0)[..., None]
-        picture = shaded * opacity + picture * (1.0 - opacity)
+        rows, columns = np.divmod(surface.pixels, fine.size[0])
+        shaded = _shaded(marks, surface, fine, has_creases=False)[rows, columns]
+        is_hidden = (surface.depth > solid.depth)[rows, columns]
+        opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0)[:, None]
+        picture[rows, columns] = shaded * opacity + picture[rows, columns] * (1.0 - opacity)
     picture = _averaged(picture, supersampling)
     if ground is not None:
         shadow = _shadow(triangles.vertices, camera, ground)
@@ -332,31 +333,28 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     if not is_solid.any():
         return np.zeros_like(depth)
     reach = max(2.0, _CREASE_RADIUS * camera.focal_length / float(np.median(depth[is_solid])))
-    hollow = np.zeros_like(depth)
     offsets = [
         (radius, angle)
         for radius in (0.3, 0.65, 1.0)
         for angle in np.arange(4) * np.pi / 4 + radius
     ]
-    flat = np.where(is_solid, depth, 0.0)
+    # Repeat the border of the picture, and look at solid pixels only.
+    room = int(np.ceil(reach)) + 1
+    padded = np.pad(depth, room, mode="edge")
+    stride, padded = padded.shape[1], padded.ravel()
+    rows, columns = np.nonzero(is_solid)
+    places = (rows + room) * stride + columns + room
+    solid, total = depth[is_solid], np.zeros(len(rows))
     for radius, angle in offsets:
         dx, dy = round(radius * reach * np.cos(angle)), round(radius * reach * np.sin(angle))
-        one, other = _shifted(depth, dx, dy), _shifted(depth, -dx, -dy)
-        bump = flat - 0.5 * (one + other)
+        step = dy * stride + dx
+        bump = solid - 0.5 * (padded[places + step] + padded[places - step])
         # Ignore large steps: they are outlines of parts in front, not hollows.
         bump = np.where(np.isfinite(bump), bump, 0.0) / (radius * _CREASE_RADIUS)
-        hollow += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
-    return gaussian_filter(np.clip(1.8 * hollow / len(offsets), 0.0, 1.0), 0.15 * reach)
-
-
-def _shifted(depth: np.ndarray, dx: int, dy: int) -> np.ndarray:
-    """Shift the picture by whole pixels, repeating its border."""
-    height, width = depth.shape
-    rows, columns = (
-        np.clip(np.arange(height) + dy, 0, height - 1),
-        np.clip(np.arange(width) + dx, 0, width - 1),
-    )
-    return depth[rows[:, None], columns]
+        total += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
+    hollow = np.zeros_like(depth)
+    hollow[is_solid] = np.clip(1.8 * total / len(offsets), 0.0, 1.0)
+    return gaussian_filter(hollow, 0.15 * reach)
 
 
 def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:

@@ -170,8 +170,13 @@ def test_recording_without_a_pose_has_no_contact_sheet(
 
 @pytest.mark.slow
 def test_sheet_of_many_methods_has_bands(
-    files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    files: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    # Another test looks at the picture of the metrics, which takes half of the time.
+    monkeypatch.setattr("handmap_qp.experiments.comparison_pictures.draw_metrics", lambda *_: None)
     out = tmp_path / "out"
     words = ["compare", files[0], "--robot", "three_finger", "--out", str(out)]
     assert cli.main(words) == 0
