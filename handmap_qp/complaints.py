@@ -15,7 +15,7 @@ _TYPES = {"INT": "a whole number", "FLOAT": "a number", "STR": "a value", "PATH"
 _BORDER = " │╭╮╰╯─"
 _UNUSABLE = (
     r"(?:Error parsing|invalid choice .* for argument|Missing value for argument)"
-    r" '?(--[\w.-]*\w|[A-Z]+\b)"
+    r" [('\"]*(--[\w.-]*\w|[A-Z]+\b)"
 )
 """tyro's messages about the value of one option or positional argument."""
 

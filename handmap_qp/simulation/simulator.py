@@ -267,7 +267,8 @@ class Simulator:
         return affine(Rotation.from_quat([x, y, z, w]).as_matrix(), values[:3].copy())
 
     def _set_pose(self, address: int, pose: np.ndarray) -> None:
-        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        # A copy, because SciPy before 1.17 takes no read-only array.
+        x, y, z, w = Rotation.from_matrix(np.array(pose[:3, :3])).as_quat()
         self.data.qpos[address : address + 7] = (*pose[:3, 3], w, x, y, z)
 
     def _joints_of_geoms(self) -> dict[int, str]:

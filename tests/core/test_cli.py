@@ -247,7 +247,7 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         (["map", "x.npz", "--side=up"], "--side: expected one of right, left, got 'up'"),
         (["map", "x.npz", "--ik.damping", "-1"], "--ik.damping: expected a finite number > 0, "),
         (["map", "x.npz", "--ridge", "-1"], "--ridge: expected a number in [0, inf], got -1.0"),
-        (["map", "x.npz", "--out", "--json"], "--out: expected FILE.npz, got nothing"),
+        (["map", "x.npz", "--out"], "--out: expected FILE.npz, got nothing"),
         (["view", "--port", "5o7o"], "--port: expected a whole number, got '5o7o'"),
         (["view", "--keys", "a"], "--keys: expected SECRET SERVER, got 'a'"),
         (["batch"], "expected --robot HAND [HAND] and --out DIR: see handmap batch --help"),
