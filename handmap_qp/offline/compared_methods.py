@@ -67,13 +67,7 @@ class OwnMethod:
 
     def map_take(self, take: Take, robot: Hand) -> RobotMotion:
         """Map the landmarks of a take, with the palm that it is measured against."""
-        name = base_name(self.name)
-        if name in PRESETS:
-            method, ik = PRESETS[name].method, PRESETS[name].ik
-        else:
-            method, ik = METHODS[name](), _FOLLOWING
-        if isinstance(method, Teleoperation):
-            method = replace(method, contact_gap=take.contact_gap)
+        method, ik = method_by_name(base_name(self.name), take.contact_gap)
         smoothing = None
         if self.name.endswith(SMOOTH):
             smoothing, ik = Smoothing(), replace(ik, **SMOOTH_IK)
@@ -130,6 +124,22 @@ class OutsideMethod:
                 f"{self.folder / PROGRAM}: {self.name}: bad result: {error}"
             ) from error
         return RobotMotion(q, wrist, step_time, self.about)
+
+
+def method_by_name(name: str, contact_gap: float | None = None) -> tuple[Method, IkOptions]:
+    """Return a method of the package and the QP weights that it is compared with.
+
+    Args:
+        name: One of `own_methods()`, or a preset.
+        contact_gap: The measured contact gap [m]; the method's own if omitted.
+    """
+    if name in PRESETS:
+        method, ik = PRESETS[name].method, PRESETS[name].ik
+    else:
+        method, ik = METHODS[name](), _FOLLOWING
+    if isinstance(method, Teleoperation) and contact_gap is not None:
+        method = replace(method, contact_gap=contact_gap)
+    return method, ik
 
 
 def own_methods() -> tuple[str, ...]:

@@ -55,6 +55,43 @@ def measure_gaps(
     return GapMeter(hand, chains).measure(q)
 
 
+class PinchMeter:
+    """Measures the gaps between the thumb and the other fingers of one robot hand.
+
+    Args:
+        hand: The robot hand.
+
+    Attributes:
+        fingers: The fingers whose gaps are measured: those with shapes.
+
+    Raises:
+        HandError: If a shape cannot be read.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+        self._geometry, self._groups = _pinch_pairs(hand, find_fingers(hand))
+        self._data = hand.model.createData()
+        self._vector = np.zeros(hand.model.nq)
+        self.fingers = tuple(self._groups)
+
+    def measure(self, q: np.ndarray) -> dict[str, float]:
+        """Measure the gaps of one posture.
+
+        Args:
+            q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
+
+        Returns:
+            Gap between the distal links of the thumb and of each other finger [m], negative where
+            they overlap, by the finger's name.
+        """
+        self._hand.write_configuration(self._vector, q, np.eye(4))
+        pin.forwardKinematics(self._hand.model, self._data, self._vector)
+        nearest = _NearestPairs(self._hand, self._geometry)
+        nearest.place(self._data)
+        return {name: nearest.smallest(pairs, np.inf) for name, pairs in self._groups.items()}
+
+
 class GapMeter:
     """Measures gaps of one robot hand, whose shapes are read once.
 

@@ -20,7 +20,7 @@ from handmap_qp.arguments import (
     PersonFile,
     fit_side,
 )
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, MissingExtraError, did_you_mean
 
 if TYPE_CHECKING:
     import viser
@@ -33,11 +33,13 @@ class View:
     """Show a mapping in the browser, and change its preset and options while it plays.
 
     Shows the human hand and the robot hand side by side, their reference points and targets, the
-    deformation T_def as an ellipsoid, the robot's joints between their limits, point errors [mm]
-    and the time per step [us]. Ctrl-C ends the view.
+    deformation T_def as an ellipsoid, the robot's joints between their limits, point and wrist
+    errors, pinch gaps [mm], and the time per step [us]. A second method can be compared with the
+    first. Ctrl-C ends the view.
 
     Examples:
         handmap view recording.npz --robot allegro_right
+        handmap view demo --robot allegro_right --compare fingertip-vectors
         handmap view recording.npz --robot three_finger --html page.html
         handmap view --live 127.0.0.1      (beside a running handmap serve)
 
@@ -51,6 +53,8 @@ class View:
         keys: For an encrypted service, the files NAME.key_secret and server.key.
         mirror: Map the mirror image of a recording of the other hand.
         person: File of the person's hand, of `handmap calibrate`.
+        compare: Preset or method that a second robot follows the same hand by, as for
+            `handmap compare`.
         html: Write the recording as a page that plays without a server, and end.
         host: Address to listen on. Everyone who can reach it can use the view, so keep it on
             loopback unless you trust the network.
@@ -75,6 +79,9 @@ class View:
     keys: KeyFiles = None
     mirror: bool = False
     person: PersonFile = None
+    compare: Annotated[
+        str | None, tyro.conf.arg(metavar="METHOD", help_behavior_hint="(default: none)")
+    ] = None
     html: Annotated[
         Path | None, tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)")
     ] = None
@@ -112,7 +119,7 @@ class View:
         """Refuse options that would have no effect."""
         if self.live is not None:
             self._refuse("html", problem="needs a recording: a running session has no end")
-            self._refuse("mirror", problem="needs a recording")
+            self._refuse("mirror", "compare", problem="needs a recording")
             for name in ("layout", "side"):
                 if getattr(self.inputs, name) is not None:
                     raise InvalidInputError(argument=f"--{name}", problem="needs a recording")
@@ -133,14 +140,13 @@ class View:
 
     def _show_recording(self, file: Path, robot: str) -> None:
         from handmap_qp.viewer.app import ReplayViewer
-        from handmap_qp.viewer.page import check_page, write_page
+        from handmap_qp.viewer.page import check_page, replay_page, write_page
         from handmap_qp.viewer.serving import serving
 
         page = None if self.html is None else check_page(self.html)
         replay = self._replay(file, robot)
         if page is not None:
-            with serving() as server:
-                write_page(page, server, replay)
+            write_page(page, replay_page(replay))
             print(f"wrote {page}")
             return
         with serving(self.host, self.port) as server:
@@ -192,7 +198,7 @@ class View:
         motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)
         gap = person.contact_gap
-        return Replay(
+        replay = Replay(
             recording,
             motion,
             human,
@@ -201,3 +207,14 @@ class View:
             smoothing=self.arguments.smoothing,
             contact_gap=gap,
         )
+        if self.compare is not None:
+            names = replay.contenders
+            if self.compare not in names:
+                raise InvalidInputError(
+                    argument="--compare",
+                    expected=f"one of {', '.join(names)}",
+                    value=self.compare,
+                    advice=did_you_mean(self.compare, names),
+                )
+            replay.compare(replay.contender(self.compare))
+        return replay

@@ -1,4 +1,4 @@
-"""The panel on the right: play bar, clutch, display settings, options.
+"""The controls: play bar, preset, comparison, clutch, options, and what the scene shows.
 
 viser calls callbacks in threads of its own. They only record a request, which the viewer's `tick`
 carries out, so that mapping and drawing happen in one thread.
@@ -6,18 +6,21 @@ carries out, so that mapping and drawing happen in one thread.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import PRESETS, Choice
 from handmap_qp.viewer.option_controls import OptionControls
 from handmap_qp.viewer.scene import HandScene
+from handmap_qp.viewer.trails import LENGTH as TRAIL_LENGTH
 
 if TYPE_CHECKING:
     import viser
 
+NOTHING, KEPT = "nothing", "kept options"
+"""Entries of the list of methods to compare with, besides the methods."""
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 
 
@@ -26,43 +29,116 @@ class DisplayControls:
 
     Args:
         server: A running viser server.
+
+    Attributes:
+        clear: Button that clears the trails.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
+        gui = server.gui
         hint = "hands: keep each hand in place; world: show how it travels"
-        self.follow = server.gui.add_dropdown(
+        self.follow = gui.add_dropdown(
             "follow", ("hands", "world"), initial_value="hands", hint=hint
         )
         hint = "Shape of a ball or cube at the pivot after T_def"
-        self.shape = server.gui.add_dropdown(
+        self.shape = gui.add_dropdown(
             "deformation", ("ellipsoid", "cube", "off"), initial_value="ellipsoid", hint=hint
         )
+        self.landmarks = gui.add_checkbox(
+            "landmarks", initial_value=False, hint="The tracker's landmarks, beside the hand"
+        )
+        self.trails = gui.add_checkbox(
+            "trails",
+            initial_value=False,
+            hint=f"Where the fingertips were in the last {TRAIL_LENGTH:g} s",
+        )
+        self.clear = gui.add_button("Clear trails", hint="Start the trails again from here")
+        self._is_to_clear = False
+        self.clear.on_click(self._request_clear)
+
+    @property
+    def state(self) -> tuple[object, ...]:
+        """The settings; the scene has to be drawn again if they change."""
+        return self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
 
     def apply_to(self, scene: HandScene) -> None:
         """Copy the settings to the scene; its next drawing shows them."""
+        if self._is_to_clear or (scene.has_trails and not self.trails.value):
+            self._is_to_clear = False
+            scene.clear_trails()
         scene.follow, scene.deformation_shape = self.follow.value, self.shape.value
+        scene.has_landmarks, scene.has_trails = self.landmarks.value, self.trails.value
+
+    def _request_clear(self, _: object) -> None:
+        self._is_to_clear = True
+
+
+class CompareControls:
+    """Choice of a second method, whose robot stands beside the first.
+
+    Args:
+        server: A running viser server.
+        names: The presets and methods to choose from.
+        chosen: The one to start with.
+
+    Attributes:
+        choice: List of methods.
+        keep: Button that keeps the robot as it is now for comparison with later options.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, names: tuple[str, ...], chosen: str = NOTHING
+    ) -> None:
+        self.choice = server.gui.add_dropdown(
+            "compare with",
+            (NOTHING, *names, KEPT),
+            initial_value=chosen,
+            hint="A second robot follows the same hand by another method",
+        )
+        self.keep = server.gui.add_button(
+            "Keep for comparison", hint="Keep the robot as it is now beside later options"
+        )
+        self._taken = self.choice.value
+        self._is_to_keep = False
+        self.keep.on_click(self._request_keep)
+
+    def take_choice(self) -> str | None:
+        """Return what the user has chosen since the last call; None if nothing changed."""
+        if self._is_to_keep:
+            self._is_to_keep = False
+            self.choice.value = KEPT
+        elif self.choice.value == self._taken:
+            return None
+        self._taken = self.choice.value
+        return self._taken
+
+    def show(self, name: str) -> None:
+        """Show a choice that was not made here."""
+        self.choice.value = self._taken = name
+
+    def _request_keep(self, _: object) -> None:
+        self._is_to_keep = True
 
 
 class SteeringControls:
-    """Clutch, display settings, options, and a message about the last request.
+    """Preset, comparison, clutch, options, and a message about the last request.
 
     Args:
         server: A running viser server.
         robot: The robot hand.
         choice: Preset and options to start from.
         presets: The presets that the hands can be mapped with.
+        compare: The comparison, which is made between preset and clutch; None without one.
 
     Attributes:
+        preset: List of presets; choosing one brings its own options.
+        compare: Choice of a second method; None if nothing can be compared.
         release: Button that freezes the robot. Two buttons instead of a toggle, so that a click
             cannot act on a label that has just changed.
         clutch: Button that resumes mapping from where the robot is.
         message: What is being done, or why the last request failed; hidden if empty.
-        display: What the scene shows.
-        preset: List of presets; choosing one brings its own options.
         options: Sliders, lists and boxes for the options.
         reset: Button that restores the initial preset and options, and clutches.
-        save: Button that downloads preset and options as a file for `--options`.
-        options_text: The text of that file.
     """
 
     def __init__(
@@ -71,16 +147,9 @@ class SteeringControls:
         robot: Hand,
         choice: Choice,
         presets: tuple[str, ...] = (),
+        compare: Callable[[], CompareControls] | None = None,
     ) -> None:
         gui = server.gui
-        self.release = gui.add_button("Release", hint="Freeze the robot until Clutch is pressed")
-        self.clutch = gui.add_button(
-            "Clutch",
-            hint="Resume mapping from where the robot is",
-            disabled=True,
-        )
-        self.message = gui.add_markdown("", visible=False)
-        self.display = DisplayControls(server)
         names = dict.fromkeys((*presets, choice.preset))
         self.preset = gui.add_dropdown(
             "preset",
@@ -89,24 +158,23 @@ class SteeringControls:
             hint="; ".join(f"{name}: {PRESETS[name].purpose}" for name in names),
         )
         self._taken_preset: str = choice.preset
+        self.compare = None if compare is None else compare()
+        self.message = gui.add_markdown("", visible=False)
         self.options = OptionControls(server, robot, choice)
         self.reset = gui.add_button(
             "Reset options and clutch",
             hint="Restore the initial preset and options, and resume mapping",
         )
-        self.save = gui.add_button(
-            "Save options", hint="Download preset and options, for --options of the commands"
+        self.release = gui.add_button("Release", hint="Freeze the robot until Clutch is pressed")
+        self.clutch = gui.add_button(
+            "Clutch",
+            hint="Resume mapping from where the robot is",
+            disabled=True,
         )
-        self.options_text = options_text(choice)
-        self.save.on_click(self._download_options)
         self._requests: list[str] = []
         self.release.on_click(lambda _: self._requests.append("release"))
         self.clutch.on_click(lambda _: self._requests.append("clutch"))
         self.reset.on_click(lambda _: self._requests.append("reset"))
-
-    def _download_options(self, event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            event.client.send_file_download("options.yaml", self.options_text.encode())
 
     def take_requests(self) -> list[str]:
         """Return the buttons pressed since the last call: `release`, `clutch` and `reset`."""
@@ -125,7 +193,6 @@ class SteeringControls:
             if choice.preset not in self.preset.options:
                 self.preset.options = (*self.preset.options, choice.preset)
             self.preset.value = self._taken_preset = choice.preset
-        self.options_text = options_text(choice)
         self.options.show(choice)
 
     def show_released(self, is_released: bool) -> None:
@@ -133,7 +200,7 @@ class SteeringControls:
         self.release.disabled, self.clutch.disabled = is_released, not is_released
 
     def show_message(self, text: str) -> None:
-        """Show a line below the clutch button; hide it if the text is empty."""
+        """Show a line above the options; hide it if the text is empty."""
         self.message.visible, self.message.content = text != "", text
 
     def show_error(self, error: HandmapError | None) -> None:
@@ -188,9 +255,3 @@ class PlayBar:
             if self.time > self._duration:
                 self.time = 0.0
         self.slider.value = self._written = round(self.time, 2)
-
-
-def dock_main_panel(server: viser.ViserServer) -> None:
-    """Dock the main panel, where all later controls go, to the right of the hands."""
-    server.gui.main_panel.dock_right()
-    server.gui.main_panel.set_width(330)

@@ -1,38 +1,36 @@
-"""The panel on the left: point error, step time, and joints between their limits."""
+"""The gauges: numbers of the instant, plots over time, and joints between their limits."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from html import escape
-from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
-from handmap_qp.hands.hand import Hand
-from handmap_qp.viewer.replay import ViewSample
-from handmap_qp.viewer.scene import DEFORMATION_COLOUR, TARGET_COLOUR
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
+from handmap_qp.viewer.deformation import DEFORMATION_COLOUR
+from handmap_qp.viewer.joint_bars import joint_bars
+from handmap_qp.viewer.markup import FIRST, GREY, ORANGE, SECOND, css, legend, small_text
+from handmap_qp.viewer.reading_table import reading_table
+from handmap_qp.viewer.readings import RobotReader, human_pinches
+from handmap_qp.viewer.sample import Variant, ViewSample
+from handmap_qp.viewer.scene import TARGET_COLOUR
 
 if TYPE_CHECKING:
     import viser
 
-_WIDTH = 330
-_BLUE, _GREY, _RED, _ORANGE = "#2166d8", "#9aa0a8", "#d62929", "#f08c00"
 _AXIS = {"stroke": "#666", "font": "11px sans-serif", "grid": {"stroke": "#eee"}}
 # Bins per plot; more than a plot has pixels.
 _MOST_BINS = 600
-# Characters; longer joint names are shortened in the middle.
-_LONGEST_NAME = 19
-_SCENE_COLOURS = (
+SCENE_COLOURS = (
     ("human points", HUMAN_COLOUR),
     ("robot points", ROBOT_COLOUR),
     ("targets", TARGET_COLOUR),
     ("ball after T_def", DEFORMATION_COLOUR),
 )
+"""What the colours in the scene mean."""
 
 
 def gauge_row(sample: ViewSample) -> tuple[float, float, float, float]:
@@ -44,41 +42,91 @@ def gauge_row(sample: ViewSample) -> tuple[float, float, float, float]:
     return sample.time, 1e3 * float(error.mean()), 1e3 * float(error.max()), 1e6 * sample.duration
 
 
+class InstantGauges:
+    """The numbers and the joint bars of one instant, as HTML.
+
+    Args:
+        variants: The robots, one or two.
+        contact_gap: What the tracker measures between two tips where the skin touches [m]; that of
+            teleoperation if omitted.
+    """
+
+    def __init__(self, variants: Sequence[Variant], contact_gap: float | None = None) -> None:
+        self._labels = [variant.label for variant in variants]
+        self._robot = variants[0].robot
+        self._reader = RobotReader(self._robot)
+        self._contact_gap = Teleoperation().contact_gap if contact_gap is None else contact_gap
+
+    def table(self, samples: Sequence[ViewSample]) -> str:
+        """Return errors and pinch gaps of one sample of each robot."""
+        readings = [self._reader.read(sample) for sample in samples]
+        return reading_table(self._labels, readings, human_pinches(samples[0], self._contact_gap))
+
+    def bars(self, samples: Sequence[ViewSample]) -> str:
+        """Return the joints of one sample of each robot."""
+        return joint_bars(self._robot, *samples[:2])
+
+
 class Gauges:
-    """Plots and joint bars.
+    """Numbers, plots and joint bars, where viser adds controls.
 
     Args:
         server: A running viser server.
-        robot: The robot hand.
+        variants: The robots, one or two.
+        contact_gap: What the tracker measures between two tips where the skin touches [m]; that of
+            teleoperation if omitted.
     """
 
-    def __init__(self, server: viser.ViserServer, robot: Hand) -> None:
-        self._robot = robot
-        panel = server.gui.add_panel()
-        with panel.add_tab("Gauges"):
-            server.gui.add_html(_legend([(name, _css(colour)) for name, colour in _SCENE_COLOURS]))
-            self.error = _add_plot(server, "point error [mm]", ("mean", "largest"), (_BLUE, _GREY))
-            server.gui.add_html(_legend((("mean", _BLUE), ("largest", _GREY), ("now", _ORANGE))))
-            self.timing = _add_plot(server, "time per step [µs]", ("step",), (_BLUE,))
-            self.timing_note = server.gui.add_html("")
-            self.joints = server.gui.add_html("")
-        panel.dock_left()
-        panel.set_width(_WIDTH)
-        self._rows, self._plotted, self._starts = (
-            np.empty((0, 4)),
-            np.empty((0, 4)),
-            np.empty(0, dtype=int),
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        variants: Sequence[Variant],
+        contact_gap: float | None = None,
+    ) -> None:
+        gui = server.gui
+        gui.add_html(legend([(name, css(colour)) for name, colour in SCENE_COLOURS]))
+        self.table = gui.add_html("")
+        self.error = _add_plot(
+            server, "point error [mm]", ("mean", "largest", "other"), (FIRST, GREY, SECOND)
+        )
+        self.error_note = gui.add_html("")
+        self.joints = gui.add_html("")
+        with gui.add_folder("time per step", expand_by_default=False):
+            self.timing = _add_plot(server, "time per step [µs]", ("step",), (FIRST,))
+        self.timing_note = gui.add_html("")
+        self._contact_gap = contact_gap
+        self._rows = self._plotted = np.empty((0, 5))
+        self._starts = np.empty(0, dtype=int)
+        self.set_variants(variants)
+
+    def set_variants(self, variants: Sequence[Variant]) -> None:
+        """Show other methods' values, after which `set_rows` gives theirs over time."""
+        self._instant = InstantGauges(variants, self._contact_gap)
+        first, second = "mean", ()
+        if len(variants) > 1:
+            first, second = variants[0].label, ((variants[1].label, SECOND),)
+        self.error_note.content = legend(
+            ((first, FIRST), ("largest", GREY), *second, ("now", ORANGE))
         )
 
-    def set_rows(self, rows: npt.ArrayLike, *, latest: float | None = None) -> None:
+    def set_rows(
+        self,
+        rows: npt.ArrayLike,
+        other: npt.ArrayLike | None = None,
+        *,
+        latest: float | None = None,
+    ) -> None:
         """Replace the plotted samples.
 
         Args:
             rows: `gauge_row` of each sample, shape (n, 4), n > 0.
+            other: The same of the robot that it is compared with.
             latest: Length of the time axis, which then ends with the last sample at zero [s]; all
                 samples if omitted.
         """
-        self._rows = np.array(rows, dtype=float)
+        rows = np.array(rows, dtype=float)
+        mean = np.full(len(rows), np.nan) if other is None else np.asarray(other)[:, 1]
+        self._rows = np.column_stack([rows, mean])
         time = self._rows[:, 0]
         # Changing the range rebuilds the plot: keep it fixed and shift the data.
         span = (float(time[0]), float(max(time[-1], time[0] + 0.1)))
@@ -92,133 +140,28 @@ class Gauges:
         self._plotted = np.fmax.reduceat(self._rows, self._starts, axis=0)
         step = self._rows[:, 3]
         median, p99 = np.percentile(step, (50, 99))
-        _set_scales(self.error, _scales(span, self._rows[:, 2]))
+        _set_scales(self.error, _scales(span, np.fmax(self._rows[:, 2], mean)))
         # Outliers (the process was preempted) would flatten all other steps, so cut them off.
         _set_scales(self.timing, _scales(span, np.minimum(step, 3.0 * median)))
         cut = " (cut off)" if step.max() > self.timing.scales["y"]["range"][1] else ""
-        self.timing_note.content = _foot(
-            f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
+        self.timing_note.content = small_text(
+            f"step [µs]: median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
         )
 
-    def draw(self, sample: ViewSample, index: int) -> None:
-        """Mark a sample in the plots and show its joints.
+    def draw(self, samples: Sequence[ViewSample], index: int) -> None:
+        """Mark an instant in the plots and show its numbers and joints.
 
         Args:
-            sample: The sample.
+            samples: One sample for each robot.
             index: Its index among those given to `set_rows`.
         """
-        time, mean, largest, step = self._plotted.T
+        time, mean, largest, step, other = self._plotted.T
         place = int(np.searchsorted(self._starts, index, side="right")) - 1
         now = self._rows[index]
-        self.error.data = (time, mean, largest, _only(len(time), place, now[1]))
+        self.error.data = (time, mean, largest, other, _only(len(time), place, now[1]))
         self.timing.data = (time, step, _only(len(time), place, now[3]))
-        self.joints.content = joint_bars(self._robot, sample)
-
-
-def joint_bars(robot: Hand, sample: ViewSample) -> str:
-    """Draw every joint as a bar from its lower to its upper position limit, finger by finger.
-
-    The bar is red at a position limit, and orange where the speed limit held the joint.
-
-    Args:
-        robot: The robot hand.
-        sample: Its posture.
-
-    Returns:
-        The HTML.
-    """
-    ranges = robot.upper_limits - robot.lower_limits
-    columns = zip(
-        robot.joint_names,
-        short_names(robot.joint_names),
-        sample.robot_q,
-        (sample.robot_q - robot.lower_limits) / ranges,
-        (robot.rest - robot.lower_limits) / ranges,
-        np.where(
-            robot.at_position_limit(sample.robot_q),
-            _RED,
-            np.where(sample.is_limited, _ORANGE, _BLUE),
-        ),
-        strict=True,
-    )
-    bars = [_joint_bar(*column) for column in columns]
-    groups = "".join(
-        f'<div style="color:#666;margin-top:3px">{escape(finger)}</div>'
-        f"{''.join(bars[i] for i in joints)}"
-        for finger, joints in joints_by_finger(robot).items()
-    )
-    entries = (("position limit", _RED), ("speed limit", _ORANGE))
-    return (
-        '<div style="font-size:11px;line-height:15px;padding:4px 14px">'
-        '<div style="font-weight:600">joints between their limits</div>'
-        f"{groups}</div>{_legend(entries)}"
-    )
-
-
-def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
-    """Return the joints that move one finger alone, by its name, and all others as `palm`.
-
-    Args:
-        robot: The robot hand.
-
-    Returns:
-        Indices into `Hand.joint_names`; every joint once.
-    """
-    model = robot.model
-    carried = [
-        (
-            point.finger,
-            set(
-                model.supports[
-                    model.frames[model.getFrameId(point.link, pin.FrameType.BODY)].parentJoint
-                ]
-            ),
-        )
-        for point in robot.spec.points
-        if point.finger is not None
-    ]
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(robot.joint_names):
-        joint = model.getJointId(name)
-        fingers = {finger for finger, joints in carried if joint in joints}
-        groups.setdefault(fingers.pop() if len(fingers) == 1 else "palm", []).append(i)
-    return groups
-
-
-def _joint_bar(name: str, short: str, q: float, share: float, rest: float, colour: str) -> str:
-    """Return one joint's row: name, bar with a mark at the rest angle, and angle, as HTML."""
-    bar = f"height:7px;border-radius:4px;background:{colour}"
-    return (
-        '<div style="display:flex;align-items:center;height:15px">'
-        f'<span title="{escape(name)}" style="width:118px;overflow:hidden;white-space:nowrap">'
-        f"{escape(short)}</span>"
-        '<span style="flex:1;position:relative;height:7px;background:#e4e6ea;border-radius:4px">'
-        f'<span style="position:absolute;left:0;width:{100 * share:.1f}%;{bar}"></span>'
-        f'<span style="position:absolute;left:{100 * rest:.1f}%;top:-2px;width:1px;height:11px;'
-        'background:#333"></span></span>'
-        f'<span style="width:44px;text-align:right;color:{colour}">{np.degrees(q):.0f}°</span>'
-        "</div>"
-    )
-
-
-def short_names(names: Sequence[str]) -> list[str]:
-    """Shorten joint names to the panel's width.
-
-    If any name is too long, remove the prefix that all share, then the middle of those still too
-    long: names differ at their ends.
-    """
-    if max(map(len, names)) <= _LONGEST_NAME:
-        return list(names)
-    # Cut the shared prefix only after a separator.
-    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
-    shared = (
-        re.split(r"[^_./]*$", "".join(letters[0] for letters in alike))[0] if len(names) > 1 else ""
-    )
-    rest = [name.removeprefix(shared) for name in names]
-    head, tail = _LONGEST_NAME // 2 - 3, _LONGEST_NAME // 2 + 3
-    return [
-        name if len(name) <= _LONGEST_NAME else f"{name[:head]}…{name[-tail:]}" for name in rest
-    ]
+        self.table.content = self._instant.table(samples)
+        self.joints.content = self._instant.bars(samples)
 
 
 def _add_plot(
@@ -235,9 +178,9 @@ def _add_plot(
     series.append(
         uplot.Series(
             label="now",
-            stroke=_ORANGE,
+            stroke=ORANGE,
             width=0,
-            points=uplot.Series_Points(show=True, size=9, fill=_ORANGE),
+            points=uplot.Series_Points(show=True, size=9, fill=ORANGE),
         )
     )
     nothing = (np.arange(2.0), *(np.zeros(2) for _ in series[1:]))
@@ -245,7 +188,7 @@ def _add_plot(
         nothing,
         tuple(series),
         title=title,
-        height=175,
+        height=150,
         scales=_scales((0.0, 1.0), np.ones(2)),
         axes=(
             uplot.Axis(
@@ -285,22 +228,3 @@ def _only(count: int, place: int, value: float) -> np.ndarray:
     only = np.full(count, np.nan)
     only[place] = value
     return only
-
-
-def _legend(entries: Sequence[tuple[str, str]]) -> str:
-    """Return a legend of coloured dots as HTML."""
-    return _foot(
-        " ".join(
-            f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {name}&ensp;</span>'
-            for name, colour in entries
-        )
-    )
-
-
-def _foot(html: str) -> str:
-    """Return a small line of text as HTML."""
-    return f'<div style="font-size:11px;line-height:15px;padding:0 14px;color:#666">{html}</div>'
-
-
-def _css(colour: tuple[float, float, float]) -> str:
-    return f"rgb({', '.join(str(round(255 * part)) for part in colour)})"

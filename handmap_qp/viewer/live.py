@@ -6,15 +6,21 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import Choice, possible_presets
-from handmap_qp.viewer.controls import DisplayControls, SteeringControls, dock_main_panel
+from handmap_qp.viewer.controls import DisplayControls, SteeringControls
+from handmap_qp.viewer.export import ExportControls
 from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
 from handmap_qp.viewer.gauges import Gauges, gauge_row
-from handmap_qp.viewer.replay import ViewSample
+from handmap_qp.viewer.option_table import option_texts
+from handmap_qp.viewer.page import make_page
+from handmap_qp.viewer.panels import Panels
+from handmap_qp.viewer.sample import Variant, ViewSample
 from handmap_qp.viewer.scene import HandScene
 
 if TYPE_CHECKING:
@@ -89,13 +95,15 @@ class LiveViewer:
 
     Attributes:
         scene: The hands.
-        gauges: Plots and joint bars.
+        gauges: Numbers, plots and joint bars.
         sample: The newest one.
         rows: `gauge_row` of each sample of the last 10 s.
+        recent: These samples.
         status_text: The sample rate, or that no sample arrives.
         stop: Button of the emergency stop.
         steering: Clutch and options; None if the source cannot be steered.
         display: What the scene shows.
+        exports: Buttons that download files; the page is of the last 10 s.
 
     Raises:
         InvalidInputError: If no sample arrives within `patience`.
@@ -107,6 +115,7 @@ class LiveViewer:
     ) -> None:
         self._source = source
         self.rows: deque[tuple[float, ...]] = deque()
+        self.recent: deque[ViewSample] = deque()
         self.sample: ViewSample
         self._has_sample, self._has_ended = threading.Event(), threading.Event()
         self._error: HandmapError | None = None
@@ -121,28 +130,33 @@ class LiveViewer:
             self.close()
             raise
         self._start = source.choice
-        self._alignment = self._start.alignment
-        self.scene = HandScene(server, source.human, source.robot, self.sample, self._alignment)
-        self.gauges = Gauges(server, source.robot)
-        dock_main_panel(server)
-        self.status_text = server.gui.add_markdown("")
-        self.stop = server.gui.add_button(
-            "Stop the robot",
-            color="red",
-            hint="Emergency stop: the robot holds until its client clears the stop",
-        )
-        self.stop.on_click(lambda _: source.stop())
-        self.steering = (
-            SteeringControls(
-                server,
-                source.robot,
-                self._start,
-                possible_presets(source.human, source.robot),
+        variant = self._variant()
+        self._shown = variant.label, variant.alignment
+        self.scene = HandScene(server, source.human, [variant])
+        panels = Panels(server)
+        self.gauges = Gauges(server, [variant])
+        with panels.control:
+            self.status_text = server.gui.add_markdown("")
+            self.stop = server.gui.add_button(
+                "Stop the robot",
+                color="red",
+                hint="Emergency stop: the robot holds until its client clears the stop",
             )
-            if source.is_shared
-            else None
-        )
-        self.display = DisplayControls(server) if self.steering is None else self.steering.display
+            self.stop.on_click(lambda _: source.stop())
+            self.steering = (
+                SteeringControls(
+                    server,
+                    source.robot,
+                    self._start,
+                    possible_presets(source.human, source.robot),
+                )
+                if source.is_shared
+                else None
+            )
+        with panels.show:
+            self.display = DisplayControls(server)
+        with panels.save:
+            self.exports = ExportControls(server, lambda: options_text(source.choice), self._page)
         self._gauges_throttle = Throttle(GAUGES_PERIOD)
 
     def tick(self) -> None:
@@ -156,12 +170,16 @@ class LiveViewer:
         if self.steering is not None:
             self._steer(self.steering)
         sample, rows = self.sample, tuple(self.rows)
+        self._show_choice()
         self.display.apply_to(self.scene)
-        self.scene.draw(sample)
+        is_gauges_due = self._gauges_throttle.is_due()
+        if is_gauges_due:
+            self.scene.make_room([sample])
+        self.scene.draw([sample])
         self.scene.cameras.update()
-        if self._gauges_throttle.is_due():
+        if is_gauges_due:
             self.gauges.set_rows(rows, latest=_SPAN)
-            self.gauges.draw(sample, len(rows) - 1)
+            self.gauges.draw([sample], len(rows) - 1)
         if self._has_ended.is_set():
             self.status_text.content = "**The source has ended.**"
         elif time.monotonic() - self._last_arrival > _SILENCE:
@@ -188,9 +206,6 @@ class LiveViewer:
         in_force, preset = source.choice, steering.take_preset()
         if preset is None:
             steering.show_choice(in_force)
-        if in_force.alignment != self._alignment:
-            self.scene.align(in_force.alignment)
-            self._alignment = in_force.alignment
         # Send only what was changed here: other clients may have changed other options.
         changes = steering.options.take_changes()
         if preset is not None and preset != in_force.preset:
@@ -205,14 +220,42 @@ class LiveViewer:
         if changes:
             source.configure(changes)
 
+    def _variant(self) -> Variant:
+        """Return the robot as it is moved now."""
+        source, choice = self._source, self._source.choice
+        return Variant(
+            choice.preset,
+            source.robot,
+            choice.alignment,
+            [self.sample],
+            option_texts(choice.options, choice.ik),
+        )
+
+    def _show_choice(self) -> None:
+        """Show another preset or alignment, whichever client chose it."""
+        choice = self._source.choice
+        if (choice.preset, choice.alignment) != self._shown:
+            self._shown = choice.preset, choice.alignment
+            variant = self._variant()
+            self.scene.set_variants([variant])
+            self.gauges.set_variants([variant])
+
+    def _page(self) -> bytes:
+        """Return the last 10 s as a page."""
+        variant, source = self._variant(), self._source
+        title = f"{source.robot.name}, {variant.label}"
+        return make_page(title, source.human, [replace(variant, samples=tuple(self.recent))])
+
     def _read(self) -> None:
         try:
             for sample in self._source:
                 self.sample = sample
                 # `tick` copies `rows` in one operation, so no lock is needed.
                 self.rows.append(gauge_row(sample))
+                self.recent.append(sample)
                 while not 0.0 <= sample.time - self.rows[0][0] <= _SPAN:
                     self.rows.popleft()
+                    self.recent.popleft()
                 self._last_arrival = time.monotonic()
                 self._has_sample.set()
         except HandmapError as error:

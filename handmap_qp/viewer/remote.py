@@ -25,7 +25,7 @@ from handmap_qp.mapping.presets import Choice
 from handmap_qp.trackers.fit import LandmarkFitter
 from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.transform import rigid_fit
-from handmap_qp.viewer.replay import ViewSample
+from handmap_qp.viewer.sample import ViewSample
 
 _TIMEOUT = 1.0
 # Timeout of the first replies, longer because the service may still be starting [s].
@@ -292,6 +292,7 @@ class ServiceSession:
             human_q=human_q,
             human_wrist=human_wrist,
             human_points=human_points,
+            landmarks=None if detail["landmarks"] is None else np.array(detail["landmarks"]),
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),

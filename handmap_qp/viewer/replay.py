@@ -1,65 +1,22 @@
-"""What the view shows at one instant, and a recording as a sequence of such samples."""
+"""A recording, mapped as a whole, by one method or by two: `Replay`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
+from collections.abc import Sequence
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.mapping.smoothing import Smoothing
-from handmap_qp.mapping.stages import motion_stages
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewSample:
-    """One instant of both hands.
-
-    Attributes:
-        time: Time since the start [s].
-        human_q: Human joint angles [rad], shape (n_human,); None if only the points are known.
-        human_wrist: Human wrist pose in W, shape (4, 4).
-        human_points: Human reference points in W [m], shape (n_h, 3).
-        robot_q: Robot joint angles [rad], shape (n,).
-        robot_wrist: Robot wrist pose in V, shape (4, 4).
-        robot_points: Robot reference points in V [m], shape (n_r, 3).
-        targets: Targets of the robot reference points in V [m], shape (n_r, 3); None if the source
-            does not report them or the robot is released.
-        deformation: Linear part of T_def, shape (3, 3); None if the source does not report it.
-        pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
-        is_limited: Whether a position or speed limit held each robot joint in this step, shape
-            (n,).
-        status: How the step ended, and the rule that the sample broke, as in `held: jump`.
-        duration: Wall time of the mapping step [s].
-        is_seen: Whether the robot followed the sample; if not, the previous one is held.
-    """
-
-    time: float
-    human_q: np.ndarray | None
-    human_wrist: np.ndarray
-    human_points: np.ndarray
-    robot_q: np.ndarray
-    robot_wrist: np.ndarray
-    robot_points: np.ndarray
-    targets: np.ndarray | None
-    deformation: np.ndarray | None
-    pivot: np.ndarray | None
-    is_limited: np.ndarray
-    status: str
-    duration: float
-    is_seen: bool = True
-
-    @property
-    def point_error(self) -> np.ndarray:
-        """Distances of the robot points from their targets [m], shape (n_r,); empty if none."""
-        if self.targets is None:
-            return np.empty(0)
-        return np.linalg.norm(self.targets - self.robot_points, axis=1)
+from handmap_qp.viewer.contenders import (
+    Contender,
+    contender_names,
+    contender_of,
+    named_contender,
+)
+from handmap_qp.viewer.sample import Variant, ViewSample, view_sample
 
 
 class Replay:
@@ -79,9 +36,10 @@ class Replay:
     Attributes:
         human: The human hand.
         time: Time since the first instant [s], shape (T,).
-        choice: Preset and options of the current `samples`.
+        choice: Preset and options of `variant`.
         switches: Sample indices at which the user released (True) or clutched (False).
-        samples: One per instant.
+        variant: The robot as `choice` moves it.
+        other: The robot as another method moves it; None if nothing is compared.
 
     Raises:
         InvalidInputError: If no sample of the motion is valid.
@@ -107,7 +65,9 @@ class Replay:
         self.time = motion.time - motion.time[0]
         self.switches: dict[int, bool] = {}
         self._recording, self._motion, self._given_robot = recording, motion, robot
-        self._smoothing, self._contact_gap = smoothing, contact_gap
+        self._smoothing, self.contact_gap = smoothing, contact_gap
+        self.other: Variant | None = None
+        self._contender: Contender | None = None
         self.remap(choice)
 
     @property
@@ -118,16 +78,31 @@ class Replay:
     @property
     def robot(self) -> Hand:
         """The robot hand, with the reference points that the method moves."""
-        return self._robot
+        return self.variant.robot
+
+    @property
+    def samples(self) -> Sequence[ViewSample]:
+        """The samples of `variant`, one per instant."""
+        return self.variant.samples
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """The robots to show: `variant`, and `other` if there is one."""
+        return (self.variant,) if self.other is None else (self.variant, self.other)
 
     @property
     def presets(self) -> tuple[str, ...]:
         """The presets that these hands can be mapped with."""
         return possible_presets(self.human, self._given_robot)
 
+    @property
+    def contenders(self) -> tuple[str, ...]:
+        """The presets and methods that the mapping can be compared with."""
+        return contender_names(self.human, self._given_robot)
+
     def preset(self, name: str) -> Choice:
         """Return a preset with its own options and the measured contact gap."""
-        return preset_choice(name, self._contact_gap)
+        return preset_choice(name, self.contact_gap)
 
     def remap(self, choice: Choice) -> None:
         """Map the whole recording with another preset or other options.
@@ -138,24 +113,46 @@ class Replay:
         Raises:
             HandmapError: If the options cannot be used; the replay is then unchanged.
         """
-        mapper = HandMapper(
-            self.human,
-            self._given_robot,
-            choice.method,
-            ik=choice.ik,
-            smoothing=self._smoothing,
-        )
-        self.samples = self._map(mapper)
-        self._robot, self.choice = mapper.robot, choice
+        is_changed = bool(self.preset(choice.preset).changes_to(choice))
+        label = f"{choice.preset}, changed" if is_changed else choice.preset
+        variant, other = self._map(contender_of(choice, label)), self.other
+        if self._contender is not None and self._other_switches != self.switches:
+            # Both robots are released and clutched at the same samples.
+            other = self._map(self._contender)
+        self.variant, self.choice, self.other = variant, choice, other
+        self._other_switches = dict(self.switches)
+
+    def compare(self, contender: Contender | None) -> None:
+        """Map the recording by another method too.
+
+        Args:
+            contender: The method; None to end the comparison.
+
+        Raises:
+            HandmapError: If it cannot be used; the replay is then unchanged.
+        """
+        self.other = None if contender is None else self._map(contender)
+        self._contender, self._other_switches = contender, dict(self.switches)
+
+    def contender(self, name: str) -> Contender:
+        """Return a preset or a method with its own options and the measured contact gap."""
+        return named_contender(name, self.contact_gap)
 
     def is_released(self, index: int) -> bool:
         """Return whether the robot is released at a sample."""
         earlier = [i for i in self.switches if i <= index]
         return bool(earlier) and self.switches[max(earlier)]
 
-    def _map(self, mapper: HandMapper) -> tuple[ViewSample, ...]:
-        motion, steps = self._motion, []
-        for i, sample in enumerate(recording_samples(self._recording)):
+    def _map(self, contender: Contender) -> Variant:
+        mapper = HandMapper(
+            self.human,
+            self._given_robot,
+            contender.method,
+            ik=contender.ik,
+            smoothing=self._smoothing,
+        )
+        motion, recording, steps = self._motion, self._recording, []
+        for i, sample in enumerate(recording_samples(recording)):
             if i in self.switches:
                 (mapper.release if self.switches[i] else mapper.clutch)()
             steps.append(mapper.map_sample(sample))
@@ -163,48 +160,17 @@ class Replay:
         followed = [not step.is_held for step in steps]
         first = followed.index(True) if any(followed) else 0
         steps[:first] = [steps[first]] * first
-        return tuple(
-            view_sample(float(time), q, wrist, step, is_seen=is_followed)
-            for time, q, wrist, step, is_followed in zip(
-                self.time, motion.q, motion.wrist, steps, followed, strict=True
+        samples = tuple(
+            view_sample(
+                float(self.time[i]),
+                step,
+                human_q=motion.q[i],
+                human_wrist=motion.wrist[i],
+                landmarks=recording.landmarks[i] if recording.valid[i] else None,
+                is_seen=followed[i],
             )
+            for i, step in enumerate(steps)
         )
-
-
-def view_sample(
-    time: float,
-    human_q: np.ndarray,
-    human_wrist: np.ndarray,
-    step: MapStep,
-    *,
-    is_seen: bool = True,
-) -> ViewSample:
-    """Return what the view shows of one step of a mapper.
-
-    Args:
-        time: Time since the start [s].
-        human_q: Joint angles of the human, to draw it [rad], shape (n_human,).
-        human_wrist: Its wrist pose, shape (4, 4).
-        step: Result of the step.
-        is_seen: Whether the robot followed the sample.
-
-    Returns:
-        The sample.
-    """
-    stages = motion_stages(step)
-    return ViewSample(
-        time=time,
-        human_q=human_q,
-        human_wrist=human_wrist,
-        human_points=step.human_points,
-        robot_q=step.command.q,
-        robot_wrist=step.command.wrist,
-        robot_points=step.points,
-        targets=None if step.status == "released" else step.targets,
-        deformation=None if stages is None else stages.motion_deformation[:3, :3],
-        pivot=None if stages is None else stages.pivot,
-        is_limited=step.at_bound,
-        status=f"{step.status}: {step.rule}" if step.rule else step.status,
-        duration=step.duration,
-        is_seen=is_seen,
-    )
+        return Variant(
+            contender.label, mapper.robot, contender.alignment, samples, contender.options
+        )

@@ -1,432 +1,388 @@
-"""Both hands side by side in a viser scene: `HandScene.draw` shows one sample.
+"""A human hand and robot hands side by side in a viser scene: `HandScene.draw` shows one instant.
 
 The scene's axes are those of the human's palm at the first sample: +y is distal and up, +z is
-dorsal. Each hand's world is a node of the scene, so its children take coordinates of that world.
-The robot's world is rotated by the mapping's alignment, so that equal motions look equal.
+dorsal. Each robot's world is rotated by its mapping's alignment, so that equal motions look equal.
 """
 
 from __future__ import annotations
 
-import io
-import xml.etree.ElementTree as ET
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf.elements import parse_urdf
-from handmap_qp.mapping.decomposition import polar
-from handmap_qp.mapping.options import Alignment, Rotation
-from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
+from handmap_qp.offline.quality import finger_tips
+from handmap_qp.trackers.landmarks import TIPS
+from handmap_qp.transform import quat_wxyz_from_rotation
 from handmap_qp.viewer.camera import BrowserCameras
-from handmap_qp.viewer.merged_shapes import merge_shapes
-from handmap_qp.viewer.replay import ViewSample
+from handmap_qp.viewer.deformation import DeformedBall, Shape
+from handmap_qp.viewer.figure import Figure, HandFigure, Spheres
+from handmap_qp.viewer.landmark_figure import LandmarkFigure
+from handmap_qp.viewer.sample import Variant, ViewSample
+from handmap_qp.viewer.trails import Trail
 
 if TYPE_CHECKING:
     import viser
 
 Follow = Literal["hands", "world"]
-DeformationShape = Literal["ellipsoid", "cube", "off"]
+_Outline = tuple[np.ndarray, np.ndarray]
 
 TARGET_COLOUR = (0.98, 0.66, 0.10)
-DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
 # Radii relative to the hand's size, about those of fingertips. Targets are larger, so that a point
 # that has arrived does not hide its target.
 _HUMAN_POINT_SIZE, _ROBOT_POINT_SIZE, _TARGET_SIZE = 0.08, 0.1, 0.115
-# Between the two hands [m].
-_GAP = 0.05
-# Height added to the view for names and caption below the hands, and the same above [m].
-_CAPTION_ROOM = 0.15
-# A travel box grows by this margin more than needed, so that it does not grow at every sample [m].
-_MARGIN = 0.05
-_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-_EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
+# Between two figures [m].
+_GAP = 0.035
+# Samples for which room is reserved; a hand hardly moves between them.
+_RESERVED = 60
 
 
-@dataclass
-class _World:
-    """One hand's world in the scene.
+class _HumanFigure(HandFigure):
+    """The human hand, with its reference points and the deformation."""
+
+    def __init__(self, server: viser.ViserServer, hand: Hand, first: ViewSample) -> None:
+        super().__init__(server, "human", hand)
+        self.name("human")
+        self._points = Spheres(
+            server, "/human/points", _HUMAN_POINT_SIZE * self.radius, HUMAN_COLOUR
+        )
+        points = first.human_points
+        self._ball = None if points is None else DeformedBall(server, "/human", points)
+        self._tips = _with_tips(hand)
+        self._trail = Trail(server, "/human/trail", HUMAN_COLOUR)
+
+    def centre_of(self, sample: ViewSample) -> np.ndarray:
+        """Return the centre of the hand, or of its points, in W [m], shape (3,)."""
+        if sample.human_wrist is not None and sample.human_q is not None:
+            return self.centre(sample.human_wrist)
+        points = sample.human_points
+        return np.zeros(3) if points is None else points.mean(axis=0)
+
+    def outline_of(self, sample: ViewSample) -> _Outline | None:
+        """Return centre and corners in W; None if nothing of the hand is known."""
+        points = sample.human_points
+        if sample.human_q is not None and sample.human_wrist is not None:
+            points = self.outline(sample.human_q, sample.human_wrist)
+        return None if points is None else (self.centre_of(sample), points)
+
+    def draw(self, sample: ViewSample, shape: Shape) -> None:
+        """Draw the hand, its points and the deformation."""
+        if sample.human_wrist is not None:
+            self.show(sample.human_q, sample.human_wrist)
+        self._points.move(sample.human_points)
+        if self._ball is not None:
+            self._ball.draw(sample, shape)
+
+    def draw_trail(self, sample: ViewSample, centre: np.ndarray, *, is_pinned: bool) -> None:
+        """Add the tips to the trail."""
+        if sample.landmarks is not None:
+            tips = sample.landmarks[TIPS]
+        elif sample.human_q is not None:
+            tips = self._tips.points(sample.human_q, sample.human_wrist)
+        else:
+            return
+        if np.isfinite(tips).all():
+            self._trail.add(sample.time, tips, centre, is_pinned=is_pinned)
+
+    def clear_trail(self) -> None:
+        """Forget the trail."""
+        self._trail.clear()
+
+
+class _RobotFigure(HandFigure):
+    """A robot hand, with its reference points and their targets."""
+
+    def __init__(self, server: viser.ViserServer, node: str, hand: Hand) -> None:
+        super().__init__(server, node, hand)
+        size, path = self.radius, f"/{node}"
+        self._points = Spheres(server, f"{path}/points", _ROBOT_POINT_SIZE * size, ROBOT_COLOUR)
+        self._targets = Spheres(
+            server, f"{path}/targets", _TARGET_SIZE * size, TARGET_COLOUR, opacity=0.5
+        )
+        self._tips = _with_tips(hand)
+        self._trail = Trail(server, f"{path}/trail", ROBOT_COLOUR)
+
+    def outline_of(self, sample: ViewSample) -> _Outline:
+        """Return centre and corners in V."""
+        corners = self.outline(sample.robot_q, sample.robot_wrist)
+        return self.centre(sample.robot_wrist), corners
+
+    def draw(self, sample: ViewSample, label: str) -> None:
+        """Draw the hand, its points and targets, and write its name and state."""
+        self.show(sample.robot_q, sample.robot_wrist)
+        self._points.move(sample.robot_points)
+        self._targets.move(sample.targets)
+        self.name("\n".join(filter(None, (self.hand.name, label, state_text(sample)))))
+
+    def draw_trail(self, sample: ViewSample, centre: np.ndarray, *, is_pinned: bool) -> None:
+        """Add the tips to the trail."""
+        wrist = sample.robot_wrist if self._tips.is_floating else None
+        tips = self._tips.points(sample.robot_q, wrist)
+        self._trail.add(sample.time, tips, centre, is_pinned=is_pinned)
+
+    def clear_trail(self) -> None:
+        """Forget the trail."""
+        self._trail.clear()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """An object in the world of the first robot.
 
     Attributes:
-        hand: The hand.
-        model: Its shapes, a `ViserUrdf`.
-        order: For each joint of the model, its index in `hand.joint_names`; None for a joint that
-            is not one of the hand's.
-        root: URDF root link.
-        frame: Node of the world.
-        body: Node of the root link.
-        label: Node of the hand's name.
-        axes: From the world's axes to the scene's, shape (3, 3).
-        focus: The hand's centre in its wrist frame [m], shape (3,).
-        radius: Distance of its farthest part from the centre [m].
-        anchor: Position in the scene at which the view shows the centre, or the middle of its
-            travel [m], shape (3,).
-        travel: Box of the centre's positions that the view has room for, lowest and highest corner
-            along the scene's axes [m], shape (2, 3).
+        vertices: Vertices in the object's frame [m], shape (n, 3).
+        faces: Indices of the vertices of each triangle, shape (m, 3).
     """
 
-    hand: Hand
-    model: Any
-    order: list[int | None]
-    root: str
-    frame: Any
-    body: Any
-    label: Any
-    axes: np.ndarray
-    focus: np.ndarray
-    radius: float
-    anchor: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    travel: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
-
-    def centre(self, wrist: np.ndarray) -> np.ndarray:
-        """Return the hand's centre for a wrist pose (4, 4), along the scene's axes [m], (3,)."""
-        return self.axes @ transform_points(wrist, self.focus[None])[0]
-
-    def include(self, centre: np.ndarray) -> None:
-        """Extend `travel` to include a position (3,)."""
-        if not len(self.travel):
-            self.travel = np.array([centre, centre])
-        elif (centre < self.travel[0]).any() or (centre > self.travel[1]).any():
-            low, high = self.travel
-            self.travel = np.array(
-                [
-                    np.where(centre < low, centre - _MARGIN, low),
-                    np.where(centre > high, centre + _MARGIN, high),
-                ]
-            )
-
-
-class _Spheres:
-    """Spheres at points of a hand's world; their number follows the points, as methods do.
-
-    A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
-
-    Args:
-        server: A running viser server.
-        world: The hand's world.
-        name: Name of the parent node.
-        size: Radius, relative to the hand's.
-        colour: Red, green and blue, 0 to 1.
-        opacity: 0 to 1; opaque if omitted.
-    """
-
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        world: _World,
-        name: str,
-        size: float,
-        colour: tuple[float, float, float],
-        *,
-        opacity: float | None = None,
-    ) -> None:
-        self._server, self._path = server, f"{world.frame.name}/{name}"
-        self._radius, self._colour, self._opacity = size * world.radius, _bytes(colour), opacity
-        self._nodes: list[Any] = []
-
-    def move(self, points: np.ndarray | None) -> None:
-        """Place the spheres at points (n, 3), and hide those that have none."""
-        count = 0 if points is None else len(points)
-        for i in range(len(self._nodes), count):
-            self._nodes.append(
-                self._server.scene.add_icosphere(
-                    f"{self._path}/{i}",
-                    self._radius,
-                    self._colour,
-                    opacity=self._opacity,
-                    cast_shadow=False,
-                    receive_shadow=False,
-                )
-            )
-        for i, node in enumerate(self._nodes):
-            node.visible = i < count
-            if points is not None and i < count:
-                node.position = points[i]
+    vertices: np.ndarray
+    faces: np.ndarray
 
 
 class HandScene:
-    """A human hand and a robot hand, their points, targets and deformation.
+    """A row of figures: landmarks, human hand, robot hands.
 
     Args:
         server: A running viser server.
-        human: The human hand.
-        robot: The robot hand.
-        first: First sample; its palm gives the scene's axes.
-        alignment: Rotation from the human's world axes to the robot's, as of `MappingOptions`.
+        human: The human hand; None for robots alone.
+        variants: The robots from left to right, at least one. The first sample of the first one
+            gives the scene's axes.
+        solid: An object beside the first robot, placed by `ViewSample.object_pose`.
 
     Attributes:
         follow: `hands` keeps each hand in place; `world` shows how it travels.
         deformation_shape: How T_def is shown.
+        has_landmarks: Whether the landmarks stand beside the human hand.
+        has_trails: Whether the fingertips leave trails.
         cameras: The browsers' cameras; call `cameras.update()` at every frame.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
-        human: Hand,
-        robot: Hand,
-        first: ViewSample,
-        alignment: Alignment | Rotation,
+        human: Hand | None,
+        variants: Sequence[Variant],
+        solid: Solid | None = None,
     ) -> None:
         self.server = server
         self.follow: Follow = "hands"
-        self.deformation_shape: DeformationShape = "ellipsoid"
-        self._first = first
-        self._set_up_stage()
-        self._human = self._add_hand("human", human, first.human_q)
-        self._robot = self._add_hand("robot", robot, first.robot_q)
+        self.deformation_shape: Shape = "ellipsoid"
+        self.has_landmarks = self.has_trails = False
+        first = variants[0].samples[0]
+        _set_up_stage(server)
         self.cameras = BrowserCameras(server)
-        self.align(alignment)
-        self._human_points = _Spheres(
-            server, self._human, "points", _HUMAN_POINT_SIZE, HUMAN_COLOUR
-        )
-        self._robot_points = _Spheres(
-            server, self._robot, "points", _ROBOT_POINT_SIZE, ROBOT_COLOUR
-        )
-        self._targets = _Spheres(
-            server, self._robot, "targets", _TARGET_SIZE, TARGET_COLOUR, opacity=0.5
-        )
-        spread = first.human_points - first.human_points.mean(axis=0)
-        self._ball = float(np.sqrt((spread**2).sum(axis=1).mean()))
-        self._ellipsoid = server.scene.add_icosphere(
-            "/human/ellipsoid",
-            self._ball,
-            _bytes(DEFORMATION_COLOUR),
-            subdivisions=4,
-            opacity=0.2,
-            cast_shadow=False,
-        )
-        self._reference_ball = server.scene.add_icosphere(
-            "/human/ball",
-            self._ball,
-            (150, 150, 160),
-            subdivisions=2,
-            wireframe=True,
-            opacity=0.15,
-            cast_shadow=False,
-        )
-        self._cube = server.scene.add_line_segments(
-            "/human/cube",
-            np.zeros((len(_EDGES), 2, 3)),
-            _bytes(DEFORMATION_COLOUR),
-            thickness=2.5,
-            thickness_units="screen",
-        )
-        self._caption = server.scene.add_label(
-            "/caption", "", position=(0.0, 0.0, 0.0), anchor="top-center", font_screen_scale=1.1
-        )
+        self._human = None if human is None else _HumanFigure(server, human, first)
+        self._landmarks: LandmarkFigure | None = None
+        self._robots: list[_RobotFigure] = []
+        self._solid = None if solid is None else _add_solid(server, solid)
         self._laid_out: tuple[object, ...] = ()
+        self.set_variants(variants)
 
-    def align(self, alignment: Alignment | Rotation) -> None:
-        """Rotate both worlds: the first human palm is upright, and equal motions look equal.
+    def set_variants(self, variants: Sequence[Variant]) -> None:
+        """Show these robots, with room for all their samples.
 
-        Args:
-            alignment: Rotation from the human's world axes to the robot's.
-        """
-        first = self._first
-        human_palm = (first.human_wrist @ self._human.hand.wrist_to_palm)[:3, :3]
-        robot_palm = (first.robot_wrist @ self._robot.hand.wrist_to_palm)[:3, :3]
-        self._human.axes = human_palm.T
-        if alignment == "world":
-            self._robot.axes = human_palm.T
-        elif alignment == "palm":
-            self._robot.axes = robot_palm.T
-        else:
-            self._robot.axes = human_palm.T @ np.array(alignment).T
-        for world in (self._human, self._robot):
-            world.frame.wxyz = quat_wxyz_from_rotation(world.axes)
-            world.travel = np.empty((0, 3))
-
-    def reserve_travel(self, samples: Sequence[ViewSample]) -> None:
-        """Make room in the view for the travel of both hands.
-
-        Without this, the view has room for what was drawn since `align`.
+        Both worlds are rotated so that the human's first palm is upright.
 
         Args:
-            samples: All samples that will be drawn.
+            variants: The robots, all of the hand of the first.
         """
-        for world, wrists in (
-            (self._human, np.array([sample.human_wrist for sample in samples])),
-            (self._robot, np.array([sample.robot_wrist for sample in samples])),
-        ):
-            centres = (wrists[:, :3, :3] @ world.focus + wrists[:, :3, 3]) @ world.axes.T
-            world.travel = np.array([centres.min(axis=0), centres.max(axis=0)])
+        self._variants = tuple(variants)
+        for i in range(len(self._robots), len(variants)):
+            node = "robot" if i == 0 else f"robot_{i + 1}"
+            self._robots.append(_RobotFigure(self.server, node, variants[i].robot))
+        for i, robot in enumerate(self._robots):
+            robot.is_shown = i < len(variants)
+        first = variants[0].samples[0]
+        upright = None
+        if self._human is not None and first.human_wrist is not None:
+            upright = (first.human_wrist @ self._human.hand.wrist_to_palm)[:3, :3].T
+            self._human.turn(upright)
+            if self._landmarks is not None:
+                self._landmarks.turn(upright)
+        for robot, variant in zip(self._robots, variants, strict=False):
+            robot.turn(_robot_axes(robot.hand, variant, upright))
+        self.clear_trails()
+        self._laid_out = ()
+        self._fit()
 
-    def draw(self, sample: ViewSample) -> None:
-        """Show one sample.
+    def clear_trails(self) -> None:
+        """Forget where the fingertips have been."""
+        for hand in self._hands:
+            hand.clear_trail()
+
+    def draw(self, samples: Sequence[ViewSample]) -> None:
+        """Show one instant.
 
         Args:
-            sample: The sample.
+            samples: One sample for each variant; the human hand is that of the first.
         """
-        centres = self._human.centre(sample.human_wrist), self._robot.centre(sample.robot_wrist)
-        if sample.human_q is None:
-            centres = self._human.axes @ sample.human_points.mean(axis=0), centres[1]
         with self.server.atomic():
-            self._lay_out(centres)
-            self._place(self._human, sample.human_q, sample.human_wrist, centres[0])
-            self._place(self._robot, sample.robot_q, sample.robot_wrist, centres[1])
-            self._human_points.move(sample.human_points)
-            self._robot_points.move(sample.robot_points)
-            self._targets.move(sample.targets)
-            self._draw_deformation(sample)
-            self._caption.text = caption(sample)
+            self._show_landmarks(samples[0])
+            low = self._lay_out()
+            if self._human is not None:
+                self._human.draw(samples[0], self.deformation_shape)
+                self._place(self._human, self._human.centre_of(samples[0]), samples[0], low)
+            for robot, variant, sample in zip(self._robots, self._variants, samples, strict=False):
+                robot.draw(sample, variant.label)
+                self._place(robot, robot.centre(sample.robot_wrist), sample, low)
+            seen = _landmark_outline(samples[0])
+            if self._landmarks is not None and seen is not None:
+                self._landmarks.place(self._middle(self._landmarks, seen[0]), low)
+            if self._solid is not None and samples[0].object_pose is not None:
+                pose = samples[0].object_pose
+                self._solid.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
+                self._solid.position = pose[:3, 3]
 
-    def _draw_deformation(self, sample: ViewSample) -> None:
-        """Draw a ball or a cube about the pivot as T_def deforms it."""
-        shape = self.deformation_shape if sample.deformation is not None else "off"
-        self._reference_ball.visible = shape == "ellipsoid"
-        self._ellipsoid.visible, self._cube.visible = shape == "ellipsoid", shape == "cube"
-        if sample.deformation is None or sample.pivot is None:
-            return
-        if shape == "ellipsoid":
-            # A rotation leaves the ball unchanged, so the rotation that T_def contains with
-            # rigid_from="wrist" is not drawn.
-            factors = polar(sample.deformation)
-            scales = np.maximum(np.abs(factors.stretches), 1e-3)
-            self._ellipsoid.scale = (float(scales[0]), float(scales[1]), float(scales[2]))
-            self._reference_ball.position = sample.pivot
-            axes = factors.axes * (1.0, 1.0, np.sign(np.linalg.det(factors.axes)))
-            self._ellipsoid.wxyz = quat_wxyz_from_rotation(axes)
-            self._ellipsoid.position = sample.pivot
-        elif shape == "cube":
-            corners = (self._ball / np.sqrt(3.0) * _CORNERS) @ sample.deformation.T
-            self._cube.position = sample.pivot
-            self._cube.points = corners[_EDGES].astype(np.float32)
+    def make_room(self, samples: Sequence[ViewSample]) -> None:
+        """Make room for one more instant, of samples that are not known beforehand."""
+        for figure, variant, outline in self._outlines:
+            seen = outline(samples[variant])
+            if seen is not None and len(figure.extent):
+                figure.include(*seen)
 
-    def _lay_out(self, centres: tuple[np.ndarray, np.ndarray]) -> None:
-        """Place the hands side by side with room for their travel, and fit the cameras."""
-        human, robot = self._human, self._robot
-        for world, centre in zip((human, robot), centres, strict=True):
-            world.include(centre)
-        is_travelling = self.follow == "world"
-        state = (
-            (is_travelling, human.travel.tobytes(), robot.travel.tobytes())
-            if is_travelling
-            else (is_travelling,)
-        )
-        if state != self._laid_out:
-            self._laid_out = state
-            sizes = [
-                2.0 * world.radius + is_travelling * np.ptp(world.travel, axis=0)
-                for world in (human, robot)
-            ]
-            width, height = sizes[0][0] + _GAP + sizes[1][0], max(size[1] for size in sizes)
-            # Seen from the palm side, +x points left.
-            human.anchor = np.array([0.5 * (width - sizes[0][0]), 0.0, 0.0])
-            robot.anchor = np.array([-0.5 * (width - sizes[1][0]), 0.0, 0.0])
-            self._caption.position = (0.0, -0.5 * height - 0.055, 0.0)
-            # A hand is widest at its centre, not at the front of its sphere.
-            depth = max(sizes[0][2] - human.radius, sizes[1][2] - robot.radius)
-            self.cameras.fit(width, height + _CAPTION_ROOM, depth)
+    @property
+    def _hands(self) -> list[_HumanFigure | _RobotFigure]:
+        """The human hand and the robots that are shown."""
+        human = [] if self._human is None else [self._human]
+        return [*human, *self._robots[: len(self._variants)]]
+
+    @property
+    def _row(self) -> list[Figure]:
+        """The figures from left to right."""
+        landmarks = self._landmarks
+        first: list[Figure] = [] if landmarks is None or not landmarks.is_shown else [landmarks]
+        return [figure for figure in (*first, *self._hands) if len(figure.extent)]
+
+    def _show_landmarks(self, sample: ViewSample) -> None:
+        """Show or hide the landmarks, whose nodes are made when they are first shown."""
+        if self._landmarks is None:
+            if not self.has_landmarks or self._human is None or sample.landmarks is None:
+                return
+            self._landmarks = LandmarkFigure(self.server, "landmarks")
+            self._landmarks.turn(self._human.axes)
+            self._fit()
+        if self._landmarks.is_shown != self.has_landmarks:
+            self._landmarks.is_shown = self.has_landmarks
+        if self.has_landmarks:
+            self._landmarks.show(sample.landmarks)
 
     def _place(
-        self, world: _World, q: np.ndarray | None, wrist: np.ndarray, centre: np.ndarray
+        self,
+        figure: _HumanFigure | _RobotFigure,
+        centre: np.ndarray,
+        sample: ViewSample,
+        low: float,
     ) -> None:
-        """Place a hand in its world and its world in the scene; hide a hand of unknown posture."""
-        hand = world.hand
-        world.body.visible = q is not None
-        if q is not None:
-            pose = hand.link_poses([world.root], q, wrist if hand.is_floating else None)[0]
-            world.model.update_cfg(in_order(world.order, q))
-            world.body.wxyz, world.body.position = (
-                quat_wxyz_from_rotation(pose[:3, :3]),
-                pose[:3, 3],
-            )
-        world.frame.position = world.anchor - (
-            centre if self.follow == "hands" else world.travel.mean(axis=0)
+        figure.place(self._middle(figure, centre), low)
+        if self.has_trails:
+            figure.draw_trail(sample, centre, is_pinned=self.follow == "hands")
+
+    def _middle(self, figure: Figure, centre: np.ndarray) -> np.ndarray:
+        """Return what is to be at a figure's anchor, along the scene's axes [m], shape (3,)."""
+        return figure.axes @ centre if self.follow == "hands" else figure.travel.mean(axis=0)
+
+    @property
+    def _outlines(self) -> Iterator[tuple[Figure, int, Callable[[ViewSample], _Outline | None]]]:
+        """Figures, whose variant's samples they show, and what they show of one."""
+        if self._landmarks is not None:
+            yield self._landmarks, 0, _landmark_outline
+        if self._human is not None:
+            yield self._human, 0, self._human.outline_of
+        for i, robot in enumerate(self._robots[: len(self._variants)]):
+            yield robot, i, robot.outline_of
+
+    def _fit(self) -> None:
+        """Make room for all samples of the variants."""
+        for figure, variant, outline in self._outlines:
+            samples = self._variants[variant].samples
+            few = samples[:: max(len(samples) // _RESERVED, 1)]
+            seen = [instant for sample in few if (instant := outline(sample)) is not None]
+            if seen:
+                figure.fit(seen)
+
+    def _lay_out(self) -> float:
+        """Place the figures side by side, fit the cameras, and return the height of the names."""
+        row, is_travelling = self._row, self.follow == "world"
+        state = (
+            is_travelling,
+            *(
+                (id(figure), figure.extent.tobytes(), is_travelling and figure.travel.tobytes())
+                for figure in row
+            ),
         )
-        low = max(self._human.radius, self._robot.radius) + 0.02
-        world.label.position = world.frame.position + centre - (0.0, low, 0.0)
-
-    def _add_hand(self, node: str, hand: Hand, q: np.ndarray | None) -> _World:
-        from viser.extras import ViserUrdf
-
-        scene = self.server.scene
-        urdf = load_urdf(hand)
-        q = hand.rest if q is None else q
-        frame = scene.add_frame(f"/{node}", show_axes=False)
-        body = scene.add_frame(f"/{node}/body", show_axes=False)
-        model = ViserUrdf(self.server, urdf, root_node_name=f"/{node}/body")
-        order = joint_places(hand, model.get_actuated_joint_names())
-        label = scene.add_label(
-            f"/{node}_name", hand.name, anchor="top-center", font_screen_scale=1.3
-        )
-        model.update_cfg(in_order(order, q))
-        to_wrist = inverse_pose(hand.frame_pose("wrist", q))
-        if hand.has_moving_wrist and not hand.is_floating:
-            # On an arm: fit the view to the hand; parts of the arm may lie outside.
-            points = transform_points(to_wrist, hand.points(q))
-            focus, radius = 0.5 * points.mean(axis=0), float(np.linalg.norm(points, axis=1).max())
-        else:
-            low, high = urdf.scene.bounds
-            in_wrist = to_wrist @ hand.link_poses([urdf.base_link], q)[0]
-            focus, radius = (
-                transform_points(in_wrist, 0.5 * (low + high)[None])[0],
-                0.45 * float(np.linalg.norm(high - low)),
-            )
-        return _World(
-            hand, model, order, urdf.base_link, frame, body, label, np.eye(3), focus, radius
-        )
-
-    def _set_up_stage(self) -> None:
-        scene = self.server.scene
-        scene.set_up_direction("+y")
-        scene.world_axes.visible = False
-        scene.add_grid(
-            "/floor",
-            plane="xz",
-            infinite_grid=True,
-            cell_size=0.05,
-            section_size=0.25,
-            cell_color=(225, 228, 232),
-            section_color=(205, 210, 216),
-            cell_thickness=0.6,
-            section_thickness=0.8,
-            fade_distance=3.0,
-            position=(0.0, -0.22, 0.0),
-        )
+        sizes = [figure.size + is_travelling * np.ptp(figure.travel, axis=0) for figure in row]
+        width, height, depth = np.max(sizes, axis=0)
+        width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
+        if state != self._laid_out:
+            self._laid_out = state
+            # Seen from the palm side, +x points left.
+            left = 0.5 * width
+            for figure, size in zip(row, sizes, strict=True):
+                cell = np.array([left - 0.5 * size[0], 0.0, 0.0])
+                figure.anchor = cell - figure.extent.mean(axis=0)
+                left -= size[0] + _GAP
+            self.cameras.fit(width, height, depth)
+        return -0.5 * float(height)
 
 
-def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
-    """Return each drawn joint's index in `hand.joint_names`; None if it is not the hand's."""
-    places = {name: i for i, name in enumerate(hand.joint_names)}
-    return [places.get(name) for name in names]
+def _with_tips(hand: Hand) -> Hand:
+    """Return a hand whose points are its fingertips, or its own where no finger has a name."""
+    return hand.with_points(list(finger_tips(hand).values()) or None)
 
 
-def in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
-    """Return the joint angles of a drawn model; 0 for joints that are not the hand's."""
-    return np.array([0.0 if i is None else q[i] for i in order])
+def _landmark_outline(sample: ViewSample) -> _Outline | None:
+    """Return centre and places of the landmarks in W; None if they are not known."""
+    points = sample.landmarks
+    if points is None or not np.isfinite(points).all():
+        return None
+    return points.mean(axis=0), points
 
 
-def caption(sample: ViewSample) -> str:
-    """Return the line below both hands: time, mean point error and status."""
-    parts = [f"{sample.time:.2f} s"]
-    if sample.targets is not None:
-        parts.append(f"point error {1e3 * sample.point_error.mean():.1f} mm")
-    is_named = sample.is_seen or ":" in sample.status
-    parts.append(sample.status if is_named else "hand not seen, robot held")
-    return " · ".join(parts)
+def _robot_axes(robot: Hand, variant: Variant, upright: np.ndarray | None) -> np.ndarray:
+    """Return the rotation from V to the scene's axes, shape (3, 3).
+
+    Args:
+        robot: The robot hand.
+        variant: What moves it.
+        upright: The rotation from W to the scene's axes, shape (3, 3); None without a human hand,
+            and the robot's first palm is upright then.
+    """
+    if upright is None or (isinstance(variant.alignment, str) and variant.alignment == "palm"):
+        return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
+    if isinstance(variant.alignment, str):
+        return upright
+    return upright @ np.array(variant.alignment).T
 
 
-def load_urdf(hand: Hand) -> Any:
-    """Load the hand's URDF with its meshes for `ViserUrdf`."""
-    from yourdfpy import URDF
-
-    robot = parse_urdf(hand.urdf_text)
-    # ViserUrdf names the nodes of links and of shapes alike, and a shape with a link's name would
-    # replace the link: rename all shapes.
-    for link in robot.iterfind("link"):
-        for i, visual in enumerate(link.iterfind("visual")):
-            visual.set("name", f"{link.get('name')}_shape_{i}")
-    text = io.BytesIO(ET.tostring(robot))
-    urdf = URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
-    merge_shapes(urdf)
-    return urdf
+def state_text(sample: ViewSample) -> str:
+    """Return why the robot does not follow the human at a sample; empty if it does."""
+    if sample.is_seen:
+        return sample.status if sample.status in ("released", "gliding") else ""
+    return sample.status if ":" in sample.status else "hand not seen, robot held"
 
 
-def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * part) for part in colour)
-    return red, green, blue
+def _add_solid(server: viser.ViserServer, solid: Solid) -> Any:
+    return server.scene.add_mesh_simple(
+        "/robot/object", solid.vertices, solid.faces, color=(226, 178, 76)
+    )
+
+
+def _set_up_stage(server: viser.ViserServer) -> None:
+    scene = server.scene
+    scene.set_up_direction("+y")
+    scene.world_axes.visible = False
+    scene.add_grid(
+        "/floor",
+        plane="xz",
+        infinite_grid=True,
+        cell_size=0.05,
+        section_size=0.25,
+        cell_color=(225, 228, 232),
+        section_color=(205, 210, 216),
+        cell_thickness=0.6,
+        section_thickness=0.8,
+        fade_distance=3.0,
+        position=(0.0, -0.22, 0.0),
+    )

@@ -34,11 +34,12 @@ from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.figure import HandFigure, in_order, joint_places, load_urdf
 from handmap_qp.viewer.frames import skip_wakeup_race
-from handmap_qp.viewer.gauges import joint_bars, joints_by_finger, short_names
+from handmap_qp.viewer.joint_bars import joint_bars, joints_by_finger, short_names
 from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls
 from handmap_qp.viewer.replay import Replay
-from handmap_qp.viewer.scene import HandScene, caption, in_order, joint_places, load_urdf
+from handmap_qp.viewer.scene import HandScene, state_text
 from handmap_qp.viewer.serving import serving
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -138,10 +139,8 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
 ) -> None:
     replay = make_replay(robot, alignment=alignment)
     sample = replay.samples[-1]
-    scene = HandScene(
-        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
-    )
-    scene.draw(sample)
+    scene = HandScene(server, replay.human, replay.variants)
+    scene.draw([sample])
     nodes = [handle.name for handle in server.scene._handle_from_node_name.values()]
     for side, hand, points in (
         ("human", replay.human, sample.human_points),
@@ -182,7 +181,7 @@ def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> 
 def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
     replay = make_replay(alignment="palm")
     first = replay.samples[0]
-    HandScene(server, replay.human, replay.robot, first, replay.choice.alignment).draw(first)
+    HandScene(server, replay.human, replay.variants).draw([first])
     for side, hand, wrist in (
         ("human", replay.human, first.human_wrist),
         ("robot", replay.robot, first.robot_wrist),
@@ -196,10 +195,8 @@ def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
 def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any, preset: str) -> None:
     replay = make_replay(preset=preset)
     sample = replay.samples[-1]
-    scene = HandScene(
-        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
-    )
-    scene.draw(sample)
+    scene = HandScene(server, replay.human, replay.variants)
+    scene.draw([sample])
     handle = server.scene.get_handle_by_name("/human/ellipsoid")
     assert sample.deformation is not None
     axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
@@ -213,11 +210,9 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any, preset
 def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     replay = make_replay(rigid_from="wrist")
     sample = replay.samples[-1]
-    scene = HandScene(
-        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
-    )
+    scene = HandScene(server, replay.human, replay.variants)
     scene.deformation_shape = "cube"
-    scene.draw(sample)
+    scene.draw([sample])
     cube = server.scene.get_handle_by_name("/human/cube")
     assert cube.visible
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
@@ -234,14 +229,13 @@ def test_hands_stay_in_place_or_travel_as_asked(
     server: Any, follow: Literal["hands", "world"]
 ) -> None:
     replay = make_replay()
-    scene = HandScene(
-        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
-    )
+    scene = HandScene(server, replay.human, replay.variants)
     scene.follow = follow
-    places = []
+    human, places = HandFigure(server, "other", replay.human), []
     for sample in (replay.samples[0], replay.samples[-1]):
-        scene.draw(sample)
-        places.append(server.scene.get_handle_by_name("/human_name").position.copy())
+        scene.draw([sample])
+        assert sample.human_wrist is not None
+        places.append(in_scene(server, "/human", human.centre(sample.human_wrist)[None])[0])
     moved = float(np.linalg.norm(places[1] - places[0]))
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 
@@ -252,13 +246,10 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
     server: Any, follow: Literal["hands", "world"]
 ) -> None:
     replay = make_replay()
-    scene = HandScene(
-        server, replay.human, replay.robot, replay.samples[0], replay.choice.alignment
-    )
-    scene.reserve_travel(replay.samples)
+    scene = HandScene(server, replay.human, replay.variants)
     scene.follow = follow
     for sample in replay.samples:
-        scene.draw(sample)
+        scene.draw([sample])
         camera = server.initial_camera
         forward = (camera.look_at - camera.position) / np.linalg.norm(
             camera.look_at - camera.position
@@ -272,10 +263,11 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
             assert np.abs(seen @ np.cross(right, forward) / depth).max() < half_height
 
 
-def test_caption_says_that_the_hand_was_not_seen() -> None:
-    samples = make_replay().samples
-    assert "held: missing" in caption(samples[GAP.start])
-    assert "held" not in caption(samples[0])
+def test_the_robots_name_says_that_the_hand_was_not_seen(viewer: ReplayViewer) -> None:
+    assert state_text(viewer.sample) == ""
+    seek(viewer, GAP.start)
+    label = viewer.server.scene.get_handle_by_name("/robot_name")
+    assert label.text.splitlines() == ["three_finger", "paper", "held: missing"]
 
 
 # -- controls
@@ -294,12 +286,10 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
 def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
     viewer.steering.options.handles["deformation_gain"].value = 0.5
     viewer.tick(0.0)
-    saved = yaml.safe_load(viewer.steering.options_text)
-    assert saved == {"preset": "paper", "deformation_gain": 0.5}
     sent: list[bytes] = []
     client = SimpleNamespace(send_file_download=lambda name, content: sent.append(content))
-    viewer.steering._download_options(cast(Any, SimpleNamespace(client=client)))
-    assert yaml.safe_load(sent[0]) == saved
+    viewer.exports.send_options(cast(Any, SimpleNamespace(client=client)))
+    assert yaml.safe_load(sent[0]) == {"preset": "paper", "deformation_gain": 0.5}
 
 
 @pytest.mark.parametrize("preset", ["paper", "teleoperation"])

@@ -31,7 +31,7 @@ from handmap_qp import (
 from handmap_qp.arguments import MappingArguments
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
-from handmap_qp.viewer.page import write_page
+from handmap_qp.viewer.page import replay_page, write_page
 from handmap_qp.viewer.serving import serving
 
 # The area of the hands between the panels, and the fewest of its 420 x 540 pixels a hand covers.
@@ -151,8 +151,8 @@ def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> Non
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "taken.html"
     folder.mkdir()
-    with serving() as server, pytest.raises(InvalidInputError, match=r"taken\.html"):
-        write_page(folder, server, make_replay())
+    with pytest.raises(InvalidInputError, match=r"taken\.html"):
+        write_page(folder, b"")
     assert list(tmp_path.iterdir()) == [folder]
 
 
@@ -328,7 +328,7 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(browser: Browser) -
             browser.wait_for("!!document.querySelector('canvas')")
             # The picture never settles because samples keep arriving.
             wait_until(
-                lambda: has_both_hands(browser.screenshot()[1][160:, 340:660]),
+                lambda: has_both_hands(browser.screenshot()[1][160:, 60:680]),
                 "no human hand on the left, or no robot's points on the right",
                 DRAWING,
             )
@@ -351,8 +351,7 @@ def has_both_hands(pixels: np.ndarray) -> bool:
 @pytest.mark.slow
 def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    with serving() as server:
-        write_page(page, server, make_replay())
+    write_page(page, replay_page(make_replay()))
     # A small window, because software rendering of an animation is slow.
     browser.resize(600, 400)
     browser.open(page.as_uri(), offline=True)

@@ -30,7 +30,7 @@ from handmap_qp.service.server import Server
 from handmap_qp.transform import affine, rotation_from_quat_wxyz
 from handmap_qp.viewer.live import LiveViewer
 from handmap_qp.viewer.remote import ServiceSession
-from handmap_qp.viewer.replay import ViewSample
+from handmap_qp.viewer.sample import ViewSample
 from handmap_qp.viewer.serving import serving
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

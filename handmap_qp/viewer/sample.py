@@ -1,0 +1,129 @@
+"""What the view shows at one instant: `ViewSample`; and over time: `Variant`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.options import Alignment, Rotation
+from handmap_qp.mapping.stages import motion_stages
+from handmap_qp.mapping.step import MapStep
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ViewSample:
+    """One instant of a robot hand, and of the human hand and the object where there are any.
+
+    Attributes:
+        time: Time since the start [s].
+        robot_q: Robot joint angles [rad], shape (n,).
+        robot_wrist: Robot wrist pose in V, shape (4, 4).
+        robot_points: Robot reference points in V [m], shape (n_r, 3).
+        targets: Targets of the robot reference points in V [m], shape (n_r, 3); None if the source
+            does not report them or the robot is released.
+        wrist_target: Target of the robot wrist in V, shape (4, 4); None as for `targets`.
+        human_q: Human joint angles [rad], shape (n_human,); None if only the points are known.
+        human_wrist: Human wrist pose in W, shape (4, 4); None without a human hand.
+        human_points: Human reference points in W [m], shape (n_h, 3); None without a human hand.
+        landmarks: Landmarks in W as they were tracked [m], shape (21, 3); None if there are none.
+        deformation: Linear part of T_def, shape (3, 3); None if the source does not report it.
+        pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
+        object_pose: Pose in V of an object, shape (4, 4); None if there is none.
+        is_limited: Whether a position or speed limit held each robot joint in this step, shape
+            (n,); None if the source does not report it.
+        status: How the step ended, and the rule that the sample broke, as in `held: jump`.
+        duration: Wall time of the mapping step [s]; NaN if there was none.
+        is_seen: Whether the robot followed the sample; if not, the previous one is held.
+    """
+
+    time: float
+    robot_q: np.ndarray
+    robot_wrist: np.ndarray
+    robot_points: np.ndarray
+    targets: np.ndarray | None = None
+    wrist_target: np.ndarray | None = None
+    human_q: np.ndarray | None = None
+    human_wrist: np.ndarray | None = None
+    human_points: np.ndarray | None = None
+    landmarks: np.ndarray | None = None
+    deformation: np.ndarray | None = None
+    pivot: np.ndarray | None = None
+    object_pose: np.ndarray | None = None
+    is_limited: np.ndarray | None = None
+    status: str = ""
+    duration: float = float("nan")
+    is_seen: bool = True
+
+    @property
+    def point_error(self) -> np.ndarray:
+        """Distances of the robot points from their targets [m], shape (n_r,); empty if none."""
+        if self.targets is None:
+            return np.empty(0)
+        return np.linalg.norm(self.targets - self.robot_points, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variant:
+    """A robot hand that the view shows, and what moves it.
+
+    Attributes:
+        label: Name of the method or preset, shown below the hand.
+        robot: The robot hand, with the reference points that the method moves.
+        alignment: Rotation from the human's world axes to the robot's, as of `MappingOptions`.
+        samples: Its samples; at least the first.
+        options: For a page, the options of the method as text, and whether each is another than
+            the default, by name.
+    """
+
+    label: str
+    robot: Hand
+    alignment: Alignment | Rotation
+    samples: Sequence[ViewSample]
+    options: Mapping[str, tuple[str, bool]] = field(default_factory=dict)
+
+
+def view_sample(
+    time: float,
+    step: MapStep,
+    *,
+    human_q: np.ndarray,
+    human_wrist: np.ndarray,
+    landmarks: np.ndarray | None = None,
+    is_seen: bool = True,
+) -> ViewSample:
+    """Return what the view shows of one step of a mapper.
+
+    Args:
+        time: Time since the start [s].
+        step: Result of the step.
+        human_q: Joint angles of the human, to draw it [rad], shape (n_human,).
+        human_wrist: Its wrist pose, shape (4, 4).
+        landmarks: Its landmarks as they were tracked [m], shape (21, 3).
+        is_seen: Whether the robot followed the sample.
+
+    Returns:
+        The sample.
+    """
+    stages = motion_stages(step)
+    is_released = step.status == "released"
+    return ViewSample(
+        time=time,
+        robot_q=step.command.q,
+        robot_wrist=step.command.wrist,
+        robot_points=step.points,
+        targets=None if is_released else step.targets,
+        wrist_target=None if is_released else step.wrist_target,
+        human_q=human_q,
+        human_wrist=human_wrist,
+        human_points=step.human_points,
+        landmarks=landmarks,
+        deformation=None if stages is None else stages.motion_deformation[:3, :3],
+        pivot=None if stages is None else stages.pivot,
+        is_limited=step.at_bound,
+        status=f"{step.status}: {step.rule}" if step.rule else step.status,
+        duration=step.duration,
+        is_seen=is_seen,
+    )
