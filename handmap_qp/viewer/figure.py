@@ -95,8 +95,12 @@ class Figure:
 
     def include(self, centre: np.ndarray, points: np.ndarray) -> None:
         """Make room for one more instant, as of `fit`."""
-        self.travel = _extended(self.travel, np.tile(self.axes @ centre, (2, 1)))
+        self.include_centre(centre)
         self.extent = _extended(self.extent, self._box(centre, points))
+
+    def include_centre(self, centre: np.ndarray) -> None:
+        """Make room for one more position of the centre, in the figure's world [m], shape (3,)."""
+        self.travel = _extended(self.travel, np.tile(self.axes @ centre, (2, 1)))
 
     def _box(self, centre: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the box of points about a centre, along the scene's axes, shape (2, 3)."""

@@ -76,7 +76,7 @@ class _HumanFigure(HandFigure):
         if self._ball is not None:
             self._ball.draw(sample, shape)
 
-    def draw_trail(self, sample: ViewSample, centre: np.ndarray, *, is_pinned: bool) -> None:
+    def draw_trail(self, sample: ViewSample, *, is_pinned: bool) -> None:
         """Add the tips to the trail."""
         if sample.landmarks is not None:
             tips = sample.landmarks[TIPS]
@@ -85,7 +85,7 @@ class _HumanFigure(HandFigure):
         else:
             return
         if np.isfinite(tips).all():
-            self._trail.add(sample.time, tips, centre, is_pinned=is_pinned)
+            self._trail.add(sample.time, tips, self.centre_of(sample), is_pinned=is_pinned)
 
     def clear_trail(self) -> None:
         """Forget the trail."""
@@ -117,10 +117,11 @@ class _RobotFigure(HandFigure):
         self._targets.move(sample.targets)
         self.name("\n".join(filter(None, (self.hand.name, label, state_text(sample)))))
 
-    def draw_trail(self, sample: ViewSample, centre: np.ndarray, *, is_pinned: bool) -> None:
+    def draw_trail(self, sample: ViewSample, *, is_pinned: bool) -> None:
         """Add the tips to the trail."""
         wrist = sample.robot_wrist if self._tips.is_floating else None
         tips = self._tips.points(sample.robot_q, wrist)
+        centre = self.centre(sample.robot_wrist)
         self._trail.add(sample.time, tips, centre, is_pinned=is_pinned)
 
     def clear_trail(self) -> None:
@@ -220,16 +221,18 @@ class HandScene:
         """
         with self.server.atomic():
             self._show_landmarks(samples[0])
+            placed = list(self._centres(samples))
+            for figure, centre in placed:
+                figure.include_centre(centre)
             low = self._lay_out()
+            for figure, centre in placed:
+                figure.place(self._middle(figure, centre), low)
             if self._human is not None:
                 self._human.draw(samples[0], self.deformation_shape)
-                self._place(self._human, self._human.centre_of(samples[0]), samples[0], low)
             for robot, variant, sample in zip(self._robots, self._variants, samples, strict=False):
                 robot.draw(sample, variant.label)
-                self._place(robot, robot.centre(sample.robot_wrist), sample, low)
-            seen = _landmark_outline(samples[0])
-            if self._landmarks is not None and seen is not None:
-                self._landmarks.place(self._middle(self._landmarks, seen[0]), low)
+            if self.has_trails:
+                self._draw_trails(samples)
             if self._solid is not None and samples[0].object_pose is not None:
                 pose = samples[0].object_pose
                 self._solid.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
@@ -268,16 +271,22 @@ class HandScene:
         if self.has_landmarks:
             self._landmarks.show(sample.landmarks)
 
-    def _place(
-        self,
-        figure: _HumanFigure | _RobotFigure,
-        centre: np.ndarray,
-        sample: ViewSample,
-        low: float,
-    ) -> None:
-        figure.place(self._middle(figure, centre), low)
-        if self.has_trails:
-            figure.draw_trail(sample, centre, is_pinned=self.follow == "hands")
+    def _centres(self, samples: Sequence[ViewSample]) -> Iterator[tuple[Figure, np.ndarray]]:
+        """Yield the figures and their centres in their worlds [m], shape (3,)."""
+        seen = _landmark_outline(samples[0])
+        if self._landmarks is not None and seen is not None:
+            yield self._landmarks, seen[0]
+        if self._human is not None:
+            yield self._human, self._human.centre_of(samples[0])
+        for robot, sample in zip(self._robots, samples, strict=False):
+            yield robot, robot.centre(sample.robot_wrist)
+
+    def _draw_trails(self, samples: Sequence[ViewSample]) -> None:
+        is_pinned = self.follow == "hands"
+        if self._human is not None:
+            self._human.draw_trail(samples[0], is_pinned=is_pinned)
+        for robot, sample in zip(self._robots, samples, strict=False):
+            robot.draw_trail(sample, is_pinned=is_pinned)
 
     def _middle(self, figure: Figure, centre: np.ndarray) -> np.ndarray:
         """Return what is to be at a figure's anchor, along the scene's axes [m], shape (3,)."""
