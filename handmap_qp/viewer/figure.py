@@ -16,6 +16,7 @@ from handmap_qp.drawing.hands import mesh_file
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
+from handmap_qp.viewer.merged_shapes import merge_shapes
 
 if TYPE_CHECKING:
     import viser
@@ -254,7 +255,9 @@ def load_urdf(hand: Hand) -> Any:
         for i, visual in enumerate(link.iterfind("visual")):
             visual.set("name", f"{link.get('name')}_shape_{i}")
     text = io.BytesIO(ET.tostring(robot))
-    return URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+    urdf = URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+    merge_shapes(urdf)
+    return urdf
 
 
 def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
