@@ -9,8 +9,9 @@ file knows both orders.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from handmap_qp.hands.model import (
     check_wrist,
     choose_mount,
     mimic_rules,
+    move_joint,
     palm_in_link,
     tangent_expansion,
 )
@@ -57,7 +59,6 @@ class Hand:
         name: Short name.
         side: `right` or `left`.
         mount: `floating` or `fixed`.
-        urdf_text: The URDF as it was built, after scaling and mirroring.
         model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints
             in Pinocchio's order, and the reference points as its last frames. Do not change it.
         joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
@@ -109,12 +110,13 @@ class Hand:
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
         chosen = _choose_points(spec, points)
-        self._file_text = read_urdf(spec) if urdf_text is None else urdf_text
+        file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
-        self.urdf_text, locked = compose_urdf(spec, self._file_text, arm_text)
-        rules = mimic_rules(spec, self.urdf_text)
+        text, locked = compose_urdf(spec, file_text, arm_text)
+        self._compose = lambda: text
+        rules = mimic_rules(spec, text)
         followers = tuple(rule.follower for rule in rules)
-        self.model = model = build_model(spec, self.urdf_text, self.mount, followers)
+        self.model = model = build_model(spec, text, self.mount, followers)
         self.joint_names = spec.all_joints
         self.all_joint_names = (*self.joint_names, *followers, *locked)
         self.all_joint_roles = (
@@ -142,6 +144,11 @@ class Hand:
         self._add_wrist_and_palm()
         self._pointless_model = model
         self._take_points(chosen)
+
+    @cached_property
+    def urdf_text(self) -> str:
+        """The URDF as it was built, after scaling and mirroring."""
+        return self._compose()
 
     @property
     def is_floating(self) -> bool:
@@ -172,8 +179,38 @@ class Hand:
             HandError: If there is no such set or point.
             InvalidInputError: If it is something else than names and points.
         """
+        chosen = _choose_points(self.spec, points)
+        if chosen == self.reference_points:
+            return self
         # All but the model is read-only, so both hands share it.
         hand = copy(self)
+        hand._take_points(chosen)
+        return hand
+
+    def with_joints(
+        self,
+        moves: Mapping[str, tuple[np.ndarray, float]],
+        compose: Callable[[], str],
+        points: Points | None = None,
+    ) -> Hand:
+        """Return the same hand with joints in other places, without reading a URDF.
+
+        Args:
+            moves: By joint name, fixed ones too, its position on its parent link [m], shape (3,),
+                and a turn about its own x axis [rad]. None may lie between wrist and palm.
+            compose: Composes the URDF of that hand; called when `urdf_text` is first read.
+            points: Reference points, as of `Hand`.
+
+        Raises:
+            HandError: If there is no such set or point.
+            InvalidInputError: If the points are something else than names and points.
+        """
+        hand = copy(self)
+        hand.__dict__.pop("urdf_text", None)
+        hand._compose = compose
+        hand._pointless_model = model = pin.Model(self._pointless_model)
+        for name, (origin, roll) in moves.items():
+            move_joint(model, name, origin, roll)
         hand._take_points(_choose_points(self.spec, points))
         return hand
 
@@ -395,7 +432,12 @@ class Hand:
             self._frame_ids.setdefault(point.name, frame)
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        self._scratch = self.configuration()
+        self.__dict__.pop("_scratch", None)
+
+    @cached_property
+    def _scratch(self) -> Configuration:
+        """Workspace of the methods that place the hand; most hands with other points need none."""
+        return self.configuration()
 
     def _find_frame(self, name: str) -> int:
         _check_type("frame", name, str, "the name of a frame")

@@ -8,6 +8,7 @@ packages ship.
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from handmap_qp.errors import (
     did_you_mean,
 )
 from handmap_qp.hands.hand import Hand, Points, read_urdf, urdf_path
-from handmap_qp.hands.human import HumanLengths, scaled_human_urdf
+from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, read_hand_spec
+from handmap_qp.hands.urdf.compose import compose_urdf
 from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.hands.urdf.sources import is_named_source
 
@@ -77,6 +79,9 @@ def load_hand(
     if not isinstance(hand, str | Path | HandSpec):
         expected = "a name, the path of a hand.yaml, or a HandSpec"
         raise InvalidInputError(argument="hand", expected=expected, value=hand)
+    is_person = hand in HUMAN_HANDS and hand_length is None
+    if is_person and isinstance(hand, str) and isinstance(lengths, HumanLengths):
+        return _person(hand, lengths, points, mount)
     spec = hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
     if lengths is None and hand_length is None:
         return Hand(spec, points=points, mount=mount)
@@ -91,6 +96,25 @@ def load_hand(
         raise InvalidInputError(problem, argument=argument, value=value)
     text = scaled_human_urdf(read_urdf(spec), lengths)
     return Hand(spec, points=points, mount=mount, urdf_text=text)
+
+
+def _person(name: str, lengths: HumanLengths, points: Points | None, mount: Mount | None) -> Hand:
+    """Scale a human hand of the package to a person, without reading its URDF again."""
+    standard, own = _standard_human(name, mount)
+    spec = standard.spec
+
+    def compose() -> str:
+        return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths)).text
+
+    moves = joint_moves(own, lengths, mirrors=spec.mirror)
+    return standard.with_joints(moves, compose, points)
+
+
+@lru_cache(maxsize=8)
+def _standard_human(name: str, mount: Mount | None) -> tuple[Hand, HumanLengths]:
+    """Load a human hand of the package once, and its lengths; hands are read-only."""
+    hand = Hand(read_hand_spec(_find(name)), mount=mount)
+    return hand, HumanLengths.from_urdf(read_urdf(hand.spec))
 
 
 def list_hands() -> list[dict[str, Any]]:
