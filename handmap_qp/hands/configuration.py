@@ -76,9 +76,7 @@ class Configuration:
         self._jacobian = np.empty((3 * count + 6, model.nv))
         frames = [*range(first_point, len(model.frames)), wrist_frame]
         joints = [model.frames[frame].parentJoint for frame in frames]
-        self.support = np.repeat(
-            [moved_by(model, joint) for joint in joints], [3] * count + [6], axis=0
-        )
+        self.support = np.repeat(moved_by(model, joints), [3] * count + [6], axis=0)
         self.support.setflags(write=False)
         self.place_frames(self._q)
 

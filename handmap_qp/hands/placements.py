@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -57,26 +56,28 @@ def placement_views(placements: Sequence[pin.SE3], first: int = 0) -> PlacementV
     Returns:
         Read-only views of the placements from `first` on.
     """
-    poses = [placements[i] for i in range(first, len(placements))]
-    if not poses:
+    count = len(placements) - first
+    if count <= 0:
         return PlacementViews(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 12)))
-    starts = [_address(pose.translation) for pose in poses]
-    stride = starts[1] - starts[0] if len(starts) > 1 else 0
-    if any(after - before != stride for before, after in pairwise(starts)):
+    # A vector's elements are evenly spaced: the first two and the last one tell the layout.
+    ends = [placements[i] for i in (first, min(first + 1, first + count - 1), first + count - 1)]
+    start, second, last = (_address(pose.translation) for pose in ends)
+    stride = second - start
+    if last - start != (count - 1) * stride:
         raise RuntimeError("Pinocchio's placements are not evenly spaced in memory")
-    if any(_address(pose.translation) - _address(pose.rotation) != 72 for pose in poses):
+    if any(_address(pose.translation) - _address(pose.rotation) != 72 for pose in ends):
         raise RuntimeError("Pinocchio's rotations do not lie before their translations")
-    rotation, translation = poses[0].rotation, poses[0].translation
+    rotation, translation = ends[0].rotation, ends[0].translation
     rotations = np.lib.stride_tricks.as_strided(
-        rotation, (len(poses), 3, 3), (stride, *rotation.strides), writeable=False
+        rotation, (count, 3, 3), (stride, *rotation.strides), writeable=False
     )
     translations = np.lib.stride_tricks.as_strided(
-        translation, (len(poses), 3), (stride, 8), writeable=False
+        translation, (count, 3), (stride, 8), writeable=False
     )
     # The rotation's memory is shorter than the block that begins with it.
-    first_block = np.ctypeslib.as_array((ctypes.c_double * 12).from_address(starts[0] - 72))
+    first_block = np.ctypeslib.as_array((ctypes.c_double * 12).from_address(start - 72))
     columns = np.lib.stride_tricks.as_strided(
-        first_block, (len(poses), 12), (stride, 8), writeable=False
+        first_block, (count, 12), (stride, 8), writeable=False
     )
     return PlacementViews(rotations, translations, columns)
 
@@ -85,10 +86,21 @@ def _address(array: np.ndarray) -> int:
     return array.__array_interface__["data"][0]
 
 
-def moved_by(model: pin.Model, joint: int) -> np.ndarray:
-    """Return 1 for every velocity coordinate that moves a joint's frame, shape (model.nv,)."""
-    moved = np.zeros(model.nv)
-    for ancestor in model.supports[joint]:
-        start = model.joints[ancestor].idx_v
-        moved[start : start + model.joints[ancestor].nv] = ancestor > 0
-    return moved
+def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
+    """Return 1 for every velocity coordinate that moves a joint's frame.
+
+    Args:
+        model: The model.
+        joints: Indices of k joints.
+
+    Returns:
+        Shape (k, model.nv).
+    """
+    moved = np.zeros((model.njoints, model.nv))
+    columns = zip(model.parents.tolist(), model.idx_vs.tolist(), model.nvs.tolist(), strict=True)
+    for joint, (parent, start, count) in enumerate(columns):
+        if joint > 0:
+            # Parents come before their children.
+            moved[joint] = moved[parent]
+            moved[joint, start : start + count] = 1.0
+    return moved[np.asarray(joints, dtype=int)]

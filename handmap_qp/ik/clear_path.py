@@ -18,6 +18,7 @@ the way, and it is halved until the first bound suffices, or a point of it is to
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.distances import NearPairs, ShapeDistances
+from handmap_qp.transform import frozen
 
 _KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start [m]."""
@@ -73,8 +75,7 @@ class ClearPath:
         shapes_of = geometry.geometryObjects
         first = [pair.first for pair in geometry.collisionPairs]
         second = [pair.second for pair in geometry.collisionPairs]
-        moved = np.array([moved_by(model, shape.parentJoint) for shape in shapes_of])
-        moved = moved.reshape(-1, model.nv)
+        moved = moved_by(model, [shape.parentJoint for shape in shapes_of])
         self._relative_support = moved[second] - moved[first]
         radii = np.array([shape.geometry.aabb_radius for shape in shapes_of])
         self._diameters = 2.0 * np.minimum(radii[first], radii[second])
@@ -196,6 +197,7 @@ class _Way:
         return q
 
 
+@lru_cache(maxsize=32)
 def _pair_levers(model: pin.Model, geometry: pin.GeometryModel) -> np.ndarray:
     """Bound the change of each pair's distance per change of each velocity coordinate.
 
@@ -205,11 +207,11 @@ def _pair_levers(model: pin.Model, geometry: pin.GeometryModel) -> np.ndarray:
     """
     shapes = geometry.geometryObjects
     levers = np.array([_levers(model, shape) for shape in shapes]).reshape(-1, model.nv)
-    moved = np.array([moved_by(model, shape.parentJoint) for shape in shapes]).reshape(-1, model.nv)
+    moved = moved_by(model, [shape.parentJoint for shape in shapes])
     first = [pair.first for pair in geometry.collisionPairs]
     second = [pair.second for pair in geometry.collisionPairs]
     # A coordinate that moves both shapes carries them together.
-    return (levers[first] + levers[second]) * (moved[first] != moved[second])
+    return frozen((levers[first] + levers[second]) * (moved[first] != moved[second]))
 
 
 def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:

@@ -79,8 +79,7 @@ class CollisionLimit:
         geometry = found.geometry
         self._distances = ShapeDistances(hand.model, geometry, horizon)
         joints = [shape.parentJoint for shape in geometry.geometryObjects]
-        supports = np.array([moved_by(hand.model, joint) for joint in joints])
-        supports = supports.reshape(-1, hand.model.nv)
+        supports = moved_by(hand.model, joints)
         first = [pair.first for pair in geometry.collisionPairs]
         second = [pair.second for pair in geometry.collisionPairs]
         self._relative_support = supports[second] - supports[first]

@@ -8,7 +8,7 @@ them one by one takes longer than the measurement.
 from __future__ import annotations
 
 import ctypes
-from itertools import pairwise
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +65,8 @@ class ShapeDistances:
         radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         self._radii, self._horizon = radii[self._first] + radii[self._second], horizon
         self._placed = placement_views(self._data.oMg)
-        self._results = _result_views(model, geometry, self._data)
+        _check_results(model, geometry)
+        self._results = _view_results(self._data)
         self._distances = self._results[:, 0]
         self._is_active = np.ones(len(pairs), dtype=bool)
 
@@ -131,15 +132,12 @@ class ShapeDistances:
         self._is_active = wanted
 
 
-def _result_views(
-    model: pin.Model, geometry: pin.GeometryModel, data: pin.GeometryData
-) -> np.ndarray:
-    """View all results as an array that follows every measurement.
+@lru_cache(maxsize=32)
+def _check_results(model: pin.Model, geometry: pin.GeometryModel) -> None:
+    """Check once for each hand that results can be read through a view.
 
-    Returns:
-        Distance, normal and first nearest point of every pair, shape (k, 7), read-only.
+    On data of its own: GJK would start from the results of the check.
     """
-    # Checked on data of its own: GJK would start from the results of the check.
     trial = geometry.createData()
     pin.updateGeometryPlacements(model, model.createData(), geometry, trial, pin.neutral(model))
     pin.computeDistances(geometry, trial)
@@ -149,24 +147,31 @@ def _result_views(
     ]
     if not np.array_equal(_view_results(trial), np.array(read).reshape(-1, 7)):
         raise RuntimeError("coal's distance, normal and nearest point do not lie side by side")
-    return _view_results(data)
 
 
 def _view_results(data: pin.GeometryData) -> np.ndarray:
-    """View distance, normal and first nearest point of every result, shape (k, 7).
+    """View all results as an array that follows every measurement.
 
-    In coal's `DistanceResult` they lie in this order, which `_result_views` checks.
+    Distance, normal and first nearest point lie in this order in coal's `DistanceResult`, and
+    results are evenly spaced, which `_check_results` checks.
+
+    Returns:
+        Distance, normal and first nearest point of every pair, shape (k, 7), read-only.
     """
-    starts = [result.normal.__array_interface__["data"][0] - 8 for result in data.distanceResults]
-    if not starts:
+    results = data.distanceResults
+    count = len(results)
+    if not count:
         return np.zeros((0, 7))
-    stride = starts[1] - starts[0] if len(starts) > 1 else 56
-    if any(after - before != stride for before, after in pairwise(starts)) or stride % 8:
+    first, second = (
+        results[i].normal.__array_interface__["data"][0] - 8 for i in (0, min(1, count - 1))
+    )
+    stride = second - first if count > 1 else 56
+    if stride % 8:
         raise RuntimeError("coal's distances are not evenly spaced in memory")
     # The last result's block ends with its nearest point.
-    doubles = ctypes.c_double * (stride * (len(starts) - 1) // 8 + 7)
-    block = np.ctypeslib.as_array(doubles.from_address(starts[0]))
-    return np.lib.stride_tricks.as_strided(block, (len(starts), 7), (stride, 8), writeable=False)
+    doubles = ctypes.c_double * (stride * (count - 1) // 8 + 7)
+    block = np.ctypeslib.as_array(doubles.from_address(first))
+    return np.lib.stride_tricks.as_strided(block, (count, 7), (stride, 8), writeable=False)
 
 
 # Columns of the results, in the order of the factors of p x n.

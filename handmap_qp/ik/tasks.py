@@ -71,7 +71,7 @@ class AttachedPoints:
         self._joints = np.array([joint for joint, _ in places], dtype=int)
         offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
         self._offsets = homogeneous(offsets)
-        self._moved = np.array([moved_by(hand.model, joint) for joint in self._joints.tolist()])
+        self._moved = moved_by(hand.model, self._joints.tolist())
         self._moved = self._moved.reshape(-1, 1, hand.model.nv)
         self._rows = np.tile(np.eye(3, 6), (len(self._joints), 1, 1))
 

@@ -148,7 +148,7 @@ def test_moved_by_marks_the_columns_that_change_a_placement() -> None:
     for joint in (3, robot.model.njoints - 1):
         pin.forwardKinematics(robot.model, data, q)
         before = data.oMi[joint].homogeneous
-        for column, moves in enumerate(moved_by(robot.model, joint)):
+        for column, moves in enumerate(moved_by(robot.model, [joint])[0]):
             step = np.zeros(robot.model.nv)
             step[column] = 1e-3
             pin.forwardKinematics(robot.model, data, pin.integrate(robot.model, q, step))
