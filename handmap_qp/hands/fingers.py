@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,15 +26,26 @@ _PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismat
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FingerChain:
-    """Where a finger's points are on a robot's model.
+class FingerEnd:
+    """Where a fingertip is on a hand's model.
+
+    Attributes:
+        joints: Joints of the model that move this finger's tip and not the palm, outwards.
+        tip: Joint of the model that carries the fingertip, and its offset there [m], shape (3,).
+    """
+
+    joints: tuple[int, ...]
+    tip: tuple[int, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerChain(FingerEnd):
+    """Where all of a finger's points are on a hand's model.
 
     Attributes:
         name: Anatomical name.
-        joints: Joints of the model that move this finger's tip and not the palm, outwards.
         knuckle: Joint of the model that carries the knuckle, and its offset there [m], shape (3,).
         middle: The same of the middle joint.
-        tip: The same of the fingertip.
         reach: Largest distance from knuckle to tip within the joint limits [m].
         stretched: Joint angles in the order of `Hand.joint_names` where it has that reach [rad],
             shape (n,).
@@ -42,13 +53,25 @@ class FingerChain:
     """
 
     name: str
-    joints: tuple[int, ...]
     knuckle: tuple[int, np.ndarray]
     middle: tuple[int, np.ndarray]
-    tip: tuple[int, np.ndarray]
     reach: float
     stretched: np.ndarray
     is_jaw: bool = False
+
+
+def find_finger_ends(hand: Hand) -> dict[str, FingerEnd]:
+    """Find the fingertip of every finger, and the joints that move it.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Fingers by name, as of `find_fingers`.
+    """
+    named = _points_by_finger(hand)
+    places = {f: _place(hand, _tip(hand, f, named[f])) for f in FINGERS if f in named}
+    return {finger: FingerEnd(_moving_joints(hand, tip), tip) for finger, tip in places.items()}
 
 
 def find_fingers(hand: Hand) -> dict[str, FingerChain]:
@@ -69,12 +92,10 @@ def find_fingers(hand: Hand) -> dict[str, FingerChain]:
         left out.
     """
     named = _points_by_finger(hand)
-    tips = {finger: _tip(hand, finger, points) for finger, points in named.items()}
-    carriers = {finger: _place(hand, tip)[0] for finger, tip in tips.items()}
+    ends = find_finger_ends(hand)
+    carriers = {finger: end.tip[0] for finger, end in ends.items()}
     return {
-        finger: _chain(hand, finger, named[finger], tips[finger], carriers)
-        for finger in FINGERS
-        if finger in named
+        finger: _chain(hand, finger, named[finger], end, carriers) for finger, end in ends.items()
     }
 
 
@@ -131,37 +152,39 @@ def _place(hand: Hand, point: PointSpec) -> tuple[int, np.ndarray]:
     return frame.parentJoint, frame.placement.act(np.array(point.xyz))
 
 
-def _chain(
-    hand: Hand, finger: str, points: list[PointSpec], tip: PointSpec, carriers: dict[str, int]
-) -> FingerChain:
+def _moving_joints(hand: Hand, tip: tuple[int, np.ndarray]) -> tuple[int, ...]:
+    """Return the joints that move a fingertip and not the palm, outwards."""
     supports = hand.model.supports
-    palm = hand.model.frames[hand.palm_frame_id].parentJoint
-    tip_place = _place(hand, tip)
-    joints = [j for j in supports[tip_place[0]] if j not in set(supports[palm])]
+    in_palm = set(supports[hand.model.frames[hand.palm_frame_id].parentJoint])
+    return tuple(joint for joint in supports[tip[0]] if joint not in in_palm)
+
+
+def _chain(
+    hand: Hand, finger: str, points: list[PointSpec], end: FingerEnd, carriers: dict[str, int]
+) -> FingerChain:
+    supports, joints, tip = hand.model.supports, end.joints, end.tip
     own = [
         j
         for j in joints
         if not any(j in supports[other] for name, other in carriers.items() if name != finger)
-    ] or joints
+    ] or list(joints)
     if not own:
-        return FingerChain(
-            finger, (), tip_place, tip_place, tip_place, float("nan"), hand.rest.copy()
-        )
+        return FingerChain((), tip, finger, tip, tip, float("nan"), hand.rest.copy())
     first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
     bending = _bending_joints(hand, own)
     knuckle = _named(hand, finger, first, points)
     middle = _named(hand, finger, last, points)
     if knuckle is None:
         on_first = (own[0] if finger == THUMB else bending[0], np.zeros(3))
-        knuckle = on_first if finger == THUMB else _nearest_on_axis(hand, on_first[0], tip_place)
-    reach, stretched = _reach(hand, joints, knuckle, tip_place)
+        knuckle = on_first if finger == THUMB else _nearest_on_axis(hand, on_first[0], tip)
+    reach, stretched = _reach(hand, joints, knuckle, tip)
     if middle is None and finger == THUMB:
         middle = (own[-1], np.zeros(3))
     elif middle is None:
         joint = _middle_joint(hand, own, bending, knuckle, reach, stretched)
-        middle = _nearest_on_axis(hand, joint, tip_place)
+        middle = _nearest_on_axis(hand, joint, tip)
     is_jaw = all(hand.model.joints[j].shortname().startswith(_PRISMATIC) for j in joints)
-    return FingerChain(finger, tuple(joints), knuckle, middle, tip_place, reach, stretched, is_jaw)
+    return FingerChain(joints, tip, finger, knuckle, middle, reach, stretched, is_jaw)
 
 
 def _nearest_on_axis(hand: Hand, joint: int, tip: tuple[int, np.ndarray]) -> tuple[int, np.ndarray]:
@@ -218,7 +241,10 @@ def _middle_joint(
 
 
 def _reach(
-    hand: Hand, joints: list[int], knuckle: tuple[int, np.ndarray], tip: tuple[int, np.ndarray]
+    hand: Hand,
+    joints: Sequence[int],
+    knuckle: tuple[int, np.ndarray],
+    tip: tuple[int, np.ndarray],
 ) -> tuple[float, np.ndarray]:
     """Largest distance from knuckle to tip within the limits, and where: random search, refined."""
     data, model = hand.model.createData(), hand.model
@@ -254,7 +280,7 @@ def _reach(
     return best, best_q
 
 
-def moving_columns(hand: Hand, joints: list[int]) -> np.ndarray:
+def moving_columns(hand: Hand, joints: Sequence[int]) -> np.ndarray:
     """Columns of q that move any of these joints of the model, followers included."""
     base, columns = np.clip(0.0, hand.lower_limits, hand.upper_limits), []
     indices = [hand.model.joints[j].idx_q for j in joints]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import coal
@@ -9,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import FingerChain
+from handmap_qp.hands.fingers import FingerEnd
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import distal_shapes
 
@@ -38,7 +39,7 @@ class Pad(NamedTuple):
     radius: float
 
 
-def find_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]:
+def find_pads(hand: Hand, chains: Mapping[str, FingerEnd]) -> dict[str, Pad]:
     """Find the pad of every finger from the collision shapes of its last joint.
 
     The depth of a point under a convex surface is the smallest of `support(n) - n p` over
@@ -58,7 +59,7 @@ def find_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]:
     return {finger: _pad(chain, geometry) for finger, chain in chains.items()}
 
 
-def _pad(chain: FingerChain, geometry: pin.GeometryModel) -> Pad:
+def _pad(chain: FingerEnd, geometry: pin.GeometryModel) -> Pad:
     joint, tip = chain.tip
     shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
     supports = [_supports(shape) for shape in shapes if shape.parentJoint == joint]

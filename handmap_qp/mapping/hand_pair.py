@@ -6,6 +6,8 @@ All of it is measured on the two models, once for each pair of hands.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
@@ -14,9 +16,16 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.fingers import (
+    THUMB,
+    FingerChain,
+    FingerEnd,
+    find_finger_ends,
+    find_fingers,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
@@ -31,6 +40,7 @@ MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
 """Landmark of the joint in the middle of each finger."""
 TIPS = {f: f"{f}_tip" for f in FINGERS}
 """Landmark of each fingertip."""
+_THUMB, _FINGER = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
 
 # Weight of a jaw's position errors. The gap to the thumb is all that a jaw can show.
 _JAW_WEIGHT = 1e-4
@@ -56,7 +66,7 @@ _STILL = IkOptions(
     step_tolerance=1e-4,
     has_velocity_limits=False,
 )
-_PINCHING = IkOptions(
+_OPENING = IkOptions(
     point_weight=0.0,
     wrist_position_weight=1e3,
     wrist_orientation_weight=1e3,
@@ -66,6 +76,12 @@ _PINCHING = IkOptions(
     step_tolerance=1e-4,
     has_velocity_limits=False,
 )
+# One iteration at a time, until the pads touch: further ones slide them along each other towards
+# the rest posture, far away from where people pinch.
+_PINCHING = replace(
+    _OPENING, wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
+)
+_PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
 
 
 class HandPair:
@@ -106,14 +122,9 @@ class HandPair:
         self.human, self._given_robot = human, robot
         names = {point.name: k for k, point in enumerate(human.reference_points)}
         self.chains, self.pads = _fingers_and_pads(robot)
-        self.fingers = tuple(
-            finger for finger in FINGERS if finger in self.chains and self.chains[finger].joints
-        )
+        self.fingers = _common_fingers(robot)
         self._check(names)
-        used = self._used_chains()
-        self.has_jaws = len(used) > 1 and THUMB in used and all(c.is_jaw for c in used.values())
-        weight = _JAW_WEIGHT if self.has_jaws else 1.0
-        self.robot = robot.with_points(tuple(_finger_points(robot, used, weight)))
+        self.has_jaws, self.robot = _with_finger_points(robot)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
         self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
@@ -122,7 +133,7 @@ class HandPair:
             [names[name] for f in FINGERS for name in (TIPS[f], MIDDLES[f]) if name in names]
         )
         self.human_rest = frozen(_points_in_palm(human, resting_posture(human)))
-        self.human_reach = np.array([bone_length(human, finger) for finger in self.fingers])
+        self.human_reach = bone_lengths(human, self.fingers)
         self.robot_reach = np.array([self.chains[finger].reach for finger in self.fingers])
         self.reach_ratios = self.robot_reach / self.human_reach
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
@@ -217,7 +228,7 @@ class HandPair:
             pads[0].radius + pads[k].radius + gap for (_, k), gap in zip(between, gaps, strict=True)
         ]
         places = AttachedPoints(robot, [(pad.joint, pad.offset) for pad in pads])
-        ik = PointIk(robot, _PINCHING)
+        ik = PointIk(robot, _OPENING)
         ik.place(robot.configuration_vector(robot.rest))
         task = PointDistances(places, between, wanted, [3.0] * len(between))
         ik.solve(
@@ -234,11 +245,9 @@ class HandPair:
         middle = knuckles[others].mean(axis=0)
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
-        pinching = _pinching_thumb(self.robot, self.chains, self.pads)
-        human_chains = find_fingers(self.human)
-        human_pinching = _pinching_thumb(
-            self.human, human_chains, find_pads(self.human, human_chains)
-        )
+        pinching = _pinching_robot(self._given_robot)
+        ends = find_finger_ends(self.human)
+        human_pinching = _pinching_thumb(self.human, ends, _human_pads(self.human, ends))
         return (
             _THUMB_FROM_PINCH * (pinching + gain * (tip - human_pinching))
             + (1.0 - _THUMB_FROM_PINCH) * above
@@ -250,6 +259,27 @@ class HandPair:
 def _fingers_and_pads(robot: Hand) -> tuple[dict[str, FingerChain], dict[str, Pad]]:
     chains = find_fingers(robot)
     return chains, find_pads(robot, chains)
+
+
+def _common_fingers(robot: Hand) -> tuple[str, ...]:
+    chains = _fingers_and_pads(robot)[0]
+    return tuple(finger for finger in FINGERS if finger in chains and chains[finger].joints)
+
+
+@lru_cache(maxsize=32)
+def _with_finger_points(robot: Hand) -> tuple[bool, Hand]:
+    """Return whether a robot has jaws, and the robot with its fingers' points."""
+    chains = _fingers_and_pads(robot)[0]
+    used = {finger: chains[finger] for finger in _common_fingers(robot)}
+    has_jaws = len(used) > 1 and THUMB in used and all(c.is_jaw for c in used.values())
+    weight = _JAW_WEIGHT if has_jaws else 1.0
+    return has_jaws, robot.with_points(tuple(_finger_points(robot, used, weight)))
+
+
+@lru_cache(maxsize=32)
+def _pinching_robot(robot: Hand) -> np.ndarray:
+    placed = _with_finger_points(robot)[1]
+    return frozen(_pinching_thumb(placed, *_fingers_and_pads(robot)))
 
 
 @lru_cache(maxsize=32)
@@ -329,16 +359,47 @@ def resting_posture(human: Hand) -> np.ndarray:
     return q
 
 
-def bone_length(human: Hand, finger: str) -> float:
-    """Return the sum of a human finger's bones, which is its reach [m]."""
+def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
+    """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
+    different = list(dict.fromkeys(fingers))
     named = {point.name: point for point in human.spec.points}
-    last = ("cmc", "mcp", "ip", "tip") if finger == THUMB else ("mcp", "pip", "dip", "tip")
-    joints = human.with_points(tuple(named[f"{finger}_{joint}"] for joint in last))
-    points = joints.points(human.rest)
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    names = [f"{f}_{joint}" for f in different for joint in (_THUMB if f == THUMB else _FINGER)]
+    joints = human.with_points(tuple(named[name] for name in names)).points(human.rest)
+    bones = np.linalg.norm(np.diff(joints.reshape(-1, 4, 3), axis=1), axis=2).sum(axis=1)
+    return bones[[different.index(finger) for finger in fingers]]
 
 
-def _pinching_thumb(hand: Hand, chains: dict[str, FingerChain], pads: dict[str, Pad]) -> np.ndarray:
+def _human_pads(human: Hand, ends: Mapping[str, FingerEnd]) -> dict[str, Pad]:
+    """Return the pads of a person's fingers.
+
+    All thicknesses of the package's hands scale with the length of the hand, so its shapes need not
+    be read for every person.
+    """
+    if human.name not in HUMAN_HANDS:
+        return find_pads(human, ends)
+    length, radii = _standard_pads(human.name)
+    size = _hand_length(human) / length
+    return {finger: Pad(*end.tip, size * radii[finger]) for finger, end in ends.items()}
+
+
+@lru_cache(maxsize=2)
+def _standard_pads(name: str) -> tuple[float, dict[str, float]]:
+    """Return the length of a human hand of the package [m], and the radii of its pads [m]."""
+    human = load_hand(name)
+    pads = find_pads(human, find_finger_ends(human))
+    return _hand_length(human), {finger: pad.radius for finger, pad in pads.items()}
+
+
+def _hand_length(human: Hand) -> float:
+    """Return the distance from wrist to middle fingertip along the bones [m]."""
+    named = {point.name: point for point in human.spec.points}
+    wrist, knuckle = human.with_points((named["wrist"], named["middle_mcp"])).points(human.rest)
+    return float(np.linalg.norm(knuckle - wrist) + bone_lengths(human, ["middle"])[0])
+
+
+def _pinching_thumb(
+    hand: Hand, chains: Mapping[str, FingerEnd], pads: Mapping[str, Pad]
+) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     others = [finger for finger in chains if finger != THUMB]
     ik, tips = PointIk(hand, _PINCHING), []
@@ -350,9 +411,13 @@ def _pinching_thumb(hand: Hand, chains: dict[str, FingerChain], pads: dict[str, 
         )
         touching = pads[THUMB].radius + pads[finger].radius
         ik.place(start)
-        wrist = ik.configuration.wrist.homogeneous
+        wrist, points = ik.configuration.wrist.homogeneous, ik.configuration.points.copy()
         task = PointDistances(ends, [(0, 1)], [touching], [3.0])
-        ik.solve(ik.configuration.points.copy(), wrist, 1e3, tasks=[task])
+        for _ in range(_PINCH_STEPS):
+            ik.solve(points, wrist, 1e3, tasks=[task])
+            thumb, other = ends.positions(ik.configuration)
+            if abs(np.linalg.norm(other - thumb) - touching) < _TOUCHING:
+                break
         palm = ik.configuration.wrist.homogeneous @ hand.wrist_to_palm
         tips.append(transform_points(inverse_pose(palm), place.positions(ik.configuration))[0])
     return np.mean(tips, axis=0)

@@ -26,7 +26,7 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.mapping.hand_pair import KNUCKLES, bone_length, points_in_palm_at
+from handmap_qp.mapping.hand_pair import KNUCKLES, bone_lengths, points_in_palm_at
 from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.mapping.reference import require_partners
@@ -131,7 +131,7 @@ class BoundFingertipVectors:
         self.human_origins = np.array([names[KNUCKLES[finger]] for finger in leading])
         self.robot_origins = points_in_palm_at(robot, [chains[finger].knuckle for finger in led])
         reaches = np.array([chains[finger].reach for finger in led])
-        lengths = np.array([bone_length(human, finger) for finger in leading])
+        lengths = bone_lengths(human, leading)
         self.scales = np.full(len(led), scale) if scale is not None else reaches / lengths
 
     def _size(self, hand: Hand, points: np.ndarray) -> float:
