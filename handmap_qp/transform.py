@@ -238,6 +238,20 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     return rotation
 
 
+def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
+    """Return the proper rotation nearest to each of many matrices; not checked.
+
+    Args:
+        matrices: Shape (T, 3, 3), finite.
+
+    Returns:
+        Rotations as of `nearest_rotation`, shape (T, 3, 3).
+    """
+    left, _, right = np.linalg.svd(matrices)
+    left[np.linalg.det(left @ right) < 0.0, :, 2] *= -1.0
+    return left @ right
+
+
 def rigid_fit(
     points: npt.ArrayLike, onto: npt.ArrayLike, weights: npt.ArrayLike | None = None
 ) -> np.ndarray:
@@ -286,10 +300,7 @@ def rigid_fits(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     centres, centre_onto = points.mean(axis=1), onto.mean(axis=0)
     covariances = (onto - centre_onto).T @ (points - centres[:, None])
-    left, _, right = np.linalg.svd(covariances)
-    # Proper rotations, as `nearest_rotation` has them.
-    left[np.linalg.det(left @ right) < 0.0, :, 2] *= -1.0
-    rotations = left @ right
+    rotations = nearest_rotations(covariances)
     return rotations, centre_onto - (rotations @ centres[:, :, None])[:, :, 0]
 
 

@@ -269,7 +269,9 @@ class HandMapper:
         )
         return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
 
-    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
+    def map_sample(
+        self, sample: HumanSample, *, dt: float | None = None, verdict: Verdict | None = None
+    ) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
         The guard judges the sample by named rules (`trackers.guard.RULES`). The robot holds its
@@ -278,6 +280,8 @@ class HandMapper:
         Args:
             sample: The sample. Its time stamps say how much time has passed.
             dt: Time that the step may account for [s]; that of the time stamps if omitted.
+            verdict: What a guard has said about the sample (`trackers.recorded_motion`), as about
+                all others of its stream; the mapper's own guard judges it if omitted.
 
         Returns:
             Every stage of the step; of a held one, targets and points are the robot's own.
@@ -290,9 +294,11 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
-        reader, guard = self._landmarks, self._guard
-        before = guard.state
-        verdict = guard.check(sample)
+        reader, guard, before = self._landmarks, None, None
+        if verdict is None:
+            guard = self._guard
+            before = guard.state
+            verdict = guard.check(sample)
         if verdict.is_held:
             return self._held(verdict, sample.confidence, started)
         try:
@@ -302,7 +308,8 @@ class HandMapper:
             granted = max(verdict.dt, _SHORTEST_DT) if dt is None else dt
             step = self._map(pose, granted, (), started)
         except HandmapError:
-            guard.state = before
+            if guard is not None and before is not None:
+                guard.state = before
             raise
         self._rejoin = rejoin
         return msgspec.structs.replace(

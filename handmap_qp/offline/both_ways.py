@@ -20,6 +20,7 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.offline.trajectory import Trajectory, map_recording
+from handmap_qp.trackers.guard import Verdict
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample
 
@@ -86,9 +87,11 @@ class _MarginMapper(HandMapper):
         super().__init__(human, robot, method, ik=ik)
         self.margins: list[np.ndarray | None] = []
 
-    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
+    def map_sample(
+        self, sample: HumanSample, *, dt: float | None = None, verdict: Verdict | None = None
+    ) -> MapStep:
         """Map one sample; see `HandMapper.map_sample`."""
-        step = super().map_sample(sample, dt=dt)
+        step = super().map_sample(sample, dt=dt, verdict=verdict)
         before = self.margins[-1] if self.margins else None
         self.margins.append(before if step.is_held else step.asked.margins)
         return step

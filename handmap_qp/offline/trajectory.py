@@ -19,6 +19,7 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.guard import RULES, Verdict
+from handmap_qp.trackers.recorded_motion import judge_recording
 from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
@@ -157,7 +158,13 @@ def map_recording(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
+    samples = recording_samples(recording, wrist_poses)
+    verdicts = judge_recording(mapper.human, recording, samples)
+
+    def map_sample(i: int) -> MapStep:
+        return mapper.map_sample(samples[i], verdict=verdicts[i])
+
+    return _map_samples(mapper, recording.time, map_sample, progress)
 
 
 def follow_recording(

@@ -11,16 +11,26 @@ from __future__ import annotations
 import math
 from typing import Literal, NamedTuple
 
-import numpy as np
-
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.clock import SampleClock, Tick
-from handmap_qp.trackers.landmarks import PALM, PalmShape
+from handmap_qp.trackers.landmarks import PalmShape
+from handmap_qp.trackers.motion import (
+    FINGER_LIMITS,
+    PALM_LIMITS,
+    TURN_LIMITS,
+    Change,
+    Sight,
+    Track,
+    change_between,
+    first_track,
+    fixed_lengths,
+    is_same_hand,
+    is_zero,
+)
 from handmap_qp.trackers.plausibility import Finding, InputCheck
 from handmap_qp.trackers.sample import HumanSample
-from handmap_qp.transform import determinant, nearest_rotation, svd3
 
 Rule = Literal[
     "",
@@ -75,45 +85,11 @@ _LONG_SETTLING = 0.5
 """The same after a flip or an outlier, which can last [s]."""
 _BRIEF = 0.1
 """Holds up to this end at once when the hand is where it can have moved to meanwhile [s]."""
-_FLIP = math.radians(60.0)
-"""A turn by more than this between two samples is a flip."""
-_ZERO_SIZE = 0.001
-"""A hand whose palm has a smaller RMS radius is no hand but a point [m]."""
-_MIRROR = 1e-4
-"""Smallest part of the squared landmark spread that must speak for a mirror image [m^2]."""
-
-_STARTS = np.array([0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19, 5, 9, 13])
-_ENDS = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 9, 13, 17])
-"""Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
-
-
-class Limits(NamedTuple):
-    """Bounds of one measure of motion.
-
-    Attributes:
-        acceleration: Change of speed between two samples that is always believed [m/s^2, rad/s^2].
-        speed: Speed that is never believed [m/s, rad/s].
-        usual: First guess of the tracker's usual change of speed.
-    """
-
-    acceleration: float
-    speed: float
-    usual: float
-
-
-PALM_LIMITS = Limits(60.0, 6.0, 8.0)
-"""Translation of the palm. Recordings of free motion reach 1.5 m/s."""
-TURN_LIMITS = Limits(600.0, 40.0, 80.0)
-"""Rotation of the palm. Recordings reach 22 rad/s."""
-FINGER_LIMITS = Limits(150.0, 6.0, 12.0)
-"""Landmarks in palm axes. Recordings reach 3.8 m/s."""
 _BONE_STEP, _BONE_USUAL = 0.008, 0.0015
 """Change of a length that is always believed, and the first guess of the usual one [m]."""
 _EXCESS = 12.0
 """A change of speed is a jump if it is this many times the tracker's usual one."""
 _BONE_EXCESS = 15.0
-_ALONE = 3.0
-"""A landmark that leaves its place alone is this many times as fast as the next one."""
 _RATE = 0.05
 """Share by which an estimate of a usual change moves with each sample.
 
@@ -144,30 +120,6 @@ class Verdict(NamedTuple):
     finding: Finding | None = None
 
 
-class _Track(NamedTuple):
-    """A sample and the motion that led to it; velocities are zero for a first sample.
-
-    Attributes:
-        time: Its instant, in the time of the clock [s].
-        points: Landmarks from the palm's centre [m], shape (21, 3).
-        centre: Centre of the palm [m], shape (3,).
-        velocity: Of the centre [m/s], shape (3,).
-        turning: Angular velocity of the palm [rad/s], shape (3,).
-        bending: Velocities of the landmarks in palm axes [m/s], shape (21, 3).
-        dt: Time between this sample and the one before [s]; 0 for a first one.
-        lengths: The distances that cannot change [m], shape (23,).
-    """
-
-    time: float
-    points: np.ndarray
-    centre: np.ndarray
-    velocity: np.ndarray
-    turning: np.ndarray
-    bending: np.ndarray
-    dt: float
-    lengths: np.ndarray
-
-
 class _Usual(NamedTuple):
     """Running medians of the changes between samples: of palm, turn, fingers and lengths."""
 
@@ -175,30 +127,6 @@ class _Usual(NamedTuple):
     turn: float = TURN_LIMITS.usual
     fingers: float = FINGER_LIMITS.usual
     lengths: float = _BONE_USUAL
-
-
-class _Change(NamedTuple):
-    """Motion from a track to a sample.
-
-    Attributes:
-        track: The sample with the motion that led to it.
-        palm: Change of the palm's velocity [m/s^2].
-        turn: Change of its angular velocity [rad/s^2].
-        fingers: Largest change of a landmark's velocity in palm axes [m/s^2].
-        lengths: Largest change of a distance that cannot change [m].
-        is_turned: The hand turned by more than 60 degrees, or became its mirror image.
-        is_alone: One landmark changed its velocity far more than all others.
-        is_too_fast: A speed is above what hands reach.
-    """
-
-    track: _Track
-    palm: float
-    turn: float
-    fingers: float
-    lengths: float
-    is_turned: bool
-    is_alone: bool
-    is_too_fast: bool
 
 
 class GuardState(NamedTuple):
@@ -218,8 +146,8 @@ class GuardState(NamedTuple):
 
     clock: SampleClock = SampleClock()
     now: float = 0.0
-    good: _Track | None = None
-    last: _Track | None = None
+    good: Track | None = None
+    last: Track | None = None
     usual: _Usual = _Usual()
     cause: Rule = ""
     held_since: float = 0.0
@@ -246,13 +174,15 @@ class StreamGuard:
         self._input = InputCheck(self._side)
         self._palm = PalmShape(human)
         points = human.with_points("landmarks").points(human.rest)
-        self._lengths = _lengths(points)
+        self._lengths = fixed_lengths(points)
 
-    def check(self, sample: HumanSample) -> Verdict:
+    def check(self, sample: HumanSample, sight: Sight | None = None) -> Verdict:
         """Judge the next sample of the stream.
 
         Args:
             sample: The sample.
+            sight: What it shows, where that has been measured for a whole recording
+                (`trackers.recorded_motion`).
 
         Returns:
             Whether the robot may follow it, and what is wrong with it.
@@ -274,54 +204,58 @@ class StreamGuard:
         if tick.rule in ("duplicate", "disorder"):
             self.state = state
             return Verdict(tick.rule, True, False, tick.dt, math.nan)
-        unusable = self._unusable(sample)
+        sight, unusable = self._seen(sample, sight, now)
         if unusable in ("", "size"):
             finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
             if finding is not None:
                 self.state = _holding(state, finding.kind)
                 return Verdict(finding.kind, True, False, tick.dt, math.nan, finding)
-        if unusable:
+        if sight is None or unusable:
             self.state = _holding(state, unusable)
             return Verdict(unusable, True, False, tick.dt, math.nan)
         was_late = self.state.clock.late_count > 0
-        verdict, self.state = self._follow(sample.landmarks, state, tick, was_late)
+        verdict, self.state = self._follow(sight, state, tick, was_late)
         if self.state.cause and not state.cause:
             self._input.alert()
         return verdict
 
-    def _unusable(self, sample: HumanSample) -> Rule:
-        """Return what makes a sample unusable by itself."""
+    def _seen(
+        self, sample: HumanSample, sight: Sight | None, now: float
+    ) -> tuple[Sight | None, Rule]:
+        """Return what a sample shows, and what makes it unusable by itself."""
         if not sample.valid or sample.confidence == 0.0:
-            return "missing"
-        landmarks = sample.landmarks
-        size = self._palm.size_of(landmarks)
-        # One landmark may be the origin of the tracker's world.
-        if size < _ZERO_SIZE or np.count_nonzero(landmarks.any(axis=1)) < len(landmarks) - 1:
-            return "zero"
-        return "" if self._palm.fits_size(size) else "size"
+            return None, "missing"
+        if sight is None:
+            landmarks, size = sample.landmarks, self._palm.size_of(sample.landmarks)
+            sight = Sight(size, is_zero(size, landmarks), first_track(now, landmarks))
+        if sight.is_zero:
+            return sight, "zero"
+        return sight, "" if self._palm.fits_size(sight.size) else "size"
 
     def _follow(
-        self, landmarks: np.ndarray, state: GuardState, tick: Tick, was_late: bool
+        self, sight: Sight, state: GuardState, tick: Tick, was_late: bool
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
-        centre = landmarks[PALM].mean(axis=0)
-        points, lengths = landmarks - centre, _lengths(landmarks)
+        fresh, lengths = sight.fresh, sight.fresh.lengths
         off = lengths - self._lengths
         consistency = math.sqrt(off.dot(off) / len(off))
-        fresh = _first(state.now, points, centre, lengths)
         last = state.last
         if last is None:
             is_return = state.cause != ""
             state = state._replace(good=fresh, last=fresh, cause="", same_since=state.now)
             return Verdict("", False, is_return, tick.dt, consistency), state
-        is_same = bool((last.points == points).all() and (last.centre == centre).all())
+        is_known = last is sight.before and sight.change is not None
+        is_same = sight.is_same if is_known else is_same_hand(last, fresh)
         state = state if is_same else state._replace(same_since=state.now)
         if is_same and state.now - state.same_since >= FROZEN_AFTER:
             return Verdict("frozen", True, False, tick.dt, consistency), _holding(state, "frozen")
-        change = _change(last, fresh, max(state.now - last.time, state.clock.shortest))
+        change = sight.change if is_known else None
+        if change is None:
+            change = change_between(last, fresh, max(state.now - last.time, state.clock.shortest))
         rule = _named(change, state.usual)
-        if tick.rule == "gap" and _named(_change(last, fresh, state.clock.period), state.usual):
-            rule = "gap"
+        if tick.rule == "gap":
+            jump = change_between(last, fresh, state.clock.period)
+            rule = "gap" if _named(jump, state.usual) else rule
         state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
         if rule:
             state = _holding(state._replace(last=fresh), rule)
@@ -334,14 +268,14 @@ class StreamGuard:
             return Verdict(_info(tick), False, True, tick.dt, consistency), state
         return Verdict(rule or "settling", True, False, tick.dt, consistency), state
 
-    def _has_returned(self, fresh: _Track, rule: Rule, state: GuardState) -> bool:
+    def _has_returned(self, fresh: Track, rule: Rule, state: GuardState) -> bool:
         """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
         good, now = state.good, state.now
         if good is None:
             return not rule
         since_good = max(now - good.time, state.clock.shortest)
         if since_good <= _BRIEF:
-            near = _change(good, fresh, since_good)
+            near = change_between(good, fresh, since_good)
             return not _named(near, state.usual)
         if rule:
             return False
@@ -361,68 +295,17 @@ def _info(tick: Tick) -> Rule:
     return tick.rule if tick.rule in ("clock_jump", "gap") else ""
 
 
-def _first(now: float, points: np.ndarray, centre: np.ndarray, lengths: np.ndarray) -> _Track:
-    return _Track(now, points, centre, _STILL, _STILL, _UNBENT, 0.0, lengths)
-
-
-def _change(track: _Track, sample: _Track, dt: float) -> _Change:
-    """Measure the motion from a track to a sample, dt [s] later."""
-    # Kabsch: the rotation that takes the palm before to the palm now.
-    rotation = nearest_rotation(sample.points[PALM].T.dot(track.points[PALM]))
-    angle, turn = _angle(rotation)
-    velocity = (sample.centre - track.centre) / dt
-    turning = turn / dt
-    bending = (sample.points.dot(rotation) - track.points) / dt
-    if track.dt > 0.0:
-        span = 0.5 * (dt + track.dt)
-        palm = _length(velocity - track.velocity) / span
-        turned = _length(turning - track.turning) / span
-        slips = bending - track.bending
-    else:
-        # No motion is known before: speeds decide.
-        palm = turned = 0.0
-        span, slips = dt, np.zeros_like(bending)
-    by_landmark = np.einsum("ij,ij->i", slips, slips)
-    order = np.partition(by_landmark, -2)
-    fingers, next_most = math.sqrt(order[-1]) / span, math.sqrt(order[-2]) / span
-    fastest = math.sqrt(np.einsum("ij,ij->i", bending, bending).max())
-    is_too_fast = (
-        _length(velocity) > PALM_LIMITS.speed
-        or angle / dt > TURN_LIMITS.speed
-        or fastest > FINGER_LIMITS.speed
-    )
-    moved = sample._replace(
-        velocity=velocity, turning=turning, bending=bending.dot(rotation.T), dt=dt
-    )
-    return _Change(
-        moved,
-        palm,
-        turned,
-        fingers,
-        float(np.abs(sample.lengths - track.lengths).max()),
-        is_turned=angle > _FLIP or _is_mirrored(track.points, sample.points),
-        is_alone=fingers > _ALONE * next_most,
-        is_too_fast=is_too_fast,
-    )
-
-
-def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
-    """Tell whether a reflection lays one hand better on the other than any rotation does."""
-    covariance = points.T.dot(before)
-    return determinant(covariance) < 0.0 and bool(svd3(covariance)[1][2] > _MIRROR)
-
-
-def _is_other(before: _Track, sample: _Track, usual: _Usual) -> bool:
+def _is_other(before: Track, sample: Track, usual: _Usual) -> bool:
     """Tell whether a sample shows the hand turned, mirrored or of other lengths than before."""
-    change = _change(before, sample, 1.0)
+    change = change_between(before, sample, 1.0)
     return change.is_turned or _is_stretched(change, usual)
 
 
-def _is_stretched(change: _Change, usual: _Usual) -> bool:
+def _is_stretched(change: Change, usual: _Usual) -> bool:
     return change.lengths > max(_BONE_STEP, _BONE_EXCESS * usual.lengths)
 
 
-def _named(change: _Change, usual: _Usual) -> Rule:
+def _named(change: Change, usual: _Usual) -> Rule:
     """Name a change that no hand makes; empty if hands do."""
     if change.is_turned:
         return "flip"
@@ -438,7 +321,7 @@ def _named(change: _Change, usual: _Usual) -> Rule:
     return "outlier" if change.is_alone else "jump"
 
 
-def _learnt(usual: _Usual, change: _Change, before: _Track) -> _Usual:
+def _learnt(usual: _Usual, change: Change, before: Track) -> _Usual:
     """Move the running medians by a fixed share: a single fault hardly counts."""
     lengths = _median(usual.lengths, change.lengths, _BONE_STEP / _BONE_EXCESS)
     if before.dt <= 0.0:
@@ -453,25 +336,3 @@ def _learnt(usual: _Usual, change: _Change, before: _Track) -> _Usual:
 
 def _median(estimate: float, value: float, least: float) -> float:
     return max(least, estimate * (1.0 + _RATE if value > estimate else 1.0 - _RATE))
-
-
-def _lengths(points: np.ndarray) -> np.ndarray:
-    spans = points[_ENDS] - points[_STARTS]
-    return np.sqrt(np.einsum("ij,ij->i", spans, spans))
-
-
-def _angle(rotation: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the angle of a rotation, and its rotation vector; only the angle near 180 degrees."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    angle = math.acos(min(1.0, max(-1.0, 0.5 * (a + e + i - 1.0))))
-    sine = math.sin(angle)
-    scale = 0.5 * (angle / sine if sine > 1e-6 else 1.0)
-    return angle, scale * np.array([h - f, c - g, d - b])
-
-
-def _length(vector: np.ndarray) -> float:
-    return math.sqrt(vector.dot(vector))
-
-
-_STILL = np.zeros(3)
-_UNBENT = np.zeros((21, 3))

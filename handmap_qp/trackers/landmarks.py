@@ -52,7 +52,7 @@ class PalmShape:
     def __init__(self, human: Hand) -> None:
         posture = np.clip(0.0, human.lower_limits, human.upper_limits)
         self.points = human.with_points("landmarks").points(posture)[PALM]
-        self._size = float(_palm_sizes(self.points))
+        self._size = float(palm_sizes(self.points))
 
     def size_of(self, landmarks: np.ndarray) -> float:
         """Return the RMS distance of the palm's landmarks from their centre [m].
@@ -86,7 +86,7 @@ class PalmShape:
         if array.shape[-2:] != (LANDMARK_COUNT, 3):
             expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
             raise InvalidInputError(argument="landmarks", expected=expected, got=got)
-        sizes = _palm_sizes(array[..., PALM, :])
+        sizes = palm_sizes(array[..., PALM, :])
         return (sizes >= _PALM_RATIOS[0] * self._size) & (sizes <= _PALM_RATIOS[1] * self._size)
 
     def check(self, landmarks: np.ndarray) -> None:
@@ -99,7 +99,7 @@ class PalmShape:
             InvalidInputError: If the palm is less than half or more than twice as large.
         """
         if not self.fits(landmarks):
-            ratio = float(_palm_sizes(landmarks[PALM])) / self._size
+            ratio = float(palm_sizes(landmarks[PALM])) / self._size
             raise InvalidInputError(
                 argument="landmarks",
                 expected="metres and a palm as large as the hand's",
@@ -228,7 +228,7 @@ def _standard_palm() -> np.ndarray:
     return frozen(right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM])
 
 
-def _palm_sizes(palms: np.ndarray) -> np.ndarray:
+def palm_sizes(palms: np.ndarray) -> np.ndarray:
     """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
