@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
 from collections.abc import Iterator
@@ -40,11 +41,26 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
     return path
 
 
+_PART = ".part"
+"""Suffix of a file that is being written; its name begins with a dot."""
+
+
+def remove_torn(path: Path) -> None:
+    """Remove what `replaced_file` leaves behind if its process is killed.
+
+    Args:
+        path: The file that was to be written.
+    """
+    for torn in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
+        torn.unlink(missing_ok=True)
+
+
 @contextmanager
 def replaced_file(path: Path, argument: str) -> Iterator[IO[bytes]]:
     """Open a file that takes the place of `path` when the block has succeeded.
 
-    If the block fails, an earlier file stays as it was.
+    If the block fails, an earlier file stays as it was. If the process is killed, a hidden file is
+    left beside it (`remove_torn`).
 
     Args:
         path: The file; its folder must exist.
@@ -57,7 +73,7 @@ def replaced_file(path: Path, argument: str) -> Iterator[IO[bytes]]:
         InvalidInputError: If the file cannot be written.
     """
     try:
-        handle, name = tempfile.mkstemp(suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(_PART, f".{path.name}.", path.parent)
         temporary = Path(name)
         try:
             with os.fdopen(handle, "wb") as file:

@@ -23,13 +23,15 @@ from typing import Protocol
 
 from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import remove_torn
 
 IN_FLIGHT = 3
 """Jobs given to each worker in advance, so that it never waits."""
 RUNNING = ".running"
 """Folder of a file for each job that a worker is busy with."""
-_MOST_STARTS = 10
-"""Deaths of starting workers after which the machine is to blame."""
+_MOST_STARTS = 5
+"""Pools in a row that break before a job begins; after that, no pool is started any more."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -78,11 +80,16 @@ class PoolEngine:
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
+        self._failed_starts = 0
 
     def outcomes(
         self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
     ) -> Iterator[Line]:
-        """Run jobs in the pool; see `Engine`."""
+        """Run jobs in the pool; see `Engine`.
+
+        Raises:
+            InvalidInputError: If workers die again and again while they start.
+        """
         waiting = deque(job for job in jobs if not kills.get(job.task.key))
         suspects = deque(job for job in jobs if kills.get(job.task.key))
         while (waiting or suspects) and not is_stopped():
@@ -108,14 +115,17 @@ class PoolEngine:
                             future: job for future, job in flying.items() if not future.cancel()
                         }
                     while waiting and not is_stopped() and len(flying) < IN_FLIGHT * self._workers:
-                        job = waiting.popleft()
-                        flying[pool.submit(run_in_worker, job, False)] = job
+                        flying[pool.submit(run_in_worker, waiting[0], False)] = waiting[0]
+                        waiting.popleft()
                     for future in wait(flying, return_when=FIRST_COMPLETED).done:
                         line = future.result()
                         del flying[future]
+                        self._failed_starts = 0
                         yield line
             except BrokenProcessPool:
+                self._failed_starts += 1
                 yield from self._sorted_out(flying, waiting, suspects, kills)
+                self._check_starts()
 
     def _sorted_out(
         self,
@@ -127,9 +137,10 @@ class PoolEngine:
         """Sort the jobs of a broken pool: ended, under way when it broke, or not begun."""
         for future, job in flying.items():
             if future.done() and future.exception() is None:
+                self._failed_starts = 0
                 yield future.result()
-            elif _marker(job).exists():
-                _marker(job).unlink(missing_ok=True)
+            elif _took_marker(job):
+                self._failed_starts = 0
                 yield _killed(job, kills)
                 if kills[job.task.key] < MOST_KILLS:
                     suspects.append(job)
@@ -140,7 +151,6 @@ class PoolEngine:
         self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
     ) -> Iterator[Line]:
         """Run suspects one at a time; a death of the worker is then theirs."""
-        starts = 0
         while suspects and not is_stopped():
             with _pool(1) as pool:
                 try:
@@ -148,19 +158,30 @@ class PoolEngine:
                         job = suspects[0]
                         line = pool.submit(run_in_worker, job, True).result()
                         suspects.popleft()
+                        self._failed_starts = 0
                         yield line
                 except BrokenProcessPool:
-                    if not _marker(suspects[0]).exists():
+                    if not _took_marker(suspects[0]):
                         # The worker died while it started: the recording had no part in it.
-                        starts += 1
-                        if starts >= _MOST_STARTS:
-                            raise
+                        self._failed_starts += 1
+                        self._check_starts()
                         continue
+                    self._failed_starts = 0
                     job = suspects.popleft()
-                    _marker(job).unlink(missing_ok=True)
                     yield _killed(job, kills)
                     if kills[job.task.key] < MOST_KILLS:
                         suspects.appendleft(job)
+
+    def _check_starts(self) -> None:
+        """Give up if no worker comes up: memory, or the way this program starts processes."""
+        if self._failed_starts >= _MOST_STARTS:
+            raise InvalidInputError(
+                argument="--workers",
+                expected="processes that start",
+                got=f"{self._failed_starts} in a row that died before they began",
+                advice="take fewer if memory is short, or 0 to map in this process; in a script, "
+                "call it below `if __name__ == '__main__':`",
+            )
 
 
 def run_in_worker(job: Job, is_alone: bool) -> Line:
@@ -174,8 +195,12 @@ def run_in_worker(job: Job, is_alone: bool) -> Line:
         What happened.
     """
     marker = _marker(job)
-    marker.parent.mkdir(exist_ok=True)
-    marker.write_text(json.dumps({"key": job.task.key, "alone": is_alone}), encoding="utf-8")
+    content = {"key": job.task.key, "alone": is_alone, "out": job.task.out}
+    try:
+        marker.write_text(json.dumps(content), encoding="utf-8")
+    except FileNotFoundError:
+        marker.parent.mkdir(exist_ok=True)
+        marker.write_text(json.dumps(content), encoding="utf-8")
     try:
         return run_job(job)
     finally:
@@ -183,7 +208,7 @@ def run_in_worker(job: Job, is_alone: bool) -> Line:
 
 
 def left_behind(folder: Path) -> dict[str, bool]:
-    """Take away the markers that an earlier batch left behind when it was killed.
+    """Take away the markers and torn files that an earlier batch left behind when it was killed.
 
     Args:
         folder: Folder of the batch.
@@ -196,6 +221,7 @@ def left_behind(folder: Path) -> dict[str, bool]:
         try:
             content = json.loads(marker.read_text(encoding="utf-8"))
             found[str(content["key"])] = bool(content["alone"])
+            remove_torn(folder / content["out"])
         except (OSError, ValueError, LookupError, TypeError):
             pass  # killed while it wrote the marker
         marker.unlink(missing_ok=True)
@@ -245,6 +271,16 @@ def _killed(job: Job, kills: dict[str, int]) -> Line:
     if kills[key] >= MOST_KILLS:
         return job.line("failed", kills=kills[key], error=f"given up: {times}")
     return job.line("killed", kills=kills[key], error=times)
+
+
+def _took_marker(job: Job) -> bool:
+    """Take away the marker and the torn file of a job whose worker died; return if it had begun."""
+    try:
+        _marker(job).unlink()
+    except FileNotFoundError:
+        return False
+    remove_torn(job.folder / job.task.out)
+    return True
 
 
 def _marker(job: Job) -> Path:

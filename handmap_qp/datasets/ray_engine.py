@@ -10,6 +10,7 @@ from handmap_qp.datasets.engines import IN_FLIGHT
 from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.errors import MissingExtraError
+from handmap_qp.output_files import remove_torn
 
 
 class RayEngine:
@@ -81,6 +82,7 @@ class RayEngine:
                     yield ray.get(reference)
                 except ray.exceptions.RayError:
                     key = job.task.key
+                    remove_torn(job.folder / job.task.out)
                     kills[key] = kills.get(key, 0) + 1
                     times = f"the worker died {kills[key]} times"
                     if kills[key] < MOST_KILLS:
