@@ -11,6 +11,7 @@ from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.output_files import remove_torn
+from handmap_qp.trackers.formats.isolation import read_in_this_process
 
 
 class RayEngine:
@@ -70,7 +71,7 @@ class RayEngine:
         is_stopped: Callable[[], bool],
     ) -> Iterator[Line]:
         ray = self._ray
-        remote = ray.remote(num_cpus=1, max_retries=0)(run_job)
+        remote = ray.remote(num_cpus=1, max_retries=0)(_run_in_worker)
         flying: dict[Any, Job] = {}
         while (waiting and not is_stopped()) or flying:
             while waiting and not is_stopped() and len(flying) < most:
@@ -90,3 +91,9 @@ class RayEngine:
                         waiting.append(job)
                     else:
                         yield job.line("failed", kills=kills[key], error=f"given up: {times}")
+
+
+def _run_in_worker(job: Job) -> Line:
+    """Run a job in a process that Ray watches."""
+    read_in_this_process()
+    return run_job(job)

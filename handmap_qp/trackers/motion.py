@@ -117,7 +117,7 @@ class Sight(NamedTuple):
 def is_zero(size: float, landmarks: np.ndarray) -> bool:
     """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
     # One landmark may be the origin of the tracker's world.
-    return size < ZERO_SIZE or np.count_nonzero(landmarks.any(axis=1)) < len(landmarks) - 1
+    return size < ZERO_SIZE or int(landmarks.any(axis=1).sum()) < len(landmarks) - 1
 
 
 def first_track(now: float, landmarks: np.ndarray) -> Track:

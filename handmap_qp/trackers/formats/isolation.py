@@ -164,7 +164,33 @@ class ReadingProcess:
         self._connection = self._process = None
 
 
-_READER = ReadingProcess()
+class ReadingHere:
+    """Reads in this process, which ends where a reading process would.
+
+    Args:
+        longest: CPU time that reading a file may take [s], besides that of its size.
+    """
+
+    def __init__(self, longest: float = LONGEST_READ) -> None:
+        self._longest = longest
+
+    def ask(self, form: RecordingFormat, method: str, path: Path, *rest: Any) -> Any:
+        """Call a method of a format; see `ReadingProcess.ask`."""
+        limits = resource.getrlimit(resource.RLIMIT_CPU)
+        _limit_time(path, self._longest)
+        try:
+            return getattr(form, method)(path, *rest)
+        finally:
+            resource.setrlimit(resource.RLIMIT_CPU, limits)
+
+
+def read_in_this_process() -> None:
+    """Read files here from now on: in a worker, whose end its parent notices and survives."""
+    global _READER
+    _READER = ReadingHere()
+
+
+_READER: ReadingProcess | ReadingHere = ReadingProcess()
 
 
 def answer_questions(descriptor: int) -> None:
@@ -191,15 +217,20 @@ def _answer(
     path = rest[0]
     try:
         os.chdir(folder)
-        size = path.stat().st_size if path.is_file() else 0
-        time = sum(os.times()[:2]) + longest + size / _BYTES_PER_SECOND
-        _lower(resource.RLIMIT_CPU, math.ceil(time))
+        _limit_time(path, longest)
         return pickle.dumps((False, getattr(form, method)(*rest)))
     except MemoryError:
         problem = f"cannot be read: takes more than {LARGEST_READ >> 20} MB of memory"
         return pickle.dumps((True, RecordingError(problem, file=path)))
     except Exception as error:
         return pickle.dumps((True, error))
+
+
+def _limit_time(path: Path, longest: float) -> None:
+    """End this process if reading a file takes too much CPU time."""
+    size = path.stat().st_size if path.is_file() else 0
+    time = sum(os.times()[:2]) + longest + size / _BYTES_PER_SECOND
+    _lower(resource.RLIMIT_CPU, math.ceil(time))
 
 
 def _lower(kind: int, limit: int) -> None:
