@@ -51,7 +51,8 @@ def remove_torn(path: Path) -> None:
     Args:
         path: The file that was to be written.
     """
-    for torn in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
+    # `mkstemp` puts eight characters between.
+    for torn in path.parent.glob(f".{glob.escape(path.name)}.????????{_PART}"):
         torn.unlink(missing_ok=True)
 
 

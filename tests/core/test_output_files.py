@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handmap_qp import InvalidInputError
-from handmap_qp.output_files import replaced_file
+from handmap_qp.output_files import remove_torn, replaced_file
 
 
 def test_a_complete_file_takes_the_place_of_an_earlier_one(tmp_path: Path) -> None:
@@ -37,3 +37,19 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         pass
     assert caught.value.argument == "--out"
     assert str(path) in str(caught.value)
+
+
+def test_what_a_killed_process_leaves_is_hidden_and_removed(tmp_path: Path) -> None:
+    path, other = tmp_path / "take[1].npz", tmp_path / "take[1].npz.npz"
+    with replaced_file(path, "--out"), replaced_file(other, "--out"):
+        torn = list(tmp_path.iterdir())
+        assert [file.name[0] for file in torn] == [".", "."]
+        assert not any(file.suffix == ".npz" for file in torn)
+        names = {file.name for file in torn}
+    for name in names:
+        (tmp_path / name).write_bytes(b"torn")
+    remove_torn(path)
+    left = {file.name for file in tmp_path.iterdir() if file.name.startswith(".")}
+    assert len(left) == 1
+    assert next(iter(left)).startswith(f".{other.name}.")
+    assert {path.name, other.name} < {file.name for file in tmp_path.iterdir()}

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_cases import KillingFormat, piece, with_format, write_pieces
+from batch_cases import KillingFormat, die_at_once, piece, with_format, write_pieces
 from patience import wait_until
 
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.arguments import MappingArguments
 from handmap_qp.cli import main
+from handmap_qp.datasets import engines
 from handmap_qp.datasets.assemble import assemble
 from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.datasets.engines import Engine, PoolEngine, SerialEngine
@@ -169,6 +170,39 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
     again = plan_batch([inputs], tmp_path, OPTIONS)
     assert not again.jobs
     assert [line.key for line in again.left_alone] == [poison]
+
+
+@pytest.mark.slow
+def test_workers_that_never_start_end_the_batch_with_one_line(
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(engines, "start_worker", die_at_once)
+    monkeypatch.setattr(engines, "_MOST_STARTS", 2)
+    command = ["batch", str(inputs), "--robot", "three_finger", "--out", str(tmp_path / "out")]
+    assert main([*command, "--workers", "1"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("handmap: --workers: expected processes that start, got 2 in a row")
+    assert error.count("\n") == 1
+    monkeypatch.undo()
+    # No recording is blamed, nothing is lost.
+    plan = plan_batch([inputs], tmp_path / "out", OPTIONS)
+    assert list(plan.kills.values()) == [0, 0, 0]
+
+
+def test_what_a_killed_batch_leaves_is_taken_away(inputs: Path, tmp_path: Path) -> None:
+    job = plan_batch([inputs], tmp_path, OPTIONS).jobs[0]
+    file = tmp_path / job.task.out
+    file.parent.mkdir(parents=True, exist_ok=True)
+    torn = [file.with_name(f".{file.name}.{name * 8}.part") for name in ("a", "b")]
+    for each in torn:
+        each.write_bytes(b"torn")
+    marker = engines._marker(job)
+    marker.parent.mkdir()
+    marker.write_text(json.dumps({"key": job.task.key, "alone": True, "out": job.task.out}))
+    plan = plan_batch([inputs], tmp_path, OPTIONS)
+    assert plan.kills == {job.task.key: 1} | {j.task.key: 0 for j in plan.jobs[1:]}
+    assert not any(each.exists() for each in torn)
+    assert not marker.exists()
 
 
 def start(inputs: Path, out: Path) -> subprocess.Popen[str]:
