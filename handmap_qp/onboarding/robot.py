@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import io
+import itertools
 import math
 import warnings
 import xml.etree.ElementTree as ET
@@ -44,6 +45,8 @@ _ASSUMED_RANGE = {
 _ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
 # A larger range is in degrees; joints of arms turn twice [rad].
 _LARGEST_TURN = 4.0 * math.pi + 0.01
+# Corners of a box of size 1.
+_CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 # Most names in one note.
 _MOST_NAMES = 12
 # Most surface points kept of one mesh.
@@ -123,6 +126,7 @@ class Robot:
         }
         self.parent: dict[str, tuple[str, str]] = {}
         self._bodies: dict[str, str] = {}
+        self._surfaces: dict[str, np.ndarray] = {}
         self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
         for joint, parent, child in edges(robot):
             self.parent[child] = (joint.get("name", ""), parent)
@@ -205,7 +209,12 @@ class Robot:
             self.model.lowerPositionLimit[at],
             self.model.upperPositionLimit[at],
         )
-        self._data = self.model.createData()
+        try:
+            self._data = self.model.createData()
+        except MemoryError as error:
+            problem = f"its {len(names)} movable joints need more memory than there is"
+            advice = "name the link at which the hand begins by --root"
+            raise HandError(f"{problem}: {advice}", file=self.file) from error
         joints = {name: i for i, name in enumerate(self.model.names)}
         # The frame of a body's first link is that of the joint that moves it.
         self._carriers = {
@@ -313,8 +322,8 @@ class Robot:
     # -- surface
 
     @cached_property
-    def surfaces(self) -> dict[str, np.ndarray]:
-        """Surface points of each link in its own frame [m], of visuals or else of collisions."""
+    def _shapes(self) -> dict[str, Any]:
+        """The parsed links by name; empty if the shapes cannot be read."""
         from yourdfpy import URDF
 
         try:
@@ -329,21 +338,27 @@ class Robot:
                 f"cannot be read and are ignored ({type(error).__name__}: {error})",
             )
             return {}
-        surfaces = {}
-        for link in model.links:
-            for shapes in (link.visuals, link.collisions):
+        return {link.name: link for link in model.links}
+
+    def surface(self, link: str) -> np.ndarray:
+        """Return points on a link's visuals, else on its collision shapes [m], shape (k, 3)."""
+        if link not in self._surfaces:
+            parsed = self._shapes.get(link)
+            groups = () if parsed is None else (parsed.visuals, parsed.collisions)
+            self._surfaces[link] = np.zeros((0, 3))
+            for shapes in groups:
                 clouds = [cloud for shape in shapes if (cloud := self._cloud(shape)) is not None]
                 if clouds:
-                    surfaces[link.name] = np.concatenate(clouds)
+                    self._surfaces[link] = np.concatenate(clouds)
                     break
-        return surfaces
+        return self._surfaces[link]
 
     def body_surface(self, body: str) -> np.ndarray:
         """Return surface points of a body in its first link's frame [m], shape (k, 3)."""
         clouds = [
-            transform_points(self.pose_in(link, body), self.surfaces[link])
+            transform_points(self.pose_in(link, body), points)
             for link in self.body_links(body)
-            if link in self.surfaces
+            if len(points := self.surface(link))
         ]
         return np.concatenate(clouds) if clouds else np.zeros((0, 3))
 
@@ -355,7 +370,7 @@ class Robot:
         if geometry is None:
             return None
         if geometry.box is not None:
-            points = np.array(trimesh.creation.box(extents=geometry.box.size).vertices)
+            points = _CORNERS * np.asarray(geometry.box.size, dtype=float)
         elif geometry.sphere is not None:
             points = np.array(
                 trimesh.creation.icosphere(subdivisions=2, radius=geometry.sphere.radius).vertices
