@@ -327,9 +327,14 @@ def _print_completion(shell: str) -> None:
         expected = "bash, zsh or tcsh"
         raise InvalidInputError(argument="--completion", expected=expected, value=shell)
     words = ["--tyro-print-completion", shell]
-    _print_page(
-        _captured(lambda tyro: tyro.cli(_any_command(tyro), prog="handmap", args=words)).page
-    )
+    script = _captured(lambda tyro: tyro.cli(_any_command(tyro), prog="handmap", args=words))
+    _print_page(re.sub(r"^COMPLETION_SPEC = .*", _on_one_line, script.page, flags=re.MULTILINE))
+
+
+def _on_one_line(spec: re.Match[str]) -> str:
+    """Repair the table in tyro's completions: a line break of an explanation ends a completion."""
+    text = spec[0].replace("\\n", " ")
+    return text.replace("'None', ", "").replace(", 'None'", "")
 
 
 def _any_command(tyro: Any) -> Any:

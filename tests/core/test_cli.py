@@ -1,13 +1,15 @@
 """The command line: what it writes and prints, and one line for every mistake."""
 
+import ast
 import importlib.metadata
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from handmap_qp import cli, doctor, load_hand, tables
+from handmap_qp import PRESETS, cli, doctor, load_hand, tables
 
 KEYS = {
     "samples",
@@ -282,6 +284,11 @@ def test_completions_name_every_command(shell: str, capsys: pytest.CaptureFixtur
     for name in cli.COMMANDS:
         assert name.split()[-1] in script
     assert "--robot" in script
+    (spec,) = re.findall(r"^COMPLETION_SPEC = (.*)", script, re.MULTILINE)
+    options = ast.literal_eval(spec)["subcommands"]["map"]["options"]
+    assert not [option for option in options if "\n" in option["description"]]
+    (preset,) = (option for option in options if option["flags"] == ["--preset"])
+    assert sorted(preset["choices"]) == sorted(PRESETS)
 
 
 def test_rows_are_whole_in_a_pipe_and_brackets_are_text(
