@@ -16,7 +16,10 @@ from typing import Any
 from handmap_qp.tables import print_table
 
 _PACKAGE = "handmap-qp"
-_CORE = ("numpy", "pin", "mink", "qpsolvers", "daqp", "osqp", "proxsuite")
+_CORE = (
+    *("numpy", "scipy", "pin", "mink", "mujoco"),
+    *("qpsolvers", "daqp", "osqp", "proxsuite", "tyro", "rich"),
+)
 _FOLDERS = {
     "HANDMAP_RECORDINGS": "*.npz",
     "HANDMAP_HANDS": "*/*.urdf",
@@ -71,7 +74,8 @@ def extras() -> dict[str, str]:
     for requirement in metadata.requires(_PACKAGE) or []:
         extra = re.search(r"extra == ['\"]([\w-]+)['\"]", requirement)
         name = re.match(r"[\w.-]+", requirement)
-        if extra is None or name is None or name[0] == _PACKAGE:
+        # `all` would repeat the others.
+        if extra is None or name is None or name[0] == _PACKAGE or extra[1] == "all":
             continue
         missing = found.setdefault(extra[1], [])
         if _version(name[0]) == "not installed":

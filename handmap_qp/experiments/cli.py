@@ -64,9 +64,8 @@ class Demo:
 
         with progress("mapping") as advance:
             result = run_demo(self.out, progress=advance)
-        print_table(
-            "The paper's arc with the first synergy, human hand to three_finger", result.summary()
-        )
+        title = "The paper's arc with the first synergy, human hand to three_finger"
+        print_table(title, result.table())
         for file in result.files:
             print(f"wrote {file}")
 

@@ -30,6 +30,7 @@ RATE = 60.0
 
 _START_HEIGHT = 0.15
 _OPEN, _CLOSED = 1.0, -0.4
+_POINT_ERRORS = ("mean", "p95", "max")
 # Back of the hand up, fingers along -y of the world: the arc is perpendicular to the fingers.
 _WRIST_ROTATION = np.diag([-1.0, -1.0, 1.0])
 
@@ -63,6 +64,20 @@ class DemoResult:
             "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
             "limit_violation_max": trajectory.limit_violation,
             "step_cpu_us_median": 1e6 * float(np.median(trajectory.step_cpu)),
+        }
+
+    def table(self) -> dict[str, str]:
+        """The summary in words."""
+        found = self.summary()
+        points = [f"{found[f'point_error_mm_{name}']:.2f} mm {name}" for name in _POINT_ERRORS]
+        wrist = [f"{found[f'wrist_error_mm_{name}']:.2f} mm {name}" for name in ("mean", "max")]
+        return {
+            "samples": str(found["samples"]),
+            "step, CPU time": f"{found['step_cpu_us_median']:.0f} us median",
+            "point error": ", ".join(points),
+            "wrist error": ", ".join(wrist),
+            "samples at a limit": str(found["samples_at_limit"]),
+            "largest limit violation": f"{found['limit_violation_max']:.1e} rad",
         }
 
 
