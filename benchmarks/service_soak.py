@@ -11,6 +11,7 @@ logs a failure.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import threading
 import time
@@ -142,6 +143,8 @@ def soak(duration: float) -> dict[str, Any]:
         disturbances=dict(disturber.done),
         seconds=duration,
     )
+    for line in service.failures[:5]:
+        print(line, file=sys.stderr)
     if found["files_growth"] > 10:
         found["wrong"].append("files stayed open")
     if not disturber.done["session"]:

@@ -27,7 +27,7 @@ from handmap_qp.errors import RecordingError
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat
 from handmap_qp.trackers.recording import Recording
 
-LONGEST_READ = 8.0
+LONGEST_READ = 4.0
 """CPU time that reading a file may take [s], besides that of its size: twenty MB/s."""
 _BYTES_PER_SECOND = 20e6
 LARGEST_READ = 3 << 30
