@@ -162,6 +162,17 @@ def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
     assert heights[2] - heights[1] > 1e-3
 
 
+def test_a_brake_whose_time_rounds_to_zero_stops_at_once() -> None:
+    guard = SpeedGuard(FIXED, FIXED.rest)
+    guard.obey(PointIk(FIXED, IkOptions(max_acceleration=1e308)))
+    guard.advance(np.nextafter(FIXED.rest, 1.0), None, 10.0)
+    assert guard.is_moving
+    before = guard.q
+    guard.brake(0.01)
+    assert not guard.is_moving
+    assert np.array_equal(guard.q, before)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_numbers_that_are_not_finite_are_not_followed(bad: float) -> None:
     guard = SpeedGuard(ROBOT, ROBOT.rest, np.eye(4))
