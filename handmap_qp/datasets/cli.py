@@ -250,7 +250,7 @@ class Batch:
             rows["CPU time of a sample"] = f"{1e6 * cpu / frames:.0f} us"
         print_table(str(self.out), rows)
         for line in tally.failed[:10]:
-            print(f"failed: {line.key}: {line.error}")
+            print(f"failed: {line.name}: {line.error}")
         if len(tally.failed) > 10:
             print(f"... and {len(tally.failed) - 10} more, in the manifest")
         if written is not None:

@@ -15,6 +15,7 @@ from typing import IO, Any, Literal, Self
 import msgspec
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.trackers.formats import SEPARATOR
 
 Status = Literal["done", "failed", "killed"]
 MOST_KILLS = 3
@@ -58,6 +59,17 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
     metrics: dict[str, float | None] = {}
     out: str = ""
     error: str = ""
+
+    @property
+    def name(self) -> str:
+        """The file, and the recording's name if it has one, for people."""
+        return self.key.removesuffix(SEPARATOR)
+
+    @property
+    def source(self) -> str:
+        """What `read_recording` reads it from."""
+        _, _, entry = self.key.rpartition(SEPARATOR)
+        return f"{self.path}{SEPARATOR}{entry}" if entry else self.path
 
     @property
     def is_final(self) -> bool:

@@ -111,12 +111,12 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
         count: How many.
     """
     rows = []
-    for line, k, values in zip(
-        quality.lines[:count], quality.worst_measure, quality.values, strict=False
-    ):
+    worst = zip(quality.lines[:count], quality.worst_measure, quality.values, strict=False)
+    for rank, (line, k, values) in enumerate(worst, start=1):
         rows.append(
             {
-                "episode": line.key,
+                "#": str(rank),
+                "episode": line.name,
                 "worst in": MEASURES[k].title,
                 "value": f"{values[k]:.3g}",
                 "samples": str(line.frames),
@@ -144,8 +144,10 @@ def markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
     kept = int(quality.is_kept.sum())
     parts = [
         "# Quality of the episodes\n",
-        f"{len(quality.lines)} episodes, {sum(line.frames for line in quality.lines)} samples; "
-        f"{len(quality.failed)} recordings failed. The filter keeps {kept} episodes: `keep.txt`.\n",
+        f"{_counted(len(quality.lines), 'episode')}, "
+        f"{sum(line.frames for line in quality.lines)} samples; "
+        f"{_counted(len(quality.failed), 'recording')} failed. "
+        f"The filter keeps {_counted(kept, 'episode')}: `keep.txt`.\n",
         "## Measures\n",
         _table(summary_rows(quality)),
         "\n".join(f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES) + "\n",
@@ -153,10 +155,14 @@ def markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
         _table(worst_rows(quality, count)),
     ]
     if quality.failed:
-        failed = [{"recording": line.key, "error": line.error} for line in quality.failed[:50]]
+        failed = [{"recording": line.name, "error": line.error} for line in quality.failed[:50]]
         parts += ["## Failed recordings\n", _table(failed)]
     parts += [f"![{name}]({name})\n" for name in pictures]
     return "\n".join(parts)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _table(rows: Sequence[dict[str, str]]) -> str:

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.datasets.manifest import Line
-from handmap_qp.datasets.measures import MEASURES
+from handmap_qp.datasets.measures import MEASURES, Measure
 from handmap_qp.datasets.report import Quality
 from handmap_qp.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.trackers.formats import SEPARATOR
+from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.trackers.formats.archive import read_archive
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.recording import Recording, read_recording
 
 _COLUMNS, _BINS = 4, 40
+_LONGEST_NAME = 21  # characters beside a picture
 _KEPT, _LEFT_OUT = "#3d6fb4", "#d8472f"
 
 
@@ -46,10 +47,11 @@ def draw_distributions(file: Path, quality: Quality) -> None:
         known = np.isfinite(values)
         parts = [values[known & quality.is_kept], values[known & ~quality.is_kept]]
         low, high = float(values[known].min()), float(values[known].max())
-        room = (low, high) if high > low else (low - 0.5, low + 0.5)
+        room = (low, high) if high > low else (min(0.0, low), max(1.0, low))
         axes.hist(parts, bins=_BINS, range=room, stacked=True, color=[_KEPT, _LEFT_OUT])
         axes.set_title(MEASURES[k].title, fontsize=9)
         axes.tick_params(labelsize=7)
+        axes.yaxis.get_major_locator().set_params(integer=True)
         axes.spines[["top", "right"]].set_visible(False)
     for row in grid:
         row[0].set_ylabel("episodes", fontsize=8)
@@ -63,7 +65,9 @@ def draw_distributions(file: Path, quality: Quality) -> None:
 def draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
     """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
 
-    The sample is the one with the largest distance of a point from its target.
+    The sample is the worst one in what the episode is worst in, and else the one with the largest
+    distance of a point from its target. The first half second counts only where there is no more:
+    the robot is still on its way to the hand.
 
     Args:
         folder: Folder of the batch.
@@ -83,7 +87,8 @@ def draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Pa
         own = rows.setdefault(line.robot, [])
         if len(own) < count:
             with suppress(HandmapError):
-                own.append(_worst_row(folder, line, MEASURES[quality.worst_measure[place]].title))
+                measure = MEASURES[quality.worst_measure[place]]
+                own.append(_worst_row(folder, line, place + 1, measure))
     files = []
     for name, own in rows.items():
         if own:
@@ -95,13 +100,28 @@ def draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Pa
     return files
 
 
-def _worst_row(folder: Path, line: Line, measure: str) -> SheetRow:
-    """Return the worst sample of an episode, with its file and measure as label."""
-    name, _, entry = line.key.rpartition(SEPARATOR)
-    recording = read_recording(f"{line.path}{SEPARATOR}{entry}" if entry else line.path)
-    arrays = read_archive(folder / line.out, {"q", "point_error", "valid"})
-    usable = arrays["valid"] & recording.valid
-    error = np.where(usable, arrays["point_error"].max(axis=1), -1.0)
-    label = f"{Path(name).stem[:12]}"
-    (row,) = sheet_rows(recording, {label: int(np.argmax(error))}, [arrays["q"]])
-    return SheetRow(row.label, f"{measure[:18]}, {row.note}", row.landmarks, row.q)
+def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRow:
+    """Return the worst sample of an episode, with its rank, name and measure."""
+    recording = read_recording(line.source)
+    names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}
+    columns = read_archive(folder / line.out, names)
+    sample = _worst_sample(recording, columns, measure)
+    (row,) = sheet_rows(recording, {f"#{rank}": sample}, [columns["q"]])
+    name = line.name if len(line.name) <= _LONGEST_NAME else f"...{line.name[3 - _LONGEST_NAME :]}"
+    note = f"{name}\n{measure.title}\n{row.note}"
+    return SheetRow(row.label, note, row.landmarks, row.q)
+
+
+def _worst_sample(recording: Recording, columns: dict[str, np.ndarray], measure: Measure) -> int:
+    """Return the index of the sample that is worst in a measure, or in reach."""
+    usable = columns["valid"] & recording.valid
+    settled = usable & (recording.time >= recording.time[0] + SETTLING)
+    usable = settled if settled.any() else usable
+    error = columns["point_error"].max(axis=1)
+    # Less than one joint, so that it decides between samples of as many joints.
+    share = error / (1.0 + error)
+    if measure.key == "saturation":
+        error = columns["at_limit"].sum(axis=1) + share
+    elif measure.key == "speed_limited":
+        error = columns["at_speed_limit"].sum(axis=1) + share
+    return int(np.argmax(np.where(usable, error, -1.0)))

@@ -75,7 +75,7 @@ class SheetRow:
 
     Attributes:
         label: Its name.
-        note: Where it is from, in few words.
+        note: Where it is from, in few words; a line or more.
         landmarks: The human's raw landmarks in the palm frame (origin at the wrist, y distal,
             z dorsal) [m], shape (21, 3).
         q: Joint angles of the robot in every column [rad], in the order of its `joint_names`.
@@ -451,7 +451,7 @@ def _figure(
             axes.text(
                 10, centre - 8, row.label, va="center", fontsize=9.5, fontweight="bold", color=_INK
             )
-            axes.text(10, centre + 9, row.note, va="center", fontsize=7.5, color=_PALE)
+            axes.text(10, centre + 4, row.note, va="top", fontsize=7.5, color=_PALE)
         axes.text(10, 24, title, va="center", fontsize=7, color=_PALE)
         axes.text(10, height - 0.5 * _BOTTOM, footnote, va="center", fontsize=8, color=_PALE)
     return figure
