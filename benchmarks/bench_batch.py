@@ -170,7 +170,7 @@ def timed_stages(clock: dict[str, float]) -> Any:
         "map_both_ways": "map",
         "look_ahead": "measure person",
         "measure_episode": "measure",
-        "save_npz": "write",
+        "save_episode": "write",
     }
     patches = [
         patch.object(job_module, name, timed(stage, getattr(job_module, name)))

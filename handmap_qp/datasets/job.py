@@ -26,7 +26,8 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead
 from handmap_qp.offline.surface_gaps import GapMeter
-from handmap_qp.offline.trajectory import Trajectory, map_recording, save_npz
+from handmap_qp.offline.trajectory import Trajectory, map_recording
+from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import Person, measure_person
 from handmap_qp.trackers.plausibility import check_recording
@@ -145,7 +146,7 @@ def _run(job: Job, started: float) -> Line:
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
     file = job.folder / task.out
     file.parent.mkdir(parents=True, exist_ok=True)
-    save_npz(file, {**_columns(trajectory), "side": np.array(task.side)})
+    save_episode(file, trajectory, task.side)
     line = job.line("done", cpu_s=process_time() - started)
     return msgspec.structs.replace(line, frames=len(recording), metrics=metrics, out=task.out)
 
@@ -194,7 +195,16 @@ def _meter(robot: Hand) -> GapMeter | None:
         return None
 
 
-def _columns(trajectory: Trajectory) -> dict[str, np.ndarray]:
-    """Return the columns of an episode, without those that a reader can compute again."""
+def save_episode(file: Path, trajectory: Trajectory, side: Side) -> None:
+    """Write the columns of an episode, without those that a reader can compute again.
+
+    They are not compressed: that would save a fifth of the space, and take as long as reading the
+    recording.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
     left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
-    return {name: array for name, array in trajectory.columns.items() if name not in left_out}
+    columns = {name: a for name, a in trajectory.columns.items() if name not in left_out}
+    with replaced_file(file, "--out") as stream:
+        np.savez(stream, allow_pickle=False, **columns, side=np.array(side))

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from time import thread_time_ns
@@ -19,7 +20,7 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.guard import RULES, Verdict
-from handmap_qp.trackers.recorded_motion import judge_recording
+from handmap_qp.trackers.recorded_motion import recorded_samples
 from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.trackers.sample import HumanSample
 
@@ -98,13 +99,15 @@ class Trajectory:
             "consistency": self.consistency,
             "confidence": self.confidence,
             "robot": np.array(self.robot.name),
-            "versions": np.array(
-                [
-                    f"{package} {version(package)}"
-                    for package in ("handmap-qp", "pin", "daqp", "numpy")
-                ]
-            ),
+            "versions": np.array(_versions()),
         }
+
+
+@cache
+def _versions() -> tuple[str, ...]:
+    """Return the versions of the packages that the motion depends on."""
+    packages = ("handmap-qp", "pin", "daqp", "numpy")
+    return tuple(f"{package} {version(package)}" for package in packages)
 
 
 def map_motion(
@@ -158,8 +161,11 @@ def map_recording(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    samples = recording_samples(recording, wrist_poses)
-    verdicts = judge_recording(mapper.human, recording, samples)
+    if wrist_poses is not None:
+        # The guard examines them too.
+        return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
+    recorded = recorded_samples(recording)
+    samples, verdicts = recorded.samples, recorded.judged(mapper.human)
 
     def map_sample(i: int) -> MapStep:
         return mapper.map_sample(samples[i], verdict=verdicts[i])

@@ -172,9 +172,9 @@ class StreamGuard:
         self.state = GuardState()
         self._side: Side = "left" if human.side == "left" else "right"
         self._input = InputCheck(self._side)
-        self._palm = PalmShape(human)
-        points = human.with_points("landmarks").points(human.rest)
-        self._lengths = fixed_lengths(points)
+        marked = human.with_points("landmarks")
+        self._palm = PalmShape(marked)
+        self._lengths = fixed_lengths(marked.points(human.rest))
 
     def check(self, sample: HumanSample, sight: Sight | None = None) -> Verdict:
         """Judge the next sample of the stream.
@@ -230,15 +230,23 @@ class StreamGuard:
             sight = Sight(size, is_zero(size, landmarks), first_track(now, landmarks))
         if sight.is_zero:
             return sight, "zero"
-        return sight, "" if self._palm.fits_size(sight.size) else "size"
+        return sight, "" if self.fits(sight) else "size"
+
+    def fits(self, sight: Sight) -> bool:
+        """Tell whether a palm is about as large as the person's."""
+        return self._palm.fits_size(sight.size)
+
+    def consistency(self, sight: Sight) -> float:
+        """Return the RMS difference of lengths that cannot change from the person's [m]."""
+        off = sight.fresh.lengths - self._lengths
+        return math.sqrt(off.dot(off) / len(off))
 
     def _follow(
         self, sight: Sight, state: GuardState, tick: Tick, was_late: bool
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
-        fresh, lengths = sight.fresh, sight.fresh.lengths
-        off = lengths - self._lengths
-        consistency = math.sqrt(off.dot(off) / len(off))
+        fresh = sight.fresh
+        consistency = self.consistency(sight)
         last = state.last
         if last is None:
             is_return = state.cause != ""

@@ -19,7 +19,7 @@ from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.contact_gap import measure_contact_gap
 from handmap_qp.trackers.landmarks import HAND_LENGTHS, human_name, measure_hand
-from handmap_qp.trackers.recorded_motion import judge_recording
+from handmap_qp.trackers.recorded_motion import recorded_samples
 from handmap_qp.trackers.recording import Recording, mirrored
 
 LARGEST_GAP = 0.04
@@ -110,7 +110,7 @@ def without_faults(recording: Recording) -> Recording:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
     human = load_hand(human_name(recording.side), lengths=measure_hand(recording))
-    follows = [not verdict.is_held for verdict in judge_recording(human, recording)]
+    follows = [not verdict.is_held for verdict in recorded_samples(recording).judged(human)]
     valid = recording.valid & np.array(follows)
     if 2 * valid.sum() < recording.valid.sum():
         return recording

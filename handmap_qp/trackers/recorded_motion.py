@@ -7,7 +7,8 @@ those of `trackers.motion` up to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -32,43 +33,67 @@ from handmap_qp.trackers.motion import (
     fixed_lengths,
 )
 from handmap_qp.trackers.recording import Recording, recording_samples
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.transform import nearest_rotations
 
 
-def judge_recording(
-    human: Hand, recording: Recording, samples: Sequence[HumanSample] | None = None
-) -> list[Verdict]:
-    """Judge all samples of a recording as a live stream.
+class RecordedSamples:
+    """The samples of a recording, measured by column.
 
     Args:
-        human: The human hand, scaled to the person.
         recording: The recording.
-        samples: Its samples, if they have been made already (`recording_samples`).
 
-    Returns:
-        What the guard says about each sample.
-
-    Raises:
-        HandError: If the hand has no landmarks.
-        InvalidInputError: If the recording is of the other hand.
+    Attributes:
+        samples: Its samples, as a tracker would send them.
+        sights: What each sample shows, measured against the one before that shows a hand; None
+            where the hand was not seen.
     """
-    guard, sights = StreamGuard(human), recording_sights(recording)
-    given = recording_samples(recording) if samples is None else samples
-    return [guard.check(sample, sight) for sample, sight in zip(given, sights, strict=True)]
+
+    def __init__(self, recording: Recording) -> None:
+        self.samples = recording_samples(recording)
+        self.sights = _sights(recording)
+        self._verdicts: dict[tuple[str, bytes], list[Verdict]] = {}
+
+    def judged(self, human: Hand) -> list[Verdict]:
+        """Judge all samples as a live stream.
+
+        Args:
+            human: The human hand, scaled to the person.
+
+        Returns:
+            What the guard says about each sample.
+
+        Raises:
+            HandError: If the hand has no landmarks.
+            InvalidInputError: If the recording is of the other hand.
+        """
+        guard = StreamGuard(human)
+        fits = bytes(sight is not None and guard.fits(sight) for sight in self.sights)
+        key = (human.side, fits)
+        known = self._verdicts.get(key)
+        if known is None:
+            pairs = zip(self.samples, self.sights, strict=True)
+            verdicts = [guard.check(sample, sight) for sample, sight in pairs]
+            self._verdicts[key] = verdicts
+            return verdicts
+        # Of another person, whose palm is as large, the lengths of the bones alone differ.
+        return [
+            verdict
+            if sight is None or math.isnan(verdict.consistency)
+            else verdict._replace(consistency=guard.consistency(sight))
+            for verdict, sight in zip(known, self.sights, strict=True)
+        ]
 
 
 # A recording is judged twice: while its person is measured, and while it is mapped.
 @lru_cache(maxsize=1)
-def recording_sights(recording: Recording) -> tuple[Sight | None, ...]:
-    """Measure all samples of a recording, each against the one before that shows a hand.
+def recorded_samples(recording: Recording) -> RecordedSamples:
+    """Return the samples of a recording; those of the last one are kept."""
+    return RecordedSamples(recording)
 
-    Args:
-        recording: The recording.
 
-    Returns:
-        What each sample shows; None where the hand was not seen.
-    """
+def _sights(recording: Recording) -> tuple[Sight | None, ...]:
+    """Measure all samples of a recording; see `RecordedSamples.sights`."""
     is_seen = recording.valid
     if recording.confidence is not None:
         is_seen = is_seen & (recording.confidence != 0.0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.trackers.guard import StreamGuard
 from handmap_qp.trackers.injection import inject, parse_faults
 from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.recorded_motion import judge_recording, recording_sights
+from handmap_qp.trackers.recorded_motion import RecordedSamples
 from handmap_qp.trackers.recording import Recording, read_recording, recording_samples
 
 DEMO = read_recording("demo", "right")
@@ -45,7 +46,10 @@ def test_the_guard_says_the_same_by_column(text: str, human: Hand) -> None:
     recording = faulty(text) if text else DEMO.part(slice(0, 240))
     guard = StreamGuard(human)
     live = [guard.check(sample) for sample in recording_samples(recording)]
-    found = judge_recording(human, recording)
+    recorded = RecordedSamples(recording)
+    # Of a person with other bones first: nothing of theirs remains.
+    recorded.judged(load_hand("human", points="landmarks"))
+    found = recorded.judged(human)
     columns = [[v.rule, v.is_held, v.is_return, v.dt, v.finding] for v in live]
     assert [[v.rule, v.is_held, v.is_return, v.dt, v.finding] for v in found] == columns
     assert any(verdict.is_held for verdict in live) == bool(text)
@@ -57,7 +61,7 @@ def test_the_guard_says_the_same_by_column(text: str, human: Hand) -> None:
 def test_motion_by_column_is_that_of_samples(human: Hand) -> None:
     recording = DEMO.part(slice(0, 60))
     guard, samples = StreamGuard(human), recording_samples(recording)
-    for sample, sight in zip(samples, recording_sights(recording), strict=True):
+    for sample, sight in zip(samples, RecordedSamples(recording).sights, strict=True):
         guard.check(sample)
         last = guard.state.last
         assert sight is not None
