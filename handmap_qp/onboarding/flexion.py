@@ -34,6 +34,9 @@ _FLEXING = 0.6
 _EVEN_LENGTH, _EVEN_RANGE = 0.08, 0.25
 # A finger that is this near to its full length at the zero position is straight there.
 _STRAIGHT = 0.993
+# Joints that are flexed by more than this at the zero position say that it is no straight one
+# [rad].
+_FLEXED_ZERO = 0.3
 # A finger shorter than this share of its phalanges is bent; its first phalanx has a direction if it
 # is longer than this share of them.
 _STRETCHED, _PHALANX = 0.985, 0.2
@@ -198,6 +201,7 @@ def find_flexion(
     fingers = FingertipKinematics(robot, structure)
     moves, count = fingers.moves, len(fingers.moves)
     groups = [_flexing_group(fingers, i) for i in range(count)]
+    groups = [group if group is None else _with_knuckle(fingers, group) for group in groups]
     curls, q_open = _straighten(fingers, groups)
     groups = [group if group is None else _turned(fingers, group, q_open) for group in groups]
     sign = np.zeros(len(q_open))
@@ -350,6 +354,28 @@ def _longest(
             best = float(lengths.max())
     is_straight = np.linalg.norm(fingers.tip(start, i) - base) > _STRAIGHT * best
     return start if is_straight else q
+
+
+def _with_knuckle(fingers: FingertipKinematics, group: _Group) -> _Group:
+    """Return a group whose knuckle is stretched too, if the zero position is half a fist.
+
+    The knuckle's angle does not change the finger's length, so that its zero position counts as
+    straight. If the joints beyond it are flexed at zero, the knuckle is too: it is put at the same
+    share of its range as they are at when straight.
+    """
+    robot, sense = fingers.robot, group.way[0] * group.signs
+    joints, first = group.joints[1:], int(group.joints[0])
+    if sense[0] == 0.0 or not len(joints):
+        return group
+    flexed = float(np.mean(sense[1:] * (robot.zero[joints] - group.straight[1:])))
+    if flexed < _FLEXED_ZERO:
+        return group
+    widths = robot.upper - robot.lower
+    stretched = np.where(sense > 0.0, robot.lower[group.joints], robot.upper[group.joints])
+    shares = np.abs(group.straight[1:] - stretched[1:]) / widths[joints]
+    straight = group.straight.copy()
+    straight[0] = stretched[0] + sense[0] * float(shares.mean()) * widths[first]
+    return replace(group, straight=straight)
 
 
 def _straighten(

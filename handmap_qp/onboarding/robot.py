@@ -434,32 +434,12 @@ class Robot:
             ):
                 speeds.setdefault(joint.get("type", ""), []).append(speed)
         assumed = {}
+        scale = self._limit_scale(robot)
         for joint in robot.iterfind("joint"):
             name, kind, limit = joint.get("name", ""), joint.get("type", ""), joint.find("limit")
             if kind not in MOVABLE or joint.find("mimic") is not None:
                 continue
-            lower, upper = (
-                (_number(limit, "lower"), _number(limit, "upper"))
-                if limit is not None
-                else (0.0, 0.0)
-            )
-            given = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
-            changes: dict[str, float] = {}
-            if (
-                kind == "continuous"
-                or not given
-                or not (math.isfinite(lower) and math.isfinite(upper))
-            ):
-                changes["lower"], changes["upper"] = _ASSUMED_RANGE[kind]
-                what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
-                self._remark(
-                    name, f"{what}: [{changes['lower']:.4g}, {changes['upper']:.4g}] is assumed"
-                )
-            elif lower > upper:
-                changes["lower"], changes["upper"] = upper, lower
-                self._remark(name, f"has its limits swapped: [{upper:.4g}, {lower:.4g}] is assumed")
-            elif kind == "revolute" and upper - lower > _LARGEST_TURN:
-                self._remark(name, "has a range of more than two turns: is it in degrees?")
+            changes = self._assumed_range(name, kind, limit, scale)
             speed = 0.0 if limit is None else _number(limit, "velocity")
             if not (math.isfinite(speed) and speed > 0.0):
                 changes["velocity"] = (
@@ -471,6 +451,38 @@ class Robot:
             if changes:
                 assumed[name] = LimitSpec(**changes)
         return assumed
+
+    def _assumed_range(
+        self, name: str, kind: str, limit: ET.Element | None, scale: float
+    ) -> dict[str, float]:
+        """Return the range of a joint where that of the URDF is missing or wrong, else nothing."""
+        has_range = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
+        ends = (0.0, 0.0) if limit is None else (_number(limit, "lower"), _number(limit, "upper"))
+        lower, upper = ends
+        if kind == "continuous" or not has_range or not np.isfinite(ends).all():
+            lower, upper = _ASSUMED_RANGE[kind]
+            what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
+            self._remark(name, f"{what}: [{lower:.4g}, {upper:.4g}] is assumed")
+        elif lower > upper:
+            lower, upper = upper, lower
+            self._remark(name, f"has its limits swapped: [{lower:.4g}, {upper:.4g}] is assumed")
+        elif kind == "revolute" and scale != 1.0:
+            lower, upper = scale * lower, scale * upper
+            self._remark(name, "has limits in degrees, as it seems: written in radians")
+        elif kind == "revolute" and upper - lower > _LARGEST_TURN:
+            self._remark(name, "has a range of more than two turns: is it in degrees?")
+        return {} if (lower, upper) == ends else {"lower": lower, "upper": upper}
+
+    def _limit_scale(self, robot: ET.Element) -> float:
+        """Return the factor to radians: limits are in degrees if most span more than two turns."""
+        limits = [
+            limit
+            for joint in robot.iterfind("joint[@type='revolute']")
+            if (limit := joint.find("limit")) is not None
+        ]
+        widths = [abs(_number(limit, "upper") - _number(limit, "lower")) for limit in limits]
+        is_wide = bool(widths) and float(np.median(widths)) > _LARGEST_TURN
+        return math.radians(1.0) if is_wide else 1.0
 
     def _immovable(self, robot: ET.Element) -> dict[str, float]:
         """Return joints whose limits are equal, with their positions."""

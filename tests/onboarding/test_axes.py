@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
-from made_hands import MadeHand, make_hand  # noqa: E402
+from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand  # noqa: E402
 from shared_hands import shared_hands_folder  # noqa: E402
 
 SHARED = shared_hands_folder()
@@ -61,6 +61,18 @@ def test_axes_side_and_fingers_of_hands_made_at_random(generator: np.random.Gene
     else:
         # Symmetric ranges leave one kind of evidence for the palm's side.
         assert made.has_names or "side" not in certain(found)
+
+
+def test_axes_of_odd_hands_are_right_and_nothing_wrong_is_certain() -> None:
+    for kind in ODDITIES:
+        made = make_odd_hand(np.random.default_rng(1), kind)
+        found = found_in(made)
+        assert degrees(found.spec.palm.dorsal, made.dorsal) < 20.0, kind
+        assert degrees(found.spec.palm.distal, made.distal) < 20.0, kind
+        assert found.spec.side == made.side or "side" not in certain(found), kind
+        is_named = all(made.tips.get(str(one)) == tip for one, tip in tips(found).items())
+        assert is_named or "fingers" not in certain(found), kind
+        assert "thumb" not in certain(found) or tips(found)["thumb"] == made.tips["thumb"], kind
 
 
 def symmetric(has_names: bool) -> MadeHand:

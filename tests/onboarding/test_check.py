@@ -113,8 +113,12 @@ def test_limits_in_degrees_are_one_finding(made: MadeHand, tmp_path: Path) -> No
         return f'lower="{57.3 * float(match[1])}" upper="{57.3 * float(match[2])}"'
 
     text = re.sub(r'lower="([^"]+)" upper="([^"]+)"', degrees, made.urdf)
-    found = " ".join(warnings_of(check(described(tmp_path, text))).values())
+    found = " ".join(warnings_of(check(described(tmp_path, text, limits={}))).values())
     assert found.count("in degrees?") == 1
+    # What `hands init` writes has the true limits.
+    limits = yaml.safe_load(described(tmp_path, text).read_text())["limits"]
+    true = [float(upper) for upper in re.findall(r'upper="([^"]+)"', made.urdf)]
+    assert sorted(one["upper"] for one in limits.values()) == pytest.approx(sorted(true), rel=1e-3)
 
 
 @pytest.mark.parametrize("tag", ["visual", "collision"])
