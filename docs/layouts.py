@@ -1,6 +1,6 @@
-"""Write the sections of `trackers.md` from the tables of layouts, and draw their pictures.
+"""Write a page for each tracker from the tables of layouts, and draw their pictures.
 
-Run `python docs/layouts.py` after a table has changed; a test compares the page with the tables.
+Run `python docs/layouts.py` after a table has changed; a test compares the pages with the tables.
 `--no-pictures` leaves the pictures as they are.
 """
 
@@ -16,16 +16,28 @@ from PIL import Image
 from handmap_qp.drawing.layout_pictures import save_layout_picture
 from handmap_qp.trackers.layout import Layout, all_layouts
 
-PAGE = Path(__file__).with_name("trackers.md")
-PICTURES = Path(__file__).with_name("images")
-BEGIN, END = "<!-- sections: docs/layouts.py -->", "<!-- end of sections -->"
+DOCS = Path(__file__).parent
+OVERVIEW = DOCS / "trackers.md"
+PICTURES = DOCS / "images"
+BEGIN, END = "<!-- table: docs/layouts.py -->", "<!-- end of the table -->"
+READ = """
+    handmap map recording.npz --layout {name} --robot allegro_right
+
+`load_layout("{name}").read(values, time=seconds, side="right")` reads one sample. A session of the
+service takes `layout="{name}"`. [Trackers](../trackers.md) says what else there is to know.
+"""
 
 
-def section(layout: Layout) -> str:
-    """Return the section of one layout as Markdown."""
+def page(layout: Layout) -> str:
+    """Return the page of one layout as Markdown."""
     table = layout.table
-    lines = [f"### {layout.name}", "", f"{table.title}.", ""]
-    lines += [f"![{layout.name}](images/layout_{layout.name}.png)", ""]
+    lines = [f"# {layout.name}", "", f"{table.title}.", READ.format(name=layout.name)]
+    lines += [f"![{layout.name}](../images/layout_{layout.name}.png)", ""]
+    lines += ["Blue dots are landmarks, grey ones are not read. Arrows are the axes of the wrist's"]
+    lines += [
+        "pose: x red, y green, z blue. Numbers of angles stand at the joints that they turn.",
+        "",
+    ]
     facts = {
         "one sample": table.values,
         "shapes": " or ".join(f"`{shape}`" for shape in layout.shapes),
@@ -43,12 +55,23 @@ def section(layout: Layout) -> str:
     return "\n".join([*lines, "", f"Sources: {sources}", ""])
 
 
-def page_text(text: str) -> str:
-    """Return the page with new sections."""
+def overview(text: str) -> str:
+    """Return the page of all trackers with a new table."""
     head, _, rest = text.partition(BEGIN)
     _, _, tail = rest.partition(END)
-    sections = "\n".join(section(layout) for layout in all_layouts())
-    return f"{head}{BEGIN}\n\n{sections}\n{END}{tail}"
+    rows = [
+        f"| [{layout.name}](trackers/{layout.name}.md) | {layout.table.title} "
+        f"| {layout.table.values} |"
+        for layout in all_layouts()
+    ]
+    table = "\n".join(["| layout | tracker | one sample |", "|---|---|---|", *rows])
+    return f"{head}{BEGIN}\n{table}\n{END}{tail}"
+
+
+def pages() -> dict[Path, str]:
+    """Return the text of every page by its file."""
+    found = {DOCS / "trackers" / f"{layout.name}.md": page(layout) for layout in all_layouts()}
+    return {OVERVIEW: overview(OVERVIEW.read_text(encoding="utf-8")), **found}
 
 
 def _wrist(layout: Layout) -> str:
@@ -84,9 +107,11 @@ def _link(source: str) -> str:
 
 
 def main(words: Sequence[str]) -> None:
-    """Write the page, and the pictures."""
-    PAGE.write_text(page_text(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    print(f"wrote {PAGE}")
+    """Write the pages, and the pictures."""
+    for file, text in pages().items():
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+        print(f"wrote {file}")
     if "--no-pictures" in words:
         return
     for layout in all_layouts():

@@ -322,11 +322,14 @@ def test_bad_files_are_one_clear_line(changes: dict[str, Any], word: str, tmp_pa
     assert "\n" not in str(caught.value)
 
 
-def test_the_page_of_trackers_is_that_of_the_tables() -> None:
+def test_the_pages_of_trackers_are_those_of_the_tables() -> None:
     folder = TABLES.parents[2] / "docs"
-    page = runpy.run_path(str(folder / "layouts.py"), run_name="layouts")
-    text = (folder / "trackers.md").read_text(encoding="utf-8")
-    assert page["page_text"](text) == text, "run python docs/layouts.py"
+    pages = runpy.run_path(str(folder / "layouts.py"), run_name="layouts")["pages"]()
+    assert {f"{layout.name}.md" for layout in all_layouts()} == {
+        file.name for file in (folder / "trackers").iterdir()
+    }
+    for file, text in pages.items():
+        assert file.read_text(encoding="utf-8") == text, "run python docs/layouts.py"
 
 
 @given(st.data())
