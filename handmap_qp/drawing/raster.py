@@ -349,8 +349,8 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
         dx, dy = round(radius * reach * np.cos(angle)), round(radius * reach * np.sin(angle))
         step = dy * stride + dx
         bump = solid - 0.5 * (padded[places + step] + padded[places - step])
+        bump /= radius * _CREASE_RADIUS
         # Ignore large steps: they are outlines of parts in front, not hollows.
-        bump = np.where(np.isfinite(bump), bump, 0.0) / (radius * _CREASE_RADIUS)
         total += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
     hollow = np.zeros_like(depth)
     hollow[is_solid] = np.clip(1.8 * total / len(offsets), 0.0, 1.0)

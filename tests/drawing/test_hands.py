@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handmap_qp.drawing.hands import draw_hands, load_shape, spheres, tube
-from handmap_qp.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.drawing.raster import Camera, Triangles, _creases, merged, render
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -304,3 +304,22 @@ def test_hand_without_visual_shapes_is_drawn_by_its_collision_shapes() -> None:
         np.testing.assert_allclose(
             shape.triangles(q).vertices, seen.triangles(q).vertices, atol=1e-12
         )
+
+
+def test_creases_are_hollows_and_neither_slopes_nor_outlines() -> None:
+    camera = Camera(np.eye(4), 1000.0, (80.0, 60.0), (160, 120))
+    rows, columns = np.mgrid[:120, :160].astype(float)
+    # The border of the picture is repeated, so leave out what it can reach.
+    inner = np.s_[30:-30, 30:-30]
+    slope = 0.5 + 5e-4 * columns + 3e-4 * rows
+    slope[:40] = np.inf
+    assert _creases(slope, camera)[inner].max() < 1e-9
+    # A valley along a column, of a tilt of 45 degrees: a pixel is 0.5 mm there.
+    valley = 0.5 - 5e-4 * np.abs(columns - 80.0)
+    crease = _creases(valley, camera)[inner]
+    assert crease[:, 48:53].min() > 0.2
+    assert crease[:, :20].max() < 1e-3
+    np.testing.assert_allclose(crease[:, 30:50], crease[:, 70:50:-1], atol=1e-12)
+    # A hand in front of another one: a step, far larger than a crease is deep.
+    step = np.where(columns < 80.0, 0.5, 0.6)
+    assert _creases(step, camera)[inner].max() < 1e-9
