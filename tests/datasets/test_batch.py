@@ -272,20 +272,24 @@ def test_ray_writes_the_same_bytes(inputs: Path, serial: Path, tmp_path: Path) -
     assert episodes(tmp_path / "out") == episodes(serial)
 
 
-@pytest.mark.parametrize("form", ["lerobot", "robomimic"])
-def test_the_data_set_keeps_limits_and_pairs_hands(
-    form: str, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    pytest.importorskip("pyarrow")
-    h5py = pytest.importorskip("h5py")
-    folder = tmp_path / "in" / "pour_water"
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """A command for recordings of both hands; its second call finds the episodes of the first."""
+    root = tmp_path_factory.mktemp("pairs")
+    folder = root / "in" / "pour_water"
     folder.mkdir(parents=True)
     write_recordings([piece(0, 20, "left"), piece(0, 20, "right")], folder / "0.npz")
     write_recordings([piece(40, 20, "left")], folder / "1.npz")
-    out = tmp_path / "out"
-    command = ["batch", str(tmp_path / "in"), "--robot", "allegro_left", "allegro_right"]
-    command += ["--out", str(out), "--format", form, "--workers", "0", "--fps", "50"]
-    assert main(command) == 0
+    command = ["batch", str(root / "in"), "--robot", "allegro_left", "allegro_right"]
+    return [*command, "--workers", "0", "--fps", "50", "--out", str(root / "out")]
+
+
+@pytest.mark.parametrize("form", ["lerobot", "robomimic"])
+def test_the_data_set_keeps_limits_and_pairs_hands(form: str, pairs: list[str]) -> None:
+    pytest.importorskip("pyarrow")
+    h5py = pytest.importorskip("h5py")
+    assert main([*pairs, "--format", form]) == 0
+    out = Path(pairs[-1])
     left, right = load_hand("allegro_left"), load_hand("allegro_right")
     count = len(left.joint_names) + 7
     if form == "lerobot":

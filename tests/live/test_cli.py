@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,9 @@ from live_cases import moving_hand, save_recording
 from service_tools import address_of, serving
 
 from handmap_qp import cli
+from handmap_qp.live.recorder import Recorder
 from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.sample import HumanSample
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -54,27 +54,34 @@ def test_replay_leads_the_service(recording: Path, capsys: pytest.CaptureFixture
         assert refused.err.count("\n") == 1
 
 
-@pytest.mark.slow
-def test_a_loop_ends_by_sigterm_and_writes_its_file(recording: Path, tmp_path: Path) -> None:
-    out = tmp_path / "loop.npz"
+def test_a_loop_ends_by_sigterm_and_writes_its_file(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out, put = tmp_path / "loop.npz", Recorder.put
+    count = itertools.count()
+
+    def put_and_end(recorder: Recorder, sample: HumanSample) -> None:
+        put(recorder, sample)
+        # In the second round.
+        if next(count) == 80:
+            signal.raise_signal(signal.SIGTERM)
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("nobody takes the signal")
+
+    monkeypatch.setattr(Recorder, "put", put_and_end)
+    before = signal.signal(signal.SIGTERM, refuse)
     words = ["track", "replay", str(recording), "--loop", "--record", str(out), "--json"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "handmap_qp.cli", *words],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
     try:
-        # Nothing tells when the loop runs; a signal before that ends the process too early.
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(5.0)
-        process.send_signal(signal.SIGTERM)
-        output, _ = process.communicate(timeout=30.0)
+        assert cli.main([*words, "--speed", "10"]) == 0
+        assert signal.getsignal(signal.SIGTERM) is refuse
     finally:
-        process.kill()
-    assert process.returncode == 0
+        signal.signal(signal.SIGTERM, before)
     copy = read_recording(out)
-    assert len(copy) == json.loads(output)["recorded"] > 60
+    assert len(copy) == json.loads(capsys.readouterr().out)["recorded"] > 60
     assert (np.diff(copy.time) > 0.0).all()
 
 
