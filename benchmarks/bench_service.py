@@ -36,7 +36,7 @@ def one_client(
     """Run one client at a steady rate that waits for each answer."""
     motion, steps, echoes, late = HumanMotion(), [], [], 0.0
     with (
-        Client(service.address, timeout=5.0) as client,
+        Client(service.address, timeout=30.0) as client,
         zmq.Context() as context,
         context.socket(zmq.DEALER) as bare,
     ):
@@ -108,7 +108,7 @@ def _some_clients(
         bare = zmq.asyncio.Context.instance().socket(zmq.DEALER)
         bare.linger = 0
         bare.connect(echo)
-        async with AsyncClient(address, timeout=5.0) as client:
+        async with AsyncClient(address, timeout=30.0) as client:
             await client.open(robot)
             await opened.wait()
             # Spread the clients over a period, as independent clients would be.

@@ -176,7 +176,7 @@ def echoing() -> Iterator[dict[str, int]]:
         yield json.loads(process.stdout.readline() if process.stdout else "")
     finally:
         process.terminate()
-        process.communicate(timeout=5.0)
+        process.communicate(timeout=30.0)
 
 
 async def _echo() -> None:

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
 from browser import DRAWING, Browser, find_chromium
-from patience import wait_until
+from patience import PATIENCE, wait_until
 from viewer_cases import make_replay, write_recording
 
 from handmap_qp import (
@@ -306,13 +306,17 @@ def test_another_preset_moves_the_robot_and_brings_its_sliders(
 
 
 @pytest.mark.slow
-def test_the_page_of_a_service_draws_both_hands_and_releases(browser: Browser) -> None:
+def test_the_page_of_a_service_draws_both_hands_and_releases(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
     import service_tools
 
     from handmap_qp.viewer.live import LiveViewer
     from handmap_qp.viewer.remote import ServiceSession
 
+    for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
+        monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", PATIENCE)
     with (
         service_tools.serving() as service,
         service_tools.connected(service, name="lab", is_shared=True) as client,

@@ -43,7 +43,8 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a long timeout, because replies take long on a busy machine."""
-    monkeypatch.setattr("handmap_qp.viewer.remote._TIMEOUT", PATIENCE)
+    for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
+        monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", PATIENCE)
 
 
 @pytest.fixture(scope="module")
@@ -413,7 +414,8 @@ def test_an_encrypted_service_is_shown_only_with_keys(
             session.release()
             wait_until(lambda: next(samples).status == "released")
             assert session.is_released
-        monkeypatch.setattr("handmap_qp.viewer.remote._TIMEOUT", 0.1)
+        for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
+            monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", 0.1)
         with pytest.raises(InvalidInputError, match="no answer"):
             ServiceSession(host_of(service))
 
