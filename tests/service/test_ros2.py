@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from patience import wait_until
-from service_tools import client_of, human_q, serving
+from service_tools import address_of, client_of, human_q, serving
 
 import handmap_qp.client
 import handmap_qp.service
@@ -172,10 +172,16 @@ def test_a_command_becomes_a_pose_with_its_scalar_last(bridge: dict[str, Any]) -
 
 
 def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) -> None:
-    with serving() as server, client_of(server) as client:
+    with (
+        serving() as server,
+        client_of(server) as client,
+        Client(address_of(server)) as watching,
+    ):
         node = bridge["Bridge"](client, "three_finger")
         node.callbacks["timer"]()
         assert client.opened is not None
+        # A simulated robot follows the session by the name that the page gives.
+        watching.watch("ros")
         names = list(client.opened.human_joint_names)
         node.callbacks["human/joint_states"](joint_state(names, human_q()))
         assert not node.published["robot/joint_commands"], (
@@ -187,6 +193,9 @@ def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) ->
         state = node.published["robot/joint_commands"][0]
         assert tuple(state.name) == server_joints(client)
         assert node.published["robot/wrist_command"]
+        seen = watching.latest(5.0)
+        assert seen is not None
+        assert tuple(seen.joint_names) == server_joints(client)
 
 
 def test_an_unusable_sample_is_logged_and_the_node_continues(bridge: dict[str, Any]) -> None:
