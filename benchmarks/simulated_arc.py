@@ -1,56 +1,169 @@
 """Section IV with gravity: what the object does in the human's and in the robot's hand.
 
 Both hands hold the same 50 mm cube of 100 g in planned grasps and carry it along the paper's arc
-while the human activates a synergy. Printed for each grasp, synergy, activation and inverse
-kinematics of the robot's fingers: whether an object is lost, the largest slip at a contact, the
-sum of normal forces at the end against the prediction of the statics, and how much the two
-objects' displacements and rotations differ.
+while the human activates a synergy. Printed for each grasp, synergy, activation, number of steps
+and mapping: whether an object is lost, the largest slip at a contact, the sum of normal forces at
+the end against the prediction of the statics, and how much the two objects' displacements and
+rotations differ. With --summary, one row for each mapping.
 
-    python benchmarks/simulated_arc.py --grasps 2 --gammas -0.3 0.3
+Mappings are the inverse kinematics of `handmap simulate --fingers` (`pseudoinverse` is eq. (8)), or
+of `handmap compare`, for a robot with the human's fingers; see `map_grasp`.
+
+    python benchmarks/simulated_arc.py --gammas -0.3 0.3
+    python benchmarks/simulated_arc.py --grasps 5 --gammas -1 -0.6 -0.3 0.3 0.6 1 --summary
+    python benchmarks/simulated_arc.py --robot allegro_right --mappings qp teleoperation --summary
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from handmap_qp.experiments.section_four import Setting, run_experiment
+from handmap_qp.experiments.followers import FingerMode
+from handmap_qp.experiments.section_four import Scene, Setting, run_experiment
 from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.library import load_hand
-from handmap_qp.simulation.arc import ArcOutcome, carry, planned_scene, predicted_force
+from handmap_qp.simulation.actuators import ActuatorKind, PositionActuators, TorqueActuators
+from handmap_qp.simulation.arc import (
+    ArcOptions,
+    ArcOutcome,
+    carry,
+    planned_scene,
+    predicted_force,
+    soft_synergy,
+)
+from handmap_qp.simulation.mapped import chosen_methods, map_grasp, with_equal_palms
 from handmap_qp.simulation.physics import Physics
 from handmap_qp.tables import print_rows, progress
 
-CUBE, MASS = Box((0.05, 0.05, 0.05)), 0.1
-FINGERS = ("pseudoinverse", "qp", "frozen")
+CUBE, MASS, PHYSICS = Box((0.05, 0.05, 0.05)), 0.1, Physics()
+FINGERS = get_args(FingerMode)
 
 
-def row(outcome: ArcOutcome, rank: int, physics: Physics) -> dict[str, Any]:
+class Case(NamedTuple):
+    """One motion of the human, mapped and simulated.
+
+    Attributes:
+        grasp: Rank of the planned grasps.
+        setting: Synergy, activation and number of steps.
+        mapping: Name of the mapping.
+        outcome: What became of both objects.
+        wanted: Sum of the normal forces at the end by the statics, of human and robot [N].
+    """
+
+    grasp: int
+    setting: Setting
+    mapping: str
+    outcome: ArcOutcome
+    wanted: tuple[float, float]
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether one of the objects is lost."""
+        return self.outcome.human.is_lost or self.outcome.robot.is_lost
+
+
+def simulate(
+    scene: Scene,
+    rank: int,
+    setting: Setting,
+    mappings: dict[str, Any],
+    kind: ActuatorKind,
+    options: ArcOptions,
+) -> list[Case]:
+    """Simulate the human once, and the robot with every mapping."""
+    of_human = of_robot = PositionActuators()
+    if kind == "torque":
+        of_human, of_robot = soft_synergy(setting.synergy, PHYSICS), TorqueActuators()
+    cases, human = [], None
+    for name, method in mappings.items():
+        fingers = name if name in FINGERS else "frozen"
+        run = run_experiment(scene, replace(setting, fingers=fingers))
+        if method is not None:
+            run = replace(run, robot=map_grasp(method, scene, run.human, options.duration))
+        human = human or carry(scene.human, run.human, MASS, PHYSICS, options, of_human)
+        robot = carry(scene.robot, run.robot, MASS, PHYSICS, options, of_robot)
+        hands = ((human, scene.human, run.human), (robot, scene.robot, run.robot))
+        wanted = [
+            predicted_force(grasp, motion, float(carried.episode.force[0]), carried.stiffness)
+            for carried, grasp, motion in hands
+        ]
+        outcome = ArcOutcome(run, human, robot)
+        cases.append(Case(rank, setting, name, outcome, (wanted[0], wanted[1])))
+    return cases
+
+
+def row(case: Case) -> dict[str, Any]:
     """Describe one run."""
-    run = outcome.run
+    outcome, setting = case.outcome, case.setting
     found: dict[str, Any] = {
-        "grasp": rank,
-        "synergy": run.setting.synergy,
-        "gamma": run.setting.gamma,
-        "fingers": run.setting.fingers,
+        "grasp": case.grasp,
+        "synergy": setting.synergy,
+        "gamma": setting.gamma,
+        "steps": setting.steps,
+        "mapping": case.mapping,
     }
-    hands = (
-        ("human", outcome.human, run.scene.human, run.human),
-        ("robot", outcome.robot, run.scene.robot, run.robot),
-    )
-    for name, carried, grasp, motion in hands:
+    hands = (("human", outcome.human), ("robot", outcome.robot))
+    for (name, carried), wanted in zip(hands, case.wanted, strict=True):
         force = carried.episode.force
-        wanted = predicted_force(grasp, motion, float(force[0]), physics.joint_stiffness)
         found[f"{name} slip mm"] = "lost" if carried.is_lost else f"{1e3 * carried.slip.max():.1f}"
         found[f"{name} force N"] = f"{force[0]:.1f} -> {force[-1]:.1f} ({wanted:.1f})"
-    if not (outcome.human.is_lost or outcome.robot.is_lost):
-        found["differs mm"] = f"{1e3 * outcome.translation_gap:.1f}"
-        found["differs deg"] = f"{np.degrees(outcome.rotation_gap):.1f}"
-    else:
-        found["differs mm"] = found["differs deg"] = "-"
+    found["differs mm"] = "-" if case.is_lost else f"{1e3 * outcome.translation_gap:.1f}"
+    found["differs deg"] = "-" if case.is_lost else f"{np.degrees(outcome.rotation_gap):.1f}"
     return found
+
+
+def summary(name: str, cases: list[Case], frozen: dict[tuple, Case]) -> dict[str, Any]:
+    """Describe all runs of one mapping: median and worst of those in which no object is lost."""
+    robots = [case.outcome.robot for case in cases]
+    held = [robot for robot in robots if not robot.is_lost]
+    errors = [
+        abs(case.outcome.robot.episode.force[-1] - case.wanted[1])
+        for case in cases
+        if not case.outcome.robot.is_lost
+    ]
+    both = [case for case in cases if not case.is_lost]
+    nearer = [
+        case.outcome.translation_gap < frozen[_key(case)].outcome.translation_gap
+        for case in both
+        if _key(case) in frozen and not frozen[_key(case)].is_lost
+    ]
+    return {
+        "mapping": name,
+        "runs": len(cases),
+        "human lost": sum(case.outcome.human.is_lost for case in cases),
+        "robot lost": len(robots) - len(held),
+        "robot slip mm": _spread([1e3 * robot.slip.max() for robot in held]),
+        "force off statics N": _spread(errors),
+        "differs mm": _spread([1e3 * case.outcome.translation_gap for case in both]),
+        "differs deg": _spread([np.degrees(case.outcome.rotation_gap) for case in both]),
+        "nearer than frozen": f"{sum(nearer)} of {len(nearer)}" if name != "frozen" else "-",
+    }
+
+
+def human_summary(cases: list[Case]) -> dict[str, Any]:
+    """Describe the human's own object over all motions."""
+    motions = {_key(case): case for case in cases}.values()
+    held = [case for case in motions if not case.outcome.human.is_lost]
+    errors = [abs(case.outcome.human.episode.force[-1] - case.wanted[0]) for case in held]
+    return {
+        "motions": len(motions),
+        "lost": len(motions) - len(held),
+        "slip mm": _spread([1e3 * case.outcome.human.slip.max() for case in held]),
+        "force off statics N": _spread(errors),
+    }
+
+
+def _key(case: Case) -> tuple:
+    return case.grasp, case.setting.synergy, case.setting.gamma, case.setting.steps
+
+
+def _spread(values: list[Any]) -> str:
+    return f"{np.median(values):.1f} / {max(values):.1f}" if values else "-"
 
 
 def main() -> None:
@@ -60,33 +173,42 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=60, help="palm poses tried for each hand")
     parser.add_argument("--synergies", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--gammas", type=float, nargs="+", default=[-0.3, 0.3])
+    parser.add_argument("--steps", type=int, nargs="+", default=[50], help="steps of the mapping")
+    parser.add_argument("--mappings", nargs="+", default=["pseudoinverse", "qp", "frozen"])
+    parser.add_argument("--peers", type=Path, help="folder of outside methods, benchmarks/peers")
+    parser.add_argument("--actuators", choices=get_args(ActuatorKind), default="position")
+    parser.add_argument("--squeeze", type=float, default=4.0, help="force at every contact [N]")
     parser.add_argument("--robot", default="three_finger")
+    parser.add_argument("--summary", action="store_true", help="one row for each mapping")
     arguments = parser.parse_args()
-    physics, robot, rows = Physics(), load_hand(arguments.robot), []
-    cases = [
-        (rank, synergy, gamma)
-        for rank in range(arguments.grasps)
+    robot = load_hand(arguments.robot)
+    others = tuple(name for name in arguments.mappings if name not in FINGERS)
+    methods = {m.name: m for m in chosen_methods(others, arguments.peers, arguments.robot)}
+    mappings = {name: methods.get(name) for name in arguments.mappings}
+    settings = [
+        Setting(synergy=synergy, gamma=gamma, steps=steps, ridge=0.1)
         for synergy in arguments.synergies
         for gamma in arguments.gammas
+        for steps in arguments.steps
     ]
-    scenes = [
-        planned_scene(robot, CUBE, rank=rank, samples=arguments.samples)
-        for rank in range(arguments.grasps)
-    ]
-    with progress("carrying", len(cases) * len(FINGERS)) as advance:
-        for rank, synergy, gamma in cases:
-            human = None
-            for fingers in FINGERS:
-                setting = Setting(synergy=synergy, gamma=gamma, fingers=fingers, ridge=0.1)
-                run = run_experiment(scenes[rank], setting)
-                # The human does the same in each.
-                human = human or carry(run.scene.human, run.human, MASS, physics)
-                carried = carry(run.scene.robot, run.robot, MASS, physics)
-                rows.append(row(ArcOutcome(run, human, carried), rank, physics))
-                advance(len(rows))
-    print_rows(
-        f"A 50 mm cube of 100 g on the arc, human and {robot.name}; in brackets: by statics", rows
-    )
+    options = ArcOptions(normal_force=arguments.squeeze)
+    cases: list[Case] = []
+    with progress("carrying", arguments.grasps * len(settings)) as advance:
+        for rank in range(arguments.grasps):
+            scene = planned_scene(robot, CUBE, rank=rank, samples=arguments.samples)
+            # Mappings of a whole hand turn the robot's palm as the human's.
+            scene = with_equal_palms(scene) if others else scene
+            for setting in settings:
+                cases += simulate(scene, rank, setting, mappings, arguments.actuators, options)
+                advance(len(cases) // len(mappings))
+    title = f"A 50 mm cube of 100 g on the arc, human and {robot.name}, {arguments.actuators}"
+    if not arguments.summary:
+        print_rows(f"{title}; in brackets: by statics", [row(case) for case in cases])
+        return
+    frozen = {_key(case): case for case in cases if case.mapping == "frozen"}
+    of = {name: [case for case in cases if case.mapping == name] for name in mappings}
+    print_rows(f"{title}; median / worst", [summary(name, of[name], frozen) for name in of])
+    print_rows("The human's own object; median / worst", [human_summary(cases)])
 
 
 if __name__ == "__main__":
