@@ -80,9 +80,8 @@ def map_grasp(
     grasp, hand = scene.robot, scene.robot_points
     take = prepare_take(Recording("grasp", time, landmarks, valid, "right"), hand.spec.side)
     mapped = map_commands(method, take, grasp.hand)
-    angles = np.clip(
-        grasp.q + mapped.q[still:] - mapped.q[still], hand.lower_limits, hand.upper_limits
-    )
+    change = mapped.q[still:] - mapped.q[still]
+    angles = np.clip(grasp.q + change, hand.lower_limits, hand.upper_limits)
     start = np.eye(4) if grasp.wrist_pose is None else grasp.wrist_pose
     moved = np.tile(start, (count + 1, 1, 1))
     turns = mapped.wrist[still:, :3, :3] @ mapped.wrist[still, :3, :3].T
