@@ -189,7 +189,7 @@ def _read_many(kind: Kind, folder: Path, seeds: range, shared: mmap.mmap, report
     for seed in seeds:
         _PROGRESS.pack_into(shared, 0, seed, *counts)
         altered = folder / "altered"
-        _alter(folder / "valid", altered, seed)
+        _alter(folder / "valid", altered, seed, kind.altered)
         started = time.perf_counter()
         signal.alarm(PATIENCE)
         result = _read(kind, altered)
@@ -207,12 +207,12 @@ def _read_many(kind: Kind, folder: Path, seeds: range, shared: mmap.mmap, report
     os._exit(0)
 
 
-def _alter(valid: Path, altered: Path, seed: int) -> None:
-    """Copy the valid files, and alter one of them."""
+def _alter(valid: Path, altered: Path, seed: int, pattern: str) -> None:
+    """Copy the valid files, and alter one of those whose names match."""
     shutil.rmtree(altered, ignore_errors=True)
     shutil.copytree(valid, altered)
     rng = np.random.default_rng(seed)
-    files = sorted(file for file in altered.rglob("*") if file.is_file())
+    files = sorted(file for file in altered.rglob(pattern) if file.is_file())
     file = files[rng.integers(len(files))]
     mode = file.stat().st_mode
     file.write_bytes(mutated(file.read_bytes(), rng))

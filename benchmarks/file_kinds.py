@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
 import yaml
 
 from handmap_qp import load_hand
+from handmap_qp.datasets.manifest import Line, Manifest, read_manifests
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.mjcf.convert import convert_mjcf
 from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.onboarding.detect import detect
+from handmap_qp.onboarding.migrate import read_dex_configuration
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
 from handmap_qp.service.store import PostureStore, Record
 from handmap_qp.trackers.formats import format_to_write, list_sources
@@ -51,11 +55,13 @@ class Kind:
         name: Its name.
         write: Writes valid files into a folder that does not exist yet.
         read: Reads the files of such a folder.
+        altered: Pattern of the names of the files that are altered.
     """
 
     name: str
     write: Callable[[Path], None]
     read: Callable[[Path], object]
+    altered: str = "*"
 
 
 def _demo() -> Recording:
@@ -129,6 +135,43 @@ def _options() -> str:
     return yaml.safe_dump({"preset": "teleoperation", "ridge": 0.2, "rest_weight": 0.1})
 
 
+def _mesh(suffix: str) -> Kind:
+    """Return the kind of a hand with one mesh."""
+
+    def write(folder: Path) -> None:
+        _write_hand(folder)
+        trimesh.creation.icosphere(1, 0.01).export(folder / f"tip.{suffix}")
+        urdf = folder / "hand.urdf"
+        text, shape = urdf.read_text(encoding="utf-8"), f'<mesh filename="tip.{suffix}"/>'
+        urdf.write_text(_COLLISION.sub(rf"\1{shape}\2", text, count=1), encoding="utf-8")
+
+    def read(folder: Path) -> None:
+        read_collision_shapes(load_hand(folder / "hand.yaml"))
+
+    return Kind(f"{suffix.upper()} mesh", write, read, f"*.{suffix}")
+
+
+_COLLISION = re.compile(r"(<collision[^>]*>.*?<geometry>).*?(</geometry>)", re.DOTALL)
+
+
+def _write_manifest(folder: Path) -> None:
+    folder.mkdir()
+    with Manifest(folder) as manifest:
+        for i in range(5):
+            manifest.append(
+                Line(f"key-{i}", "done", f"{i}.npz", 100, i, "digest", metrics={"a": 1.0})
+            )
+
+
+_DEX = """retargeting:
+  type: vector
+  urdf_path: hand.urdf
+  target_origin_link_names: [palm, palm]
+  target_task_link_names: [thumb_tip, index_tip]
+  target_link_human_indices: [[0, 0], [4, 8]]
+"""
+
+
 KINDS = (
     _recording("npz", "demo.npz"),
     _recording("csv", "demo.csv"),
@@ -151,5 +194,10 @@ KINDS = (
     _text("token", "token", lambda: "a-token-of-the-tests-0123456789\n", read_token),
     Kind("keys", _write_keys, _read_keys),
     Kind("state", _write_state, _read_state),
+    _mesh("stl"),
+    _mesh("obj"),
+    _mesh("dae"),
+    Kind("manifest of a batch", _write_manifest, read_manifests),
+    _text("dex-retargeting", "config.yaml", lambda: _DEX, read_dex_configuration),
 )
 """All kinds."""

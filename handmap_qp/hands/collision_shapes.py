@@ -59,7 +59,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
             name = part.name
             if name in meshes:
                 file, scale = meshes.pop(name)
-                part.geometry, part.meshPath = _hull_of(file, scale), file
+                part.geometry, part.meshPath = _hull_of(file, scale, _stamp(file)), file
                 part.meshScale = np.array(scale)
     except _FlatError as error:
         message = f"the collision shape {name!r} is flat: it has no convex hull"
@@ -73,9 +73,18 @@ def _read(hand: Hand) -> pin.GeometryModel:
     return geometry
 
 
-# The meshes of a hand are those of all its sessions.
+def _stamp(file: str) -> tuple[int, int]:
+    """Return time of change [ns] and size [bytes] of a file; zeros if there is none."""
+    try:
+        found = Path(file).stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
+
+
+# The meshes of a hand are those of all its sessions, as long as the file does not change.
 @lru_cache(maxsize=256)
-def _hull_of(file: str, scale: tuple[float, ...]) -> coal.Convex:
+def _hull_of(file: str, scale: tuple[float, ...], _: tuple[int, int]) -> coal.Convex:
     """Read a mesh as its convex hull.
 
     A mesh is a surface without an inside: an object within it would not be noticed, and an overlap

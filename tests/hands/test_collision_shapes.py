@@ -141,6 +141,16 @@ def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path, kind:
         assert gap > 0.01
 
 
+def test_a_mesh_that_has_changed_is_read_again(tmp_path: Path) -> None:
+    (tmp_path / "hand.urdf").write_text(FINGER.format(mesh="part.stl"))
+    radii = []
+    for size in (0.02, 0.04):
+        trimesh.creation.box((size, size, size)).export(tmp_path / "part.stl")
+        shapes = read_collision_shapes(Hand(msgspec.structs.replace(SPEC, directory=tmp_path)))
+        radii.append(np.linalg.norm(shapes.geometryObjects[0].geometry.point(0)))
+    assert radii[1] == pytest.approx(2.0 * radii[0], rel=1e-6)
+
+
 def test_a_flat_mesh_is_named(tmp_path: Path) -> None:
     flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
     flat.export(tmp_path / "flat.stl")
