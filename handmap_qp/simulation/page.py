@@ -16,7 +16,7 @@ from handmap_qp.output_files import replaced_file
 from handmap_qp.simulation.episode import Episode
 from handmap_qp.simulation.shapes import surface, turn_up
 from handmap_qp.transform import quat_wxyz_from_rotation
-from handmap_qp.viewer.scene import in_order, joint_places, load_urdf
+from handmap_qp.viewer.figure import in_order, joint_places, load_urdf
 from handmap_qp.viewer.serving import serving
 
 if TYPE_CHECKING:
