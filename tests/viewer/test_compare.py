@@ -1,0 +1,201 @@
+"""The view with two robots: comparison, landmarks, trails, and pages of any samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from viewer_cases import COUNT, closing_motion, closing_recording, make_replay, press
+
+from handmap_qp import HandMapper, load_hand
+from handmap_qp.mapping.methods.by_name import METHODS
+from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.offline.trajectory import map_recording
+from handmap_qp.trackers.landmarks import TIPS
+from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.viewer.app import ReplayViewer
+from handmap_qp.viewer.camera import BrowserCameras
+from handmap_qp.viewer.controls import KEPT, NOTHING
+from handmap_qp.viewer.landmark_figure import BONES
+from handmap_qp.viewer.page import make_page
+from handmap_qp.viewer.sample import Variant, ViewSample
+from handmap_qp.viewer.scene import HandScene, Solid
+from handmap_qp.viewer.serving import serving
+
+# Processes, sockets, pictures or whole hands: not for the fast suite.
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def viewer() -> Iterator[ReplayViewer]:
+    """A viewer paused at its first sample."""
+    with serving() as server:
+        shown = ReplayViewer(server, make_replay())
+        shown.play_bar.toggle()
+        yield shown
+
+
+def node(viewer: ReplayViewer, name: str) -> Any:
+    return viewer.server.scene.get_handle_by_name(name)
+
+
+def in_scene(frame: Any, points: np.ndarray) -> np.ndarray:
+    """Return points of a figure's world in the scene."""
+    pose = affine(rotation_from_quat_wxyz(frame.wxyz), np.array(frame.position))
+    return transform_points(pose, np.asarray(points))
+
+
+def seek(viewer: ReplayViewer, index: int) -> None:
+    viewer.play_bar.slider.value = float(viewer.replay.time[index])
+    viewer.tick(0.0)
+
+
+def test_a_second_robot_follows_the_same_samples_by_its_own_method(viewer: ReplayViewer) -> None:
+    compare, robot, replay = viewer.steering.compare, load_hand("three_finger"), viewer.replay
+    assert compare is not None
+    assert set(compare.choice.options) == {NOTHING, KEPT, *PRESETS, *METHODS} - {"homogeneous"}
+    before = [sample.robot_q for sample in replay.samples]
+    compare.choice.value = "finger-vectors"
+    seek(viewer, COUNT - 1)
+    method, ik = METHODS["finger-vectors"](), PRESETS["object"].ik
+    mapper = HandMapper(closing_motion().human, robot, method, ik=ik)
+    expected = map_recording(mapper, closing_recording())
+    assert replay.other is not None
+    np.testing.assert_allclose(
+        [sample.robot_q for sample in replay.other.samples], expected.q, atol=1e-12
+    )
+    np.testing.assert_array_equal([sample.robot_q for sample in replay.samples], before)
+    assert node(viewer, "/robot_2_name").text == "three_finger\nfinger-vectors"
+    for robot_node, sample in (("/robot", viewer.sample), ("/robot_2", replay.other.samples[-1])):
+        for i, point in enumerate(sample.robot_points):
+            np.testing.assert_array_equal(node(viewer, f"{robot_node}/points/{i}").position, point)
+    # Human, first and second robot stand side by side, from the left (+x) to the right.
+    places = [node(viewer, f"/{name}_name").position[0] for name in ("human", "robot", "robot_2")]
+    assert places == sorted(places, reverse=True)
+    assert "finger-vectors" in viewer.gauges.table.content
+    np.testing.assert_allclose(
+        viewer.gauges.error.data[3],
+        [1e3 * sample.point_error.mean() for sample in replay.other.samples],
+    )
+    # Release holds both.
+    press(viewer.steering.release)
+    viewer.tick(0.0)
+    assert {v.samples[-1].status for v in replay.variants} == {"released"}
+    compare.choice.value = NOTHING
+    viewer.tick(0.0)
+    assert len(replay.variants) == 1
+    assert not node(viewer, "/robot_2").visible
+
+
+def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
+    compare, replay = viewer.steering.compare, viewer.replay
+    assert compare is not None
+    before = replay.samples
+    press(compare.keep)
+    viewer.tick(0.0)
+    viewer.steering.options.handles["deformation_gain"].value = 0.0
+    viewer.tick(0.0)
+    assert replay.other is not None
+    assert [variant.label for variant in replay.variants] == ["paper, changed", "paper, kept"]
+    for kept, sample in zip(replay.other.samples, before, strict=True):
+        np.testing.assert_allclose(kept.robot_q, sample.robot_q, atol=1e-12)
+    assert np.abs(replay.samples[-1].robot_q - before[-1].robot_q).max() > 0.05
+
+
+def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(viewer: ReplayViewer) -> None:
+    assert node(viewer, "/landmarks") is None
+    viewer.display.landmarks.value = True
+    seek(viewer, 40)
+    landmarks = closing_recording().landmarks[40]
+    shown = in_scene(node(viewer, "/landmarks"), landmarks)
+    for i, point in enumerate(landmarks):
+        np.testing.assert_allclose(node(viewer, f"/landmarks/points/{i}").position, point)
+    np.testing.assert_allclose(node(viewer, "/landmarks/bones").points, landmarks[BONES], atol=1e-6)
+    hand = in_scene(node(viewer, "/human"), landmarks)
+    # The same landmarks as on the drawn hand, shifted to the left of it.
+    shift = shown - hand
+    np.testing.assert_allclose(shift, np.tile(shift[0], (21, 1)), atol=1e-9)
+    assert shown[:, 0].min() > hand[:, 0].max()
+    viewer.display.landmarks.value = False
+    viewer.tick(0.0)
+    assert not node(viewer, "/landmarks").visible
+
+
+@pytest.mark.parametrize("follow", ["hands", "world"])
+def test_trails_are_the_paths_of_the_tips_until_they_are_cleared(
+    viewer: ReplayViewer, follow: str
+) -> None:
+    viewer.display.trails.value, viewer.display.follow.value = True, follow
+    seen = []
+    for i in range(5):
+        seek(viewer, i)
+        tips = viewer.sample.landmarks[TIPS]
+        seen.append(in_scene(node(viewer, "/human"), tips))
+    # On the screen, a trail is where the tips were seen.
+    drawn = in_scene(node(viewer, "/human"), node(viewer, "/human/trail").points.reshape(-1, 3))
+    expected = np.stack([seen[:-1], seen[1:]], axis=2).reshape(-1, 3)
+    np.testing.assert_allclose(drawn, expected, atol=1e-5)
+    assert node(viewer, "/robot/trail").visible
+    press(viewer.display.clear)
+    viewer.tick(0.0)
+    assert not node(viewer, "/human/trail").visible
+    seek(viewer, 6)
+    seek(viewer, 7)
+    assert len(node(viewer, "/human/trail").points) == len(TIPS)
+    # Time that goes back starts it again.
+    seek(viewer, 0)
+    assert not node(viewer, "/human/trail").visible
+
+
+def test_a_page_of_a_robot_and_an_object_needs_no_human_hand() -> None:
+    robot = load_hand("three_finger")
+    cube = Solid(np.eye(3), np.array([[0, 1, 2]]))
+    pose = affine(np.eye(3), np.array([0.1, 0.2, 0.3]))
+    samples = [
+        ViewSample(
+            time=0.1 * i,
+            robot_q=robot.rest,
+            robot_wrist=np.eye(4),
+            robot_points=robot.points(robot.rest, np.eye(4)),
+            object_pose=affine(np.eye(3), 0.1 * i * pose[:3, 3]),
+        )
+        for i in range(3)
+    ]
+    variant = Variant("squeeze", robot, "world", samples)
+    with serving() as server:
+        scene = HandScene(server, None, [variant], cube)
+        scene.draw([samples[-1]])
+        solid = server.scene.get_handle_by_name("/robot/object")
+        assert solid is not None
+        np.testing.assert_allclose(solid.position, 0.2 * pose[:3, 3])
+    page = make_page("A <cube>", None, [variant], solid=cube).decode()
+    assert "<title>A &lt;cube&gt; - handmap view</title>" in page
+    assert "0.2 s, 3 samples" in page
+
+
+@pytest.mark.parametrize("window", [(1440, 900), (500, 600), (240, 900), (1000, 200)])
+def test_the_box_and_the_names_below_fit_every_window(window: tuple[int, int]) -> None:
+    size = np.array([0.5, 0.3, 0.2])
+    with serving() as server:
+        cameras = BrowserCameras(server)
+        cameras.fit(*size)
+        distance, low = cameras._view(*window)
+        direction, fov = cameras.view["direction"], cameras.view["fov"]
+    eye = distance * np.array(direction) + (0.0, low, 0.0)
+    forward = -np.array(direction)
+    right = np.array([-1.0, 0.0, 0.0])
+    up = np.cross(right, forward)
+    signs = np.array([[x, y] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+    # The middle of the box: hands are widest there, not at its front.
+    seen = np.column_stack([signs * size[:2], np.zeros(4)]) - eye
+    pixels = window[1] / (2.0 * np.tan(0.5 * fov))
+    x = pixels * (seen @ right) / (seen @ forward)
+    y = pixels * (seen @ up) / (seen @ forward)
+    assert np.abs(x).max() < 0.5 * window[0]
+    assert y.max() < 0.5 * window[1]
+    assert y.min() > -0.5 * window[1] + 40, "two lines of names"

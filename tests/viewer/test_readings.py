@@ -1,0 +1,95 @@
+"""The numbers of one instant, and HTML that changes over time."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+
+from handmap_qp import load_hand
+from handmap_qp.offline.surface_gaps import measure_gaps
+from handmap_qp.transform import affine, rotation_from_rpy
+from handmap_qp.viewer.export import on_white
+from handmap_qp.viewer.html_film import html_film
+from handmap_qp.viewer.reading_table import reading_table
+from handmap_qp.viewer.readings import RobotReader, human_pinches
+from handmap_qp.viewer.sample import ViewSample
+
+ROBOT = load_hand("three_finger")
+
+
+def sample_of(q: np.ndarray, **values: np.ndarray) -> ViewSample:
+    return ViewSample(
+        time=0.0,
+        robot_q=q,
+        robot_wrist=np.eye(4),
+        robot_points=ROBOT.points(q, np.eye(4)),
+        **values,
+    )
+
+
+def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -> None:
+    q = ROBOT.rest + 0.4 * (ROBOT.upper_limits - ROBOT.rest)
+    points = ROBOT.points(q, np.eye(4))
+    shifts = np.zeros_like(points)
+    shifts[0, 2] = 0.03
+    target = affine(rotation_from_rpy((0.0, 0.2, 0.0)), np.array([0.003, 0.0, -0.004]))
+    readings = RobotReader(ROBOT).read(sample_of(q, targets=points + shifts, wrist_target=target))
+    assert readings.error == pytest.approx((0.03 / len(points), 0.03))
+    assert readings.wrist == pytest.approx((0.005, 0.2))
+    gaps = measure_gaps(ROBOT, q[None]).pinches
+    assert readings.pinches == pytest.approx({name: gap[0] for name, gap in gaps.items()})
+    table = reading_table(["paper"], [readings], {"index": 0.0123})
+    text = re.sub("<[^>]*>", " ", table)
+    assert "30.0 mm" in text
+    assert "5.0 mm" in text
+    assert "11.5°" in text
+    finger, gap = next(iter(readings.pinches.items()))
+    assert re.search(rf"{finger}\s+\S+\s+{1e3 * gap:.0f}\b", text)
+    unknown = RobotReader(ROBOT).read(sample_of(q))
+    assert (unknown.error, unknown.wrist) == (None, None)
+
+
+def test_a_touch_of_the_human_reads_zero() -> None:
+    landmarks = np.zeros((21, 3))
+    landmarks[[8, 12, 16, 20], 0] = 0.010, 0.012, 0.052, 0.072
+    gaps = human_pinches(sample_of(ROBOT.rest, landmarks=landmarks), 0.012)
+    assert gaps == pytest.approx({"index": 0.0, "middle": 0.0, "ring": 0.04, "little": 0.06})
+    assert human_pinches(sample_of(ROBOT.rest), 0.012) == {}
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(("<b>{}</b>", '<i style="width:{}%;top:1px">{}</i>')),
+            st.integers(0, 99),
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_a_film_gives_every_frame_back(frames: list[tuple[str, int]]) -> None:
+    texts = [shape.format(value, value) for shape, value in frames]
+    film = html_film(texts)
+    for text, (kind, values) in zip(texts, film["rows"], strict=True):
+        parts = list(film["kinds"][kind]["parts"])
+        for place, value in zip(film["kinds"][kind]["places"], values, strict=True):
+            parts[place] = value
+        assert "".join(parts) == text
+    # What stays is kept once.
+    if len(set(texts)) == 1:
+        assert all(values == [] for _, values in film["rows"])
+
+
+def test_a_picture_is_put_on_white() -> None:
+    import imageio.v3 as imageio
+
+    image = np.zeros((1, 3, 4), dtype=np.uint8)
+    image[0, 0], image[0, 1], image[0, 2] = (10, 20, 30, 255), (0, 0, 0, 0), (0, 0, 0, 51)
+    read = imageio.imread(on_white(image))
+    assert read[0].tolist() == [[10, 20, 30], [255, 255, 255], [204, 204, 204]]
