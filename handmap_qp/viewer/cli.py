@@ -144,7 +144,7 @@ class View:
         from handmap_qp.viewer.serving import serving
 
         page = None if self.html is None else check_page(self.html)
-        replay = self._replay(file, robot)
+        replay = self.replay(file, robot)
         if page is not None:
             write_page(page, replay_page(replay))
             print(f"wrote {page}")
@@ -186,7 +186,8 @@ class View:
         if self.open:
             webbrowser.open(address)
 
-    def _replay(self, file: Path, name: str) -> Replay:
+    def replay(self, file: Path, name: str) -> Replay:
+        """Return a recording mapped to a robot, as the view shows it."""
         from handmap_qp.trackers.fit import fit_recording
         from handmap_qp.trackers.person import measure_person, read_person
         from handmap_qp.viewer.replay import Replay

@@ -198,4 +198,4 @@ def test_the_box_and_the_names_below_fit_every_window(window: tuple[int, int]) -
     y = pixels * (seen @ up) / (seen @ forward)
     assert np.abs(x).max() < 0.5 * window[0]
     assert y.max() < 0.5 * window[1]
-    assert y.min() > -0.5 * window[1] + 40, "two lines of names"
+    assert y.min() > -0.5 * window[1] + 60, "the names"
