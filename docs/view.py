@@ -96,7 +96,9 @@ def shoot(browser: Browser, name: str, size: tuple[int, int]) -> None:
         pictures.append(browser.screenshot()[0])
         if len(pictures) > 12:
             break
-    image = Image.open(BytesIO(pictures[-1])).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+    image = (
+        Image.open(BytesIO(pictures[-1])).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE)
+    )
     image.save(DOCS / "images" / name, optimize=True)
     print(f"wrote docs/images/{name}: {(DOCS / 'images' / name).stat().st_size / 1e3:.0f} kB")
 

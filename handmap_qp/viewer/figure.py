@@ -5,18 +5,14 @@ Each figure's world is a node of the scene, so its children take coordinates of 
 
 from __future__ import annotations
 
-import io
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handmap_qp.drawing.hands import mesh_file
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
-from handmap_qp.viewer.merged_shapes import merge_shapes
+from handmap_qp.viewer.hand_model import HandModel, LinkTree
 
 if TYPE_CHECKING:
     import viser
@@ -166,7 +162,8 @@ class Spheres:
                 )
             )
         for i, node in enumerate(self._nodes):
-            node.visible = i < count
+            if node.visible != (i < count):
+                node.visible = i < count
             if points is not None and i < count:
                 node.position = points[i]
 
@@ -185,29 +182,24 @@ class HandFigure(Figure):
     """
 
     def __init__(self, server: viser.ViserServer, node: str, hand: Hand) -> None:
-        from viser.extras import ViserUrdf
-
         super().__init__(server, node)
         self.hand = hand
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
-        urdf = load_urdf(hand)
-        self._model = ViserUrdf(server, urdf, root_node_name=f"/{node}/body")
-        self._order = joint_places(hand, self._model.get_actuated_joint_names())
-        self._root = urdf.base_link
-        self._model.update_cfg(in_order(self._order, hand.rest))
-        low, high = urdf.scene.bounds
+        self._model = HandModel(server, f"/{node}/body", hand)
         is_on_arm = hand.has_moving_wrist and not hand.is_floating
         # On an arm: fit the view to the hand; parts of the arm may lie outside.
-        self._corners = {} if is_on_arm else _link_corners(urdf)
+        self._corners = {} if is_on_arm else _link_corners(self._model.tree)
         to_wrist = inverse_pose(hand.frame_pose("wrist", hand.rest))
         if is_on_arm:
             points = transform_points(to_wrist, hand.points(hand.rest))
             self._focus = 0.5 * points.mean(axis=0)
             self.radius = float(np.linalg.norm(points, axis=1).max())
         else:
-            in_wrist = to_wrist @ hand.link_poses([urdf.base_link], hand.rest)[0]
-            self._focus = transform_points(in_wrist, 0.5 * (low + high)[None])[0]
-            self.radius = 0.45 * float(np.linalg.norm(high - low))
+            wrist = np.linalg.inv(to_wrist)
+            corners = transform_points(to_wrist, self.outline(hand.rest, wrist))
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            self._focus = 0.5 * (low + high)
+            self.radius = 0.4 * float(np.linalg.norm(high - low))
 
     def centre(self, wrist: np.ndarray) -> np.ndarray:
         """Return the hand's centre for a wrist pose (4, 4), in its world [m], shape (3,)."""
@@ -235,40 +227,14 @@ class HandFigure(Figure):
             q: Joint angles [rad], shape (n_joints,).
             wrist: Wrist pose, shape (4, 4).
         """
-        self._body.visible = q is not None
+        if self._body.visible != (q is not None):
+            self._body.visible = q is not None
         if q is not None:
-            hand = self.hand
-            pose = hand.link_poses([self._root], q, wrist if hand.is_floating else None)[0]
-            self._model.update_cfg(in_order(self._order, q))
+            floating = wrist if self.hand.is_floating else None
+            pose = self.hand.link_poses([self._model.tree.root], q, floating)[0]
             self._body.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
             self._body.position = pose[:3, 3]
-
-
-def load_urdf(hand: Hand) -> Any:
-    """Load the hand's URDF with its meshes for `ViserUrdf`."""
-    from yourdfpy import URDF
-
-    robot = parse_urdf(hand.urdf_text)
-    # ViserUrdf names the nodes of links and of shapes alike, and a shape with a link's name would
-    # replace the link: rename all shapes.
-    for link in robot.iterfind("link"):
-        for i, visual in enumerate(link.iterfind("visual")):
-            visual.set("name", f"{link.get('name')}_shape_{i}")
-    text = io.BytesIO(ET.tostring(robot))
-    urdf = URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
-    merge_shapes(urdf)
-    return urdf
-
-
-def joint_places(hand: Hand, names: Sequence[str]) -> list[int | None]:
-    """Return each drawn joint's index in `hand.joint_names`; None if it is not the hand's."""
-    places = {name: i for i, name in enumerate(hand.joint_names)}
-    return [places.get(name) for name in names]
-
-
-def in_order(order: list[int | None], q: np.ndarray) -> np.ndarray:
-    """Return the joint angles of a drawn model; 0 for joints that are not the hand's."""
-    return np.array([0.0 if i is None else q[i] for i in order])
+            self._model.show(q, floating)
 
 
 def as_bytes(colour: Colour) -> tuple[int, int, int]:
@@ -277,17 +243,15 @@ def as_bytes(colour: Colour) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _link_corners(urdf: Any) -> dict[str, np.ndarray]:
+def _link_corners(tree: LinkTree) -> dict[str, np.ndarray]:
     """Return the corners of the boxes around each link's shapes, in the link's frame, (n, 3)."""
-    graph, corners = urdf.scene.graph, {}
-    for node in graph.nodes_geometry:
-        pose, shape = graph.get(node)
-        low, high = urdf.scene.geometry[shape].bounds
-        low, high = low - _PADDING, high + _PADDING
-        link = graph.transforms.parents[node]
-        in_link = inverse_pose(graph.get(link)[0]) @ pose
-        box = transform_points(in_link, low + _BOX_CORNERS * (high - low))
-        corners[link] = np.vstack([corners[link], box]) if link in corners else box
+    corners = {}
+    for link, shapes in tree.shapes.items():
+        boxes = []
+        for pose, mesh in shapes:
+            low, high = mesh.bounds[0] - _PADDING, mesh.bounds[1] + _PADDING
+            boxes.append(transform_points(pose, low + _BOX_CORNERS * (high - low)))
+        corners[link] = np.vstack(boxes)
     return corners
 
 

@@ -34,8 +34,9 @@ from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
-from handmap_qp.viewer.figure import HandFigure, in_order, joint_places, load_urdf
+from handmap_qp.viewer.figure import HandFigure
 from handmap_qp.viewer.frames import skip_wakeup_race
+from handmap_qp.viewer.hand_model import LinkTree
 from handmap_qp.viewer.joint_bars import joint_bars, joints_by_finger, short_names
 from handmap_qp.viewer.option_controls import LEFT_OUT, OptionControls
 from handmap_qp.viewer.replay import Replay
@@ -154,28 +155,37 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
             )
             drawn = in_scene(server, link, np.array([point.xyz]))[0]
             sphere = pose_in_scene(server, f"/{side}/points/{i}")[:3, 3]
-            # yourdfpy places the joints' nodes, Pinocchio the spheres.
+            # The tree of links places the joints' nodes, the hand the spheres.
             np.testing.assert_allclose(drawn, sphere, atol=1e-9)
             np.testing.assert_allclose(
-                in_scene(server, f"/{side}", points[[i]])[0], sphere, atol=1e-9
+                in_scene(server, f"/{side}", np.asarray(points)[[i]])[0], sphere, atol=1e-9
             )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", hand_names())
 def test_every_link_of_every_hand_is_drawn_where_the_model_has_it(name: str) -> None:
-    hand = load_hand(name)
+    hand, tree = load_hand(name), LinkTree(load_hand(name))
     q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
-    drawn = load_urdf(hand)
-    drawn.update_cfg(in_order(joint_places(hand, drawn.actuated_joint_names), q))
-    links = list(drawn.link_map)
     wrist = np.eye(4) if hand.is_floating else None
-    poses = np.array(hand.link_poses(links, q, wrist))
-    root = hand.link_poses([drawn.base_link], q, wrist)[0]
-    # yourdfpy moves mimic joints itself.
-    np.testing.assert_allclose(
-        [root @ drawn.get_transform(link) for link in links], poses, atol=1e-12
-    )
+    # As the browser does: from link to link along the paths of the nodes.
+    steps = {}
+    for links in (tree.fixed, tree.moving):
+        quats, shifts = tree.relative(links, q, wrist)
+        steps |= {
+            link: affine(rotation_from_quat_wxyz(quat), shift)
+            for link, quat, shift in zip(links, quats, shifts, strict=True)
+        }
+    assert not set(steps) & {tree.root}
+    for link, shapes in tree.shapes.items():
+        drawn = hand.link_poses([tree.root], q, wrist)[0]
+        for part in tree.paths[link].split("/")[1:]:
+            drawn = drawn @ steps[part]
+        np.testing.assert_allclose(drawn, hand.link_poses([link], q, wrist)[0], atol=1e-9)
+        assert shapes
+    # What stays fixed in the scene is fixed in the model.
+    moved = tree.relative(tree.fixed, hand.rest, wrist)
+    np.testing.assert_allclose(moved[1], tree.relative(tree.fixed, q, wrist)[1], atol=1e-9)
 
 
 def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
@@ -256,7 +266,7 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
         )
         right = np.cross(forward, (0.0, 1.0, 0.0))
         for side, points in (("human", sample.human_points), ("robot", sample.robot_points)):
-            seen = in_scene(server, f"/{side}", points) - camera.position
+            seen = in_scene(server, f"/{side}", np.asarray(points)) - camera.position
             depth = seen @ forward
             half_height = np.tan(0.5 * camera.fov)
             assert np.abs(seen @ right / depth).max() < 0.75 * half_height * np.linalg.norm(right)
@@ -266,7 +276,7 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
 def test_the_robots_name_says_that_the_hand_was_not_seen(viewer: ReplayViewer) -> None:
     assert state_text(viewer.sample) == ""
     seek(viewer, GAP.start)
-    label = viewer.server.scene.get_handle_by_name("/robot_name")
+    label: Any = viewer.server.scene.get_handle_by_name("/robot_name")
     assert label.text.splitlines() == ["three_finger", "paper", "held: missing"]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -128,12 +128,13 @@ def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(viewer: Replay
 
 @pytest.mark.parametrize("follow", ["hands", "world"])
 def test_trails_are_the_paths_of_the_tips_until_they_are_cleared(
-    viewer: ReplayViewer, follow: str
+    viewer: ReplayViewer, follow: Literal["hands", "world"]
 ) -> None:
     viewer.display.trails.value, viewer.display.follow.value = True, follow
     seen = []
     for i in range(5):
         seek(viewer, i)
+        assert viewer.sample.landmarks is not None
         tips = viewer.sample.landmarks[TIPS]
         seen.append(in_scene(node(viewer, "/human"), tips))
     # On the screen, a trail is where the tips were seen.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from handmap_qp.viewer.sample import ViewSample
 ROBOT = load_hand("three_finger")
 
 
-def sample_of(q: np.ndarray, **values: np.ndarray) -> ViewSample:
+def sample_of(q: np.ndarray, **values: Any) -> ViewSample:
     return ViewSample(
         time=0.0,
         robot_q=q,
