@@ -339,7 +339,7 @@ def test_every_option_has_a_control_or_is_left_out_by_name(server: Any) -> None:
     assert sorted((*fingers.handles, *LEFT_OUT)) == sorted(
         (*(item.name for item in fields(Teleoperation)), *IkOptions.__slots__)
     )
-    with_nothing_to_keep_apart = OptionControls(server, load_hand("hey5"), PAPER)
+    with_nothing_to_keep_apart = OptionControls(server, load_hand("panda_gripper"), PAPER)
     assert controls.handles.keys() - with_nothing_to_keep_apart.handles.keys() == {
         "avoids_self_collision"
     }
