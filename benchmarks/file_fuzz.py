@@ -2,7 +2,7 @@
 
 Valid files are altered by bytes, by words, and in the records of zip archives. Reading one may
 succeed or raise an error of the package whose text is one line. Other exceptions, crashes, reads of
-more than thirty seconds and more than 1.5 GB of memory count as failures; the exit code is 1 then.
+more than two minutes and more than 1.5 GB of memory count as failures; the exit code is 1 then.
 Files that failed are kept in the folder of `--keep`.
 
     nice python benchmarks/file_fuzz.py --json file_fuzz.json
@@ -36,7 +36,7 @@ from handmap_qp.errors import HandmapError
 
 MEMORY = 1_500_000_000
 """Memory that reading one file may take [bytes]."""
-PATIENCE = 30
+PATIENCE = 120
 """Time that reading one file may take, on a machine with other programs too [s]."""
 _PROGRESS = struct.Struct("<qqq")
 _WORDS = (
@@ -158,7 +158,8 @@ def fuzz(kind: Kind, count: int, seed: int, keep: Path | None) -> dict[str, Any]
                 examples.append(f"seed {seed + reached}: {ended} with status {status}")
             done = reached + 1
             if keep is not None and status:
-                shutil.copytree(Path(folder) / "altered", keep / f"{kind.name}-{seed + reached}")
+                kept = keep / f"{kind.name}-{seed + reached}"
+                shutil.copytree(Path(folder) / "altered", kept, dirs_exist_ok=True)
     failures = sum(number for name, number in results.items() if name not in ("read", "refused"))
     return {
         "files": kind.name,
