@@ -18,6 +18,7 @@ from handmap_qp.hands.spec import (
     HandSpec,
     LimitSpec,
     MimicSpec,
+    PadSpec,
     PalmSpec,
     PointSpec,
     WristSpec,
@@ -30,6 +31,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "`palm`": PalmSpec,
     "`wrist`": WristSpec,
     "`points`: one of them": PointSpec,
+    "`pad`: of one point": PadSpec,
     "`collision`": CollisionSpec,
     "`limits`: of one joint": LimitSpec,
     "`mimic`: of one joint": MimicSpec,
@@ -107,6 +109,7 @@ def _type(kind: Any) -> str:
         "WristSpec": "keys below",
         "CollisionSpec": "keys below",
         "ArmSpec": "keys below",
+        "PadSpec": "keys below",
     }
     text = text.removesuffix(" | None") if text not in names else text
     return names[text]

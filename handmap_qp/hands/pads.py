@@ -1,4 +1,7 @@
-"""The pads of a hand's fingertips: a ball inside each fingertip's surface, from its shapes."""
+"""The pads of a hand's fingertips: a ball inside each fingertip's surface.
+
+A description names them, or they are found in the collision shapes.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import FingerEnd
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import distal_shapes
+from handmap_qp.hands.spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
 _DEEP = 0.004
@@ -32,15 +36,18 @@ class Pad(NamedTuple):
         joint: Joint of the model that carries it.
         offset: Its middle in the joint's frame [m], shape (3,).
         radius: Its radius [m].
+        cover: How far a pad of the description rises above the collision shapes [m], as a soft
+            cover does that the URDF does not have.
     """
 
     joint: int
     offset: np.ndarray
     radius: float
+    cover: float = 0.0
 
 
 def find_pads(hand: Hand, chains: Mapping[str, FingerEnd]) -> dict[str, Pad]:
-    """Find the pad of every finger from the collision shapes of its last joint.
+    """Find the pad of every finger: that of its description, or in the shapes of its last joint.
 
     The depth of a point under a convex surface is the smallest of `support(n) - n p` over
     directions n. The pad's middle lies on the line from the fingertip to the last joint.
@@ -56,27 +63,69 @@ def find_pads(hand: Hand, chains: Mapping[str, FingerEnd]) -> dict[str, Pad]:
         HandError: If a shape cannot be read.
     """
     geometry = read_collision_shapes(hand)
-    return {finger: _pad(chain, geometry) for finger, chain in chains.items()}
+    given = {point.finger: point for point in hand.spec.points if point.pad is not None}
+    return {
+        finger: _given_pad(hand, given[finger], chain, geometry)
+        if finger in given
+        else _pad(chain, geometry)
+        for finger, chain in chains.items()
+    }
+
+
+def _given_pad(hand: Hand, point: PointSpec, chain: FingerEnd, geometry: pin.GeometryModel) -> Pad:
+    """Return the pad that a description gives, in the frame of the joint that carries it."""
+    assert point.pad is not None
+    frame = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)]
+    offset, radius = frame.placement.act(np.array(point.pad.xyz)), point.pad.radius
+    supports = _supports_of(chain, frame.parentJoint, geometry)
+    depth = max((_depth(one, offset) for one in supports), default=radius)
+    return Pad(frame.parentJoint, offset, radius, max(0.0, radius - max(0.0, depth)))
 
 
 def _pad(chain: FingerEnd, geometry: pin.GeometryModel) -> Pad:
     joint, tip = chain.tip
+    supports = _supports_of(chain, joint, geometry)
+    return Pad(joint, *_ball(supports, tip)) if supports else Pad(joint, tip, _RADIUS)
+
+
+def _supports_of(chain: FingerEnd, joint: int, geometry: pin.GeometryModel) -> list[np.ndarray]:
+    """Return the supports of a finger's shapes on one joint, in the joint's frame."""
     shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
-    supports = [_supports(shape) for shape in shapes if shape.parentJoint == joint]
-    if not supports:
-        return Pad(joint, tip, _RADIUS)
+    return [_supports(shape) for shape in shapes if shape.parentJoint == joint]
+
+
+def _depth(support: np.ndarray, point: np.ndarray) -> float:
+    """Return how deep a point is under a convex surface [m]; negative outside."""
+    return float((support - _DIRECTIONS @ point).min())
+
+
+def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
+    """Find the ball under a fingertip's surface.
+
+    Args:
+        points: Points of the surface in the frame of the last joint [m], shape (k, 3).
+        tip: Fingertip there [m], shape (3,).
+
+    Returns:
+        Centre [m], shape (3,), and radius [m].
+    """
+    return _ball([(_DIRECTIONS @ points.T).max(axis=1)], tip)
+
+
+def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return centre and radius of the ball inside convex shapes, given by their supports."""
 
     def depth(point: np.ndarray) -> float:
-        return max(float((support - _DIRECTIONS @ point).min()) for support in supports)
+        return max(_depth(support, point) for support in supports)
 
     if depth(tip) > _DEEP:
-        return Pad(joint, tip, depth(tip))
+        return tip, depth(tip)
     length = np.linalg.norm(tip)
     inwards = -tip / length if length > 1e-6 else np.zeros(3)
     points = [tip + distance * inwards for distance in np.arange(0.0, _LONGEST + _STEP, _STEP)]
     depths = np.array([depth(point) for point in points])
     chosen = int(np.argmax(depths >= _SHARE * depths.max()))
-    return Pad(joint, points[chosen], max(float(depths.max()), _SMALLEST))
+    return points[chosen], max(float(depths.max()), _SMALLEST)
 
 
 def _supports(shape: pin.GeometryObject) -> np.ndarray:

@@ -27,6 +27,18 @@ Vector = tuple[float, float, float]
 _Spec = TypeVar("_Spec")
 
 
+class PadSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The pad of a fingertip: a ball that touches the surface from inside, for pinches.
+
+    Attributes:
+        radius: Its radius [m], greater than 0.
+        xyz: Its centre in the coordinates of the point's link [m].
+    """
+
+    radius: float
+    xyz: Vector = (0.0, 0.0, 0.0)
+
+
 class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named reference point: a place on a link.
 
@@ -40,6 +52,8 @@ class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         partner: On a robot, the human point whose residual it follows in part (see
             `residual_gain`). If omitted, the human point of the same name. If there is none, the
             last point of a named finger has the partner `<finger>_tip`.
+        pad: Pad of the finger, on one point of it. If omitted, it is found in the collision shapes.
+            Give it for a soft cover or another fingertip that the URDF does not have.
     """
 
     name: str
@@ -48,6 +62,7 @@ class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     finger: str | None = None
     weight: float = 1.0
     partner: str | None = None
+    pad: PadSpec | None = None
 
 
 class PalmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -559,10 +574,19 @@ def _point_numbers(point: PointSpec) -> tuple[tuple[str, Any, bool, str], ...]:
     """Return key, value, whether it is valid and what is expected, for each number of a point."""
     is_place = all(map(math.isfinite, point.xyz))
     is_weight = math.isfinite(point.weight) and point.weight > 0.0
-    return (
+    numbers: list[tuple[str, Any, bool, str]] = [
         ("xyz", point.xyz, is_place, "finite numbers"),
         ("weight", point.weight, is_weight, "a number > 0"),
-    )
+    ]
+    if (pad := point.pad) is not None:
+        is_ball = math.isfinite(pad.radius) and pad.radius > 0.0
+        is_centre = all(map(math.isfinite, pad.xyz))
+        numbers += [
+            ("pad.radius", pad.radius, is_ball, "a number > 0"),
+            ("pad.xyz", pad.xyz, is_centre, "finite numbers"),
+            ("pad", point.finger, point.finger is not None, "a point with `finger`"),
+        ]
+    return tuple(numbers)
 
 
 def _mimic_numbers(rules: dict[str, MimicSpec | None]) -> dict[str, tuple[float, ...]]:

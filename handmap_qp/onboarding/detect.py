@@ -16,7 +16,8 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import HandError, without_errno
-from handmap_qp.hands.spec import HandSpec, Mount, PalmSpec, PointSpec, Side, WristSpec
+from handmap_qp.hands.pads import ball_in
+from handmap_qp.hands.spec import HandSpec, Mount, PadSpec, PalmSpec, PointSpec, Side, WristSpec
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
 from handmap_qp.onboarding.flexion import FingerFlexion, FingertipKinematics, find_flexion
@@ -291,7 +292,13 @@ def _points(
         is_extra = finger.startswith("finger")
         partner = "little_tip" if is_extra else f"{finger}_tip"
         tip = PointSpec(
-            f"{finger}_tip", chain.tip.link, _vector(chain.tip.xyz, 4), finger, 1.0, partner
+            f"{finger}_tip",
+            chain.tip.link,
+            _vector(chain.tip.xyz, 4),
+            finger,
+            1.0,
+            partner,
+            _pad(robot, chain),
         )
         tips.append(tip if partner != tip.name else msgspec.structs.replace(tip, partner=None))
         i = structure.chains.index(chain)
@@ -304,6 +311,17 @@ def _points(
                 PointSpec(name, link, xyz, finger, 1.0, "little_pip" if is_extra else None)
             )
     return (*tips, *middles), tuple(point.name for point in tips)
+
+
+def _pad(robot: Robot, chain: Chain) -> PadSpec | None:
+    """Return the pad of a finger whose surface is visual only; else the mapping finds it itself."""
+    last, tip = chain.links[-1], chain.tip
+    cloud = robot.body_surface(last)
+    if not len(cloud) or robot.has_collision_shapes(last):
+        return None
+    pose = robot.pose_in(tip.link, last)
+    centre, radius = ball_in(cloud, transform_points(pose, tip.xyz))
+    return PadSpec(round(radius, 4), _vector(transform_points(np.linalg.inv(pose), centre), 4))
 
 
 def _palm_origin(

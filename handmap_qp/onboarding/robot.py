@@ -340,6 +340,11 @@ class Robot:
             return {}
         return {link.name: link for link in model.links}
 
+    def has_collision_shapes(self, body: str) -> bool:
+        """Return whether a link of a body has a collision shape."""
+        links = (self._shapes.get(link) for link in self.body_links(body))
+        return any(link is not None and link.collisions for link in links)
+
     def surface(self, link: str) -> np.ndarray:
         """Return points on a link's visuals, else on its collision shapes [m], shape (k, 3)."""
         if link not in self._surfaces:

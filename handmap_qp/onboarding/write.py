@@ -227,6 +227,9 @@ def _point(point: PointSpec) -> str:
         fields.append(f"finger: {point.finger}")
     if point.partner:
         fields.append(f"partner: {point.partner}")
+    if point.pad is not None:
+        radius, xyz = _number(point.pad.radius), _vector(point.pad.xyz)
+        fields.append(f"pad: {{radius: {radius}, xyz: {xyz}}}")
     return "{" + ", ".join(fields) + "}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,6 +22,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.method import HumanPose, RobotPosture
@@ -171,8 +173,27 @@ def test_a_hand_onto_itself_is_itself() -> None:
         assert distance[0] < 0.02
 
 
-@pytest.mark.parametrize("finger", ["index", "middle", "ring"])
-def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str) -> None:
+def covered(robot: Hand, thickness: float) -> Hand:
+    """The robot with soft covers on its fingertips, which its URDF does not have [m]."""
+    pads = hand_pair(HUMAN, robot).pads
+    model = robot.model
+    points = []
+    for point in robot.spec.points:
+        frame = model.frames[model.getFrameId(point.link, pin.FrameType.BODY)]
+        pad = pads.get(str(point.finger))
+        if pad is not None and pad.joint == frame.parentJoint:
+            x, y, z = frame.placement.actInv(pad.offset).tolist()
+            given = PadSpec(pad.radius + thickness, (x, y, z))
+            point = msgspec.structs.replace(point, pad=given)
+        points.append(point)
+    return Hand(msgspec.structs.replace(robot.spec, points=tuple(points)))
+
+
+@pytest.mark.parametrize(
+    ("finger", "cover"), [("index", 0.0), ("middle", 0.0), ("ring", 0.0), ("index", 0.003)]
+)
+def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str, cover: float) -> None:
+    robot = covered(ALLEGRO, cover) if cover else ALLEGRO
     pair = hand_pair(HUMAN, HUMAN)
     ends = AttachedPoints(HUMAN, [pair.chains[THUMB].tip, pair.chains[finger].tip])
     ik = pair_solver(HUMAN)
@@ -183,16 +204,18 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str) -> None:
         tasks=[PointDistances(ends, [(0, 1)], [0.010], [10.0])],
     )
     q = ik.configuration.q[HUMAN.q_indices]
-    mapper = HandMapper(HUMAN, ALLEGRO, Teleoperation(contact_gap=0.013), ik=IK)
+    mapper = HandMapper(HUMAN, robot, Teleoperation(contact_gap=0.013), ik=IK)
     closed = settled(mapper, q)
     assert closed.diagnostics.pinching.max() == 1.0
+    # Between the URDF's shapes are both covers; soft ones are pressed by 3 mm at most.
     gaps = measure_gaps(ALLEGRO, closed.command.q[None])
-    assert -0.002 < gaps.pinches[finger][0] < 0.0015
+    pressed = 0.003 if cover else 0.002
+    assert -pressed < gaps.pinches[finger][0] - 2.0 * cover < 0.0015
     opened = settled(mapper, OPEN)
     apart = measure_gaps(ALLEGRO, opened.command.q[None])
     assert min(gap[0] for gap in apart.pinches.values()) > 0.01
     # An open hand keeps thumb and fingers farther apart than a pinch, and all other links alike.
-    of_thumb = np.array(hand_pair(HUMAN, ALLEGRO).contacts.fingers) == finger
+    of_thumb = np.array(hand_pair(HUMAN, robot).contacts.fingers) == finger
     assert opened.asked.margins[of_thumb].min() > closed.asked.margins[of_thumb].max() + 0.002
     np.testing.assert_array_equal(opened.asked.margins == 0.001, closed.asked.margins == 0.001)
     assert apart.nearest[0] > 0.0

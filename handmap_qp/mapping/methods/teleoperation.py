@@ -170,6 +170,9 @@ class BoundTeleoperation:
         self.base_margins = np.full(len(fingers), _LINK_MARGIN)
         closing = [(k, self.pinched.index(f)) for k, f in enumerate(fingers) if f in self.pinched]
         self.pinch_pairs, self.pinch_of_pair = np.array(closing, dtype=int).reshape(-1, 2).T
+        pads = self.pair.pads
+        covers = [pads[THUMB].cover + pads[finger].cover for finger in self.pinched]
+        self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
 
 
 class TeleoperationMap:
@@ -256,7 +259,7 @@ class TeleoperationMap:
             return None
         wide = np.minimum(np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST)
         margins = method.base_margins.copy()
-        margins[method.pinch_pairs] = _CONTACT_MARGIN + wide.take(method.pinch_of_pair)
+        margins[method.pinch_pairs] = method.pinch_margins + wide.take(method.pinch_of_pair)
         return margins
 
 
