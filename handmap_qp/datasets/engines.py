@@ -31,7 +31,7 @@ IN_FLIGHT = 3
 """Jobs given to each worker in advance, so that it never waits."""
 RUNNING = ".running"
 """Folder of a file for each job that a worker is busy with."""
-_MOST_STARTS = 5
+_MOST_STARTS = 10
 """Pools in a row that break before a job begins; after that, no pool is started any more."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
