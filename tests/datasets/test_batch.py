@@ -24,7 +24,10 @@ from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.datasets.engines import Engine, PoolEngine, SerialEngine
 from handmap_qp.datasets.job import JobOptions
 from handmap_qp.datasets.manifest import MOST_KILLS, Line, Manifest, read_manifests
+from handmap_qp.datasets.measures import MEASURES
+from handmap_qp.datasets.report_pictures import _worst_sample
 from handmap_qp.datasets.sources import find_files, tasks_of
+from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.lerobot_v3 import LeRobotReader
@@ -390,13 +393,40 @@ def test_the_report_finds_the_worst(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "6 episodes, 5 kept" in printed
     kept = (out / "report/keep.txt").read_text().split()
     assert sorted(kept) == [f"episodes/take{i}.npz.npz" for i in (0, 1, 2, 3, 5)]
-    assert "torn.npz" in (out / "report/report.md").read_text()
+    text = (out / "report/report.md").read_text()
+    assert "| 1 | take4.npz |" in text
+    assert "1 recording failed" in text
+    assert "torn.npz" in text
     rows = (out / "report/episodes.csv").read_text().splitlines()
     assert rows[1].startswith("take4.npz::,")
     assert len(rows) == 7
     assert main(["report", str(tmp_path)]) == 2
     assert "run handmap batch first" in capsys.readouterr().err
     assert main(["report", str(out), "--keep", "0"]) == 2
+
+
+def test_the_picture_shows_what_an_episode_is_worst_in() -> None:
+    recording = piece(0, 60)
+    count, settled = len(recording), int(np.argmax(recording.time - recording.time[0] >= SETTLING))
+    columns = {
+        "valid": np.ones(count, dtype=bool),
+        "point_error": np.zeros((count, 2)),
+        "at_limit": np.zeros((count, 3), dtype=bool),
+        "at_speed_limit": np.zeros((count, 3), dtype=bool),
+    }
+    # The start does not count: the robot is still on its way to the hand.
+    columns["point_error"][[0, settled + 4]] = 0.5, 0.2
+    columns["at_limit"][settled + 7, :2] = True
+    columns["at_speed_limit"][[settled + 2, settled + 9], 1] = True
+    columns["point_error"][settled + 9, 1] = 0.01
+    found = {
+        measure.key: _worst_sample(recording, columns, measure) - settled for measure in MEASURES
+    }
+    assert found.pop("saturation") == 7
+    assert found.pop("speed_limited") == 9
+    assert set(found.values()) == {4}
+    columns["valid"][settled:] = False
+    assert _worst_sample(recording, columns, MEASURES[0]) == 0
 
 
 def test_a_stop_finishes_what_is_under_way_and_writes_it_down(inputs: Path, tmp_path: Path) -> None:
