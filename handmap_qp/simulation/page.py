@@ -16,7 +16,7 @@ from handmap_qp.output_files import replaced_file
 from handmap_qp.simulation.episode import Episode
 from handmap_qp.simulation.shapes import surface, turn_up
 from handmap_qp.transform import quat_wxyz_from_rotation
-from handmap_qp.viewer.figure import in_order, joint_places, load_urdf
+from handmap_qp.viewer.figure import HandFigure
 from handmap_qp.viewer.serving import serving
 
 if TYPE_CHECKING:
@@ -96,21 +96,14 @@ class _Actor:
         turn: np.ndarray,
         place: np.ndarray,
     ) -> None:
-        from viser.extras import ViserUrdf
-
         self.episode, self.time = episode, episode.time - episode.time[0]
-        scene, hand, node = server.scene, episode.hand, f"/{name.replace(' ', '_')}"
-        scene.add_frame(
-            node, show_axes=False, wxyz=quat_wxyz_from_rotation(turn), position=tuple(place)
-        )
-        self._body = scene.add_frame(f"{node}/hand", show_axes=False)
-        urdf = load_urdf(hand)
-        self._root = urdf.base_link
-        self._model = ViserUrdf(server, urdf, root_node_name=f"{node}/hand")
-        self._order = joint_places(hand, self._model.get_actuated_joint_names())
+        node = name.replace(" ", "_")
+        self._hand = HandFigure(server, node, episode.hand)
+        self._hand.turn(turn)
+        self._hand.frame.position = place
         mesh = surface(episode.body.shape)
-        self._object: Any = scene.add_mesh_simple(
-            f"{node}/object",
+        self._object: Any = server.scene.add_mesh_simple(
+            f"/{node}/object",
             np.asarray(mesh.vertices, dtype=np.float32),
             np.asarray(mesh.faces, dtype=np.uint32),
             color=_OBJECT_COLOUR,
@@ -120,19 +113,15 @@ class _Actor:
         low, high = self.corners
         below = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2] - 0.6 * _MARGIN)
         self._name = name
-        self._label: Any = scene.add_label(
-            f"{node}_caption", name, position=below, anchor="top-center", font_screen_scale=1.1
+        self._label: Any = server.scene.add_label(
+            f"/{node}_caption", name, position=below, anchor="top-center", font_screen_scale=1.1
         )
 
     def draw(self, instant: float) -> None:
         """Show the sample that is nearest to an instant since the start [s]."""
-        episode, hand = self.episode, self.episode.hand
+        episode = self.episode
         i = int(np.argmin(np.abs(self.time - instant)))
-        wrist = episode.wrist[i] if hand.is_floating else None
-        base = hand.link_poses([self._root], episode.q[i], wrist)[0]
-        self._body.wxyz = quat_wxyz_from_rotation(base[:3, :3])
-        self._body.position = base[:3, 3]
-        self._model.update_cfg(in_order(self._order, episode.q[i]))
+        self._hand.show(episode.q[i], episode.wrist[i])
         pose = episode.object_pose[i]
         self._object.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
         self._object.position = pose[:3, 3]
