@@ -6,6 +6,7 @@ import asyncio
 import gc
 import importlib
 import json
+import os
 import resource
 import signal
 import sys
@@ -33,10 +34,14 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     log_to_stderr(log_level)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     _raise_file_limit()
-    asyncio.run(_serve(settings))
+    if asyncio.run(_serve(settings)):
+        # Python would wait for the thread that loads a hand, for seconds if the hand is large.
+        sys.stdout.flush()
+        os._exit(0)
 
 
-async def _serve(settings: Settings) -> None:
+async def _serve(settings: Settings) -> bool:
+    """Serve; return whether a hand was being loaded at the end."""
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -56,6 +61,7 @@ async def _serve(settings: Settings) -> None:
         await ended.wait()
     finally:
         await server.stop()
+    return server.dispatcher.sessions.is_preparing
 
 
 def _raise_file_limit() -> None:

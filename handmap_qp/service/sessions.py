@@ -6,9 +6,8 @@ import asyncio
 import secrets
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from logging import INFO
 
 from handmap_qp.errors import RefusedError
@@ -87,9 +86,15 @@ class Sessions:
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
+        self._preparing: Future[tuple[Hands, Calibration | None]] | None = None
         self._names_opening: set[str] = set()
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._last_name = 0
+
+    @property
+    def is_preparing(self) -> bool:
+        """Whether the opening thread loads hands, which it does not stop on request."""
+        return self._preparing is not None and self._preparing.running()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -135,9 +140,8 @@ class Sessions:
         name = request.name or self._new_name()
         self._names_opening.add(name)
         try:
-            loop = asyncio.get_running_loop()
-            work = partial(self._prepare, request)
-            hands, calibration = await loop.run_in_executor(self._executor, work)
+            self._preparing = self._executor.submit(self._prepare, request)
+            hands, calibration = await asyncio.wrap_future(self._preparing)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_unattended(self._find_named(request.name))

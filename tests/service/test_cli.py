@@ -8,9 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import tyro
+import zmq
 from patience import PATIENCE
 from service_tools import human_q
 from zmq.auth import load_certificate
@@ -22,13 +24,41 @@ from handmap_qp.service.cli import Keys, Serve
 PORTS = "port=0, stream_port=0, health_port=0, web=True, web_port=0"
 
 
-def start(fields: str) -> subprocess.Popen[str]:
+def start(fields: str, before: str = "") -> subprocess.Popen[str]:
     code = (
-        f"from pathlib import Path\nfrom handmap_qp.service.cli import Serve\nServe({fields}).run()"
+        f"from pathlib import Path\nfrom handmap_qp.service.cli import Serve\n{before}\n"
+        f"Serve({fields}).run()"
     )
     return subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+
+
+@pytest.mark.slow
+def test_serve_ends_while_it_loads_a_hand() -> None:
+    # Loading takes longer than anybody waits.
+    process = start(
+        PORTS,
+        "import time\nfrom handmap_qp.service import sessions\n"
+        "def load(*_): print('loading', flush=True); time.sleep(1e6)\n"
+        "sessions.prepare_hands = load",
+    )
+    try:
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline())
+        request = {"type": "open", "protocol": 1, "seq": 1, "session": "s" * 32, "robot": "hey5"}
+        with zmq.Context() as context, context.socket(zmq.DEALER) as client:
+            client.linger = 0
+            client.connect(f"tcp://127.0.0.1:{ready['ports']['requests']}")
+            client.send(msgspec.msgpack.encode(request))
+            assert process.stdout.readline() == "loading\n"
+        process.send_signal(signal.SIGTERM)
+        log = process.communicate(timeout=PATIENCE)[1]
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0
+    assert json.loads(log.splitlines()[-1])["event"] == "stopped"
 
 
 @pytest.mark.slow
