@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -67,18 +67,16 @@ def placement_views(placements: Sequence[pin.SE3], first: int = 0) -> PlacementV
         raise RuntimeError("Pinocchio's placements are not evenly spaced in memory")
     if any(_address(pose.translation) - _address(pose.rotation) != 72 for pose in ends):
         raise RuntimeError("Pinocchio's rotations do not lie before their translations")
-    rotation, translation = ends[0].rotation, ends[0].translation
-    rotations = np.lib.stride_tricks.as_strided(
-        rotation, (count, 3, 3), (stride, *rotation.strides), writeable=False
-    )
-    translations = np.lib.stride_tricks.as_strided(
-        translation, (count, 3), (stride, 8), writeable=False
-    )
-    # The rotation's memory is shorter than the block that begins with it.
-    first_block = np.ctypeslib.as_array((ctypes.c_double * 12).from_address(start - 72))
-    columns = np.lib.stride_tricks.as_strided(
-        first_block, (count, 12), (stride, 8), writeable=False
-    )
+    if any(pose.rotation.strides != (8, 24) for pose in ends):
+        raise RuntimeError("Pinocchio's rotations are not kept by columns")
+    block: Any = (ctypes.c_double * (stride // 8 * (count - 1) + 12)).from_address(start - 72)
+    # The memory lives as long as the views.
+    block.owner = ends[0]
+    rotations = np.ndarray((count, 3, 3), float, block, 0, (stride, 8, 24))
+    translations = np.ndarray((count, 3), float, block, 72, (stride, 8))
+    columns = np.ndarray((count, 12), float, block, 0, (stride, 8))
+    for view in (rotations, translations, columns):
+        view.setflags(write=False)
     return PlacementViews(rotations, translations, columns)
 
 
