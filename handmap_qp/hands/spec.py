@@ -8,9 +8,10 @@ Making a `Hand` checks it against its URDF.
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
@@ -431,13 +432,19 @@ def _set_typed_fields(spec: HandSpec) -> None:
 
 
 def _parse(text: str) -> Any:
+    """Parse YAML, once for every text: the hands of each recording are read again."""
+    return pickle.loads(_pickled(text))
+
+
+@lru_cache(maxsize=64)
+def _pickled(text: str) -> bytes:
     """Parse YAML with libyaml, in a tenth of the time.
 
     It crashes on some ten thousand levels, where plain Python raises `RecursionError`. Every level
     takes one of these characters, and a description a few hundred of them.
     """
     is_deep = sum(map(text.count, "[{-?:")) > _MOST_LEVELS
-    return yaml.load(text, Loader=yaml.SafeLoader if is_deep else _LOADER)
+    return pickle.dumps(yaml.load(text, Loader=yaml.SafeLoader if is_deep else _LOADER))
 
 
 _MOST_LEVELS = 2000

@@ -25,9 +25,13 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.clear_path import ClearPath, PathStart
-from handmap_qp.ik.distances import ShapeDistances
+from handmap_qp.ik.clear_path import ClearPath
+from handmap_qp.ik.distances import NearPairs, ShapeDistances
 from handmap_qp.transform import shortest_solution
+
+# Where there is a horizon, pairs get rows if they are within their margin, this distance [m], and
+# what links approach each other by in the sample at this speed [m/s].
+_NEAR, _APPROACH = 0.001, 0.5
 
 
 class CollisionLimit:
@@ -38,8 +42,9 @@ class CollisionLimit:
         pairs: The pairs to keep apart; those that the hand's description names if omitted.
         margin: Distance to keep [m]; the description's if omitted.
         gain: Part of the free distance that one step may use, in (0, 1].
-        horizon: Pairs farther apart than this get no row [m]. Infinite by default: every pair has a
-            row, in an order that never changes.
+        horizon: Pairs that are farther apart than their margin and this get no row [m]; in short
+            samples the horizon is nearer, as links do not come that far. Infinite by default: every
+            pair has a row, in an order that never changes.
 
     Attributes:
         pairs: The links of each pair; a link with several shapes has several.
@@ -74,10 +79,11 @@ class CollisionLimit:
             raise InvalidOptionsError(option="gain", expected="a number in (0, 1]", value=gain)
         found = named_pairs(hand) if pairs is None else pairs
         self.pairs = found.links
-        self.path = ClearPath(hand, found)
-        self._gain = gain
+        self._gain, self._horizon = gain, horizon
+        self._approach = _APPROACH if horizon < np.inf else np.inf
         geometry = found.geometry
-        self._distances = ShapeDistances(hand.model, geometry, horizon)
+        self._distances = ShapeDistances(hand.model, geometry)
+        self.path = ClearPath(hand, self._distances)
         joints = [shape.parentJoint for shape in geometry.geometryObjects]
         supports = moved_by(hand.model, joints)
         first = [pair.first for pair in geometry.collisionPairs]
@@ -92,34 +98,43 @@ class CollisionLimit:
         """
         return self._distances.measure_all(configuration)
 
-    def path_start(self, configuration: Configuration) -> PathStart:
-        """Return what `rows` measured last as the start of a way.
+    def measure(
+        self, configuration: Configuration, margins: np.ndarray | None = None, dt: float = np.inf
+    ) -> NearPairs:
+        """Measure the pairs that get rows, as `rows`; measured once in one posture.
 
         Args:
-            configuration: Of the hand, where it was measured.
+            configuration: Of the hand, placed.
+            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
+            dt: Time of the sample [s], in which links approach each other.
         """
-        jacobian = configuration.joint_jacobian().copy()
-        return PathStart(configuration.q.copy(), self._measured, jacobian)
+        kept = self.margin if margins is None else margins
+        reach = min(_NEAR + self._approach * dt, self._horizon)
+        return self._distances.measure(configuration, kept + reach)
 
     def rows(
-        self, configuration: Configuration, margins: np.ndarray | None = None
+        self,
+        configuration: Configuration,
+        margins: np.ndarray | None = None,
+        near: NearPairs | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Linearise the distances of the pairs within the horizon as rows `G dq <= h`.
 
         Args:
             configuration: Of the hand, placed with Jacobians.
             margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
+            near: What `measure` found there; measured if omitted.
 
         Returns:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        self._measured = measured = self._distances.measure(configuration)
-        near, distances, wrenches = measured.pairs, measured.distances, measured.wrenches
-        kept = self.margin if margins is None else margins[near]
-        relative = self._relative_support.take(near, 0)
+        measured = self.measure(configuration, margins) if near is None else near
+        pairs, wrenches = measured.pairs, measured.wrenches
+        kept = self.margin if margins is None else margins[pairs]
+        relative = self._relative_support.take(pairs, 0)
         G = configuration.contracted(-wrenches.dot(configuration.joint_jacobian()) * relative)
-        return G, self._gain * (distances - kept)
+        return G, self._gain * (measured.distances - kept)
 
     def feasible_rows(
         self,
@@ -128,6 +143,7 @@ class CollisionLimit:
         upper: np.ndarray,
         margins: np.ndarray | None = None,
         *,
+        near: NearPairs | None = None,
         stopping: float = 0.0,
         so_far: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -143,22 +159,23 @@ class CollisionLimit:
             lower: Lower bound of the displacement, shape (n,).
             upper: Upper bound, shape (n,).
             margins: Distance that each pair keeps [m], shape (k,); `margin` for all if omitted.
+            near: What `measure` found there; measured if omitted.
             stopping: Part of the sample's displacement that the hand needs to stop behind it.
             so_far: Displacement of the sample up to here, shape (n,); none if omitted.
 
         Returns:
             G, shape (k, n), and h, shape (k,).
         """
-        G, h = self.rows(configuration, margins)
+        G, h = self.rows(configuration, margins, near)
         if stopping > 0.0:
             h = (h if so_far is None else h - stopping * G.dot(so_far)) / (1.0 + stopping)
         witness = np.minimum(np.maximum(0.0, lower), upper)
         excess = G.dot(witness) - h
-        near = (excess > 0.0).nonzero()[0]
-        if not len(near):
+        nearer = (excess > 0.0).nonzero()[0]
+        if not len(nearer):
             return G, h
-        parting = shortest_solution(G.take(near, 0), -excess.take(near), 1e-6)
+        parting = shortest_solution(G.take(nearer, 0), -excess.take(nearer), 1e-6)
         parted = G.dot(np.minimum(np.maximum(witness + parting, lower), upper))
         does_harm = parted > h
-        does_harm[near] = False
+        does_harm[nearer] = False
         return G, np.maximum(h, G.dot(witness) if does_harm.any() else parted)

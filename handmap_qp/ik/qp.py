@@ -27,22 +27,22 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
+from handmap_qp.ik.distances import NearPairs
 from handmap_qp.ik.limits import BoxLimits, as_slice
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
-from handmap_qp.ik.stopping import StopGuard
+from handmap_qp.ik.stopping import Start, StopGuard
 from handmap_qp.ik.tasks import Task
 from handmap_qp.transform import frozen
 
 End = Literal["solved", "failed", "released"]
-# A hand counts as at rest if its last step is shorter than this [rad or m].
+# Count a hand as at rest if its last step is shorter than this [rad or m].
 _AT_REST = 1e-3
-# A displacement counts as at its bound within this tolerance, relative to min(bound width, 1 rad or
-# 1 m). Iterations add up to a bound up to rounding, and solvers up to their tolerance (clarabel and
-# piqp leave up to 1e-7).
+# Count a displacement as at its bound within this tolerance, relative to min(bound width, 1 rad or
+# 1 m): the sum of iterations meets a bound up to rounding, clarabel and piqp up to 1e-7.
 _AT_BOUND = 1e-7
 
-# Shapes farther apart than this do not meet within one step [m].
+# Leave out pairs of shapes that are farther apart than this beyond their margin [m].
 _HORIZON = 0.012
 
 Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
@@ -123,14 +123,16 @@ class IkState:
         velocity: Displacement of the last sample divided by its time, shape (nv,).
         stop_time: Time in which the hand can stop without an overlap [s]; 0 if at once, or if
             overlaps are not avoided.
+        near: The pairs of shapes in the present posture, if the last sample measured them.
     """
 
-    __slots__ = ("configuration", "stop_time", "velocity")
+    __slots__ = ("configuration", "near", "stop_time", "velocity")
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
         self.velocity = np.zeros(configuration.nv)
         self.stop_time = 0.0
+        self.near: NearPairs | None = None
 
 
 class PointIk:
@@ -141,7 +143,8 @@ class PointIk:
         options: Weights and settings.
         state: Where the hand is; in its neutral configuration if omitted.
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
-            within 12 mm of each other get a row. Or the rows of another `PointIk` of this hand.
+            within 12 mm beyond their margin get a row, in short samples fewer. Or the rows of
+            another `PointIk` of this hand.
 
     Attributes:
         hand: The hand.
@@ -161,6 +164,8 @@ class PointIk:
         self.hand = hand
         self.options = options
         self.state = state or IkState(hand.configuration())
+        # Forget the pairs of another solver: they may be those of other contacts.
+        self.state.near = None
         self.configuration = self.state.configuration
         nv = self.configuration.nv
         count = len(hand.reference_points)
@@ -173,8 +178,7 @@ class PointIk:
         elif options.avoids_self_collision:
             self._collisions = CollisionLimit(hand)
         self._solver = make_solver(options.solver, nv)
-        # In the order of the active coordinates, which is the model's and not that of
-        # `joint_names`.
+        # Sort joints as the active coordinates, that is as the model, unlike `joint_names`.
         self._order = np.argsort(hand.joint_columns)
         first_joint = nv - len(self._order)
         self._joint_angles = as_slice(hand.q_indices[self._order])
@@ -189,7 +193,7 @@ class PointIk:
         position, orientation = wrist_costs(options)
         self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
         self._mask = self.configuration.support * self._row_weights[:, None]
-        # Point minus target, and the twist from target to wrist.
+        # Reserve rows for point minus target, and for the twist from target to wrist.
         self._error = np.zeros(3 * count + 6)
         self._weighted_error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
@@ -197,7 +201,7 @@ class PointIk:
         self._rest_weight = options.rest_weight**2
         self._diagonal = np.full(nv, float(options.damping) ** 2)
         self._diagonal[first_joint:] += self._rest_weight
-        # Costs of the whole displacement of a sample, and of its difference from the last one's.
+        # Weigh the whole displacement of a sample, and its difference from the last one's.
         self._speed_cost = options.speed_weight**2
         self._acceleration_cost = options.acceleration_weight**2
         self._is_smooth = self._speed_cost + self._acceleration_cost > 0.0
@@ -242,6 +246,7 @@ class PointIk:
         """
         self.configuration.place_with_jacobians(q)
         self.state.velocity, self.state.stop_time = self._zero_step, 0.0
+        self.state.near = None
 
     def solve(
         self,
@@ -270,51 +275,53 @@ class PointIk:
             joints outside their limits.
         """
         configuration, options = self.configuration, self.options
-        state, guard, start = self.state, self._guard, configuration.q.copy()
+        state, guard, collisions = self.state, self._guard, self._collisions
+        start = configuration.q.copy()
         stopping = 0.0 if guard is None else 0.5 * guard.longest_stop(state.velocity, dt) / dt
         lower, upper = self._box(dt)
         target = None if wrist_target is None else pin.SE3(wrist_target)
         resting = (self.hand.rest if rest is None else rest)[self._order]
-        path_start, first, total = None, self._zero_step, self._zero_step
+        first = total = self._zero_step
+        before = rows = None
         last_step, iterations, end = np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target, resting, tasks)
             if self._is_smooth:
                 self._smooth(total, dt)
-            # Bounds hold for the whole displacement of the sample, so later iterations get what is
-            # left of them.
+            # Leave later iterations the rest of the bounds, which hold for the whole sample.
             box = (lower - total, upper - total) if iterations else (lower, upper)
-            rows = (
-                None
-                if self._collisions is None
-                else self._collisions.feasible_rows(
-                    configuration, *box, margins, stopping=stopping, so_far=total
+            if collisions is not None:
+                near = None if iterations else state.near
+                near = near or collisions.measure(configuration, margins, dt)
+                rows = collisions.feasible_rows(
+                    configuration, *box, margins, near=near, stopping=stopping, so_far=total
                 )
-            )
-            if self._collisions is not None and iterations == 0:
-                path_start = self._collisions.path_start(configuration)
+                before = before or Start(start, near)
             step = self._solver.solve(self._H, self._c, *box, rows)
             iterations += 1
             length = math.nan if step is None else math.sqrt(step.dot(step))
-            # Extreme weights or targets overflow, and solvers then return NaN.
+            # Catch NaN too, which solvers return where extreme weights or targets overflow.
             if step is None or not math.isfinite(length):
-                # A joint outside its limits still comes back: zero is then no displacement that the
-                # box allows.
+                # Bring joints outside their limits back all the same: the box excludes zero there.
                 total = np.minimum(np.maximum(self._zero_step, lower), upper)
                 last_step, end = 0.0, "failed"
             else:
-                # Solvers hold the box up to their tolerance; the robot gets it exactly.
+                # Clip exactly: solvers hold the box up to their tolerance.
                 total = np.maximum(np.minimum(total + step, upper), lower)
                 last_step = length
             first = total if iterations == 1 else first
-            # One displacement from the start, not a chain of steps: a floating wrist's twist then
+            # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        if guard is None or path_start is None:
+        if guard is None or collisions is None or before is None:
             state.stop_time = 0.0
-        elif (admitted := guard.admit(path_start, total, first, dt, state)) is not total:
-            total = admitted
-            configuration.displace(start, total)
+        else:
+            # Keep the measurement: the next sample starts from it.
+            state.near = collisions.measure(configuration, margins, dt)
+            admitted = guard.admit(before, total, first, dt, state, state.near)
+            if admitted is not total:
+                total, state.near = admitted, None
+                configuration.displace(start, total)
         state.velocity = total / dt
         points = configuration.points.copy()
         columns, tolerance = self.hand.joint_columns, options.point_tolerance
@@ -409,7 +416,7 @@ class PointIk:
         weighted = configuration.contracted(self._weighted_all)
         np.multiply(error, self._row_weights, out=weighted_error)
         weighted.T.dot(weighted, out=self._H)
-        # The linearisation neglects a curvature of the error times the lever; the root of the
+        # Damp by error times lever, the curvature that the linearisation neglects. The root of the
         # diagonal is the lever.
         self._H_diagonal += self._diagonal + self._turning * (
             np.sqrt(self._H_diagonal) * math.sqrt(weighted_error.dot(weighted_error))

@@ -17,7 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.solvers import DaqpSolver
-from handmap_qp.ik.stopping import StopGuard
+from handmap_qp.ik.stopping import Start, StopGuard
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
@@ -70,8 +70,11 @@ class ClearSlew:
         configuration.place_with_jacobians(q)
         lower, upper = self._guard.bounds(q, state.velocity, dt)
         stopping = 0.5 * self._guard.longest_stop(state.velocity, dt) / dt
-        G, h = self._collisions.feasible_rows(configuration, lower, upper, stopping=stopping)
-        start, goal = self._collisions.path_start(configuration), wanted[active]
+        near = self._collisions.measure(configuration, dt=dt)
+        G, h = self._collisions.feasible_rows(
+            configuration, lower, upper, near=near, stopping=stopping
+        )
+        start, goal = Start(q, near), wanted[active]
         nearest = np.minimum(np.maximum(goal, lower), upper)
         if (G.dot(nearest) > h).any():
             c, box, rows = -goal / _SCALE, (lower / _SCALE, upper / _SCALE), (G, h / _SCALE)

@@ -22,15 +22,28 @@ the straight line cuts it.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from handmap_qp.ik.clear_path import ClearPath, PathStart
+from handmap_qp.ik.clear_path import ClearPath
+from handmap_qp.ik.distances import NearPairs
 from handmap_qp.ik.limits import BoxLimits
 
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 _ROUNDING = 1e-12
+
+
+class Start(NamedTuple):
+    """Where a sample begins.
+
+    Attributes:
+        q: Pinocchio configuration, shape (nq,).
+        near: The pairs of shapes there.
+    """
+
+    q: np.ndarray
+    near: NearPairs
 
 
 class Moving(Protocol):
@@ -81,16 +94,19 @@ class StopGuard:
         Returns:
             Lower and upper bound of the displacement, shape (nv,) each.
         """
+        if not self._limits.has_acceleration:
+            return self._limits.bounds(q, dt)
         times = np.where(self._path.columns, self.longest_stop(velocity, dt), 0.0)
         return self._limits.bounds(q, dt, velocity, stop_times=times)
 
     def admit(
         self,
-        start: PathStart,
+        start: Start,
         displacement: np.ndarray,
         first: np.ndarray,
         dt: float,
         state: Moving,
+        end: NearPairs | None = None,
     ) -> np.ndarray:
         """Return the displacement of a sample that is admitted, and note its stop.
 
@@ -102,11 +118,12 @@ class StopGuard:
             first: Displacement of the first iteration, likewise.
             dt: Time for it [s].
             state: The hand; its `stop_time` is set.
+            end: The pairs of shapes behind `displacement`; measured where they matter if omitted.
 
         Returns:
             `displacement` itself if it is admitted, or another one, shape (nv,).
         """
-        if self._admits(start, displacement, dt, state):
+        if self._admits(start, displacement, dt, state, end):
             return displacement
         is_braking = state.stop_time > dt
         change = state.velocity * (dt * (1.0 - dt / state.stop_time)) if is_braking else 0.0
@@ -119,15 +136,25 @@ class StopGuard:
         state.stop_time = max(state.stop_time - dt, 0.0)
         return brake
 
-    def _admits(self, start: PathStart, displacement: np.ndarray, dt: float, state: Moving) -> bool:
+    def _admits(
+        self,
+        start: Start,
+        displacement: np.ndarray,
+        dt: float,
+        state: Moving,
+        end: NearPairs | None = None,
+    ) -> bool:
         """Return whether a sample and its stop are inside the limits and clear; note the stop."""
         limits, columns = self._limits, self._path.columns
         time = limits.stop_time(displacement / dt, columns)
-        whole = np.where(columns, (1.0 + 0.5 * time / dt) * displacement, 0.0)
-        least = limits.outside(start.q, np.zeros_like(displacement))
-        if (limits.outside(start.q, whole) > least + _ROUNDING).any():
-            return False
-        if not self._path.is_clear(start, whole):
-            return False
-        state.stop_time = time
-        return True
+        if time == 0.0 and end is not None:
+            # The QP's box keeps a displacement without a stop behind it inside the limits.
+            is_clear = self._path.is_clear(*start, displacement, end)
+        else:
+            whole = np.where(columns, (1.0 + 0.5 * time / dt) * displacement, 0.0)
+            least = limits.outside(start.q, np.zeros_like(displacement))
+            is_inside = (limits.outside(start.q, whole) <= least + _ROUNDING).all()
+            is_clear = bool(is_inside) and self._path.is_clear(*start, whole)
+        if is_clear:
+            state.stop_time = time
+        return is_clear

@@ -13,6 +13,7 @@ from handmap_qp.transform import FARTHEST, affine, as_floats, nearest_rotation
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
 """Landmarks that move as one rigid body."""
 _MEAN = np.full(len(_PALM), 1.0 / len(_PALM))
+_CENTRING = np.eye(len(_PALM)) - _MEAN
 
 
 class LandmarkReader:
@@ -70,5 +71,5 @@ class LandmarkReader:
     def _fit(self, palm: np.ndarray) -> np.ndarray:
         """Lay the model's palm on measured points (5, 3) as `rigid_fit` does, centred once."""
         centre = _MEAN.dot(palm)
-        rotation = nearest_rotation((palm - centre).T.dot(self._model))
+        rotation = nearest_rotation(_CENTRING.dot(palm).T.dot(self._model))
         return affine(rotation, centre - rotation.dot(self._model_centre))

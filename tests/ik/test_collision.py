@@ -304,7 +304,7 @@ def test_pairs_beyond_the_horizon_get_no_row_and_the_others_the_same() -> None:
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place_with_jacobians(hand.configuration_vector(q))
-        within = every.distances(configuration) <= 0.012
+        within = every.distances(configuration) <= margins + 0.012
         G, h = every.rows(configuration, margins)
         some_G, some_h = near.rows(configuration, margins)
         assert len(some_h) == within.sum()

@@ -21,15 +21,17 @@ def hand() -> Hand:
 
 def test_distances_and_wrenches_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
-    measured = ShapeDistances(hand.model, geometry, HORIZON)
+    measured = ShapeDistances(hand.model, geometry)
     alone, configuration = geometry.createData(), hand.configuration()
     for request in alone.distanceRequests:
         request.gjk_tolerance = request.epa_tolerance = 1e-9
-    rng, seen = np.random.default_rng(0), set()
-    for _ in range(100):
-        q = rng.uniform(hand.lower_limits, hand.upper_limits)
+    rng, seen, q = np.random.default_rng(0), set(), hand.rest
+    for i in range(100):
+        # Leaps, and a small step behind each, where bounds take the place of most distances.
+        step = rng.normal(scale=0.03, size=len(hand.rest))
+        q = q + step if i % 2 else rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place_frames(hand.configuration_vector(q, np.eye(4)))
-        near = measured.measure(configuration)
+        near = measured.measure(configuration, HORIZON)
         pin.updateGeometryPlacements(hand.model, configuration.data, geometry, alone)
         results = [
             pin.computeDistance(geometry, alone, k) for k in range(len(geometry.collisionPairs))
@@ -49,11 +51,11 @@ def test_distances_and_wrenches_are_those_of_each_pair_measured_alone(hand: Hand
 
 def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
-    used, fresh = (ShapeDistances(hand.model, geometry, HORIZON) for _ in range(2))
+    used, fresh = (ShapeDistances(hand.model, geometry) for _ in range(2))
     configuration = hand.configuration()
     for q in (hand.rest, hand.lower_limits, hand.upper_limits):
         configuration.place_frames(hand.configuration_vector(q, np.eye(4)))
-        used.measure(configuration)
+        used.measure(configuration, HORIZON)
     np.testing.assert_allclose(
         used.measure_all(configuration), fresh.measure_all(configuration), atol=1e-8
     )
@@ -62,6 +64,6 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: 
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
     geometry.removeAllCollisionPairs()
-    near = ShapeDistances(hand.model, geometry, HORIZON).measure(hand.configuration())
+    near = ShapeDistances(hand.model, geometry).measure(hand.configuration(), HORIZON)
     assert near.distances.shape == (0,)
     assert near.wrenches.shape == (0, 6)

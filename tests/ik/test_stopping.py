@@ -66,9 +66,11 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
             continue
         step = 10.0 ** rng.uniform(-2, 0.3) * rng.normal(size=len(hand.active_columns))
         configuration.place_with_jacobians(start)
-        limit.rows(configuration)
-        is_clear = limit.path.is_clear(limit.path_start(configuration), step)
+        before = limit.measure(configuration)
         end = start + (step if hand.expansion is None else hand.expansion.matrix @ step)
+        configuration.place_frames(end)
+        after = limit.measure(configuration) if rng.integers(2) else None
+        is_clear = limit.path.is_clear(start, before, step, after)
         nearest = min(case.nearest_between(start, end), case.nearest(end))
         found[is_clear] += 1
         if is_clear:

@@ -27,7 +27,7 @@ from handmap_qp.ik.mink_tasks import DampingTask
 from handmap_qp.ik.mujoco_check import MujocoIk
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver
-from handmap_qp.ik.stopping import StopGuard
+from handmap_qp.ik.stopping import Start, StopGuard
 
 ONE_STEP = IkOptions(max_iterations=1)
 # All weights differ, so that a wrong one is noticed.
@@ -103,10 +103,9 @@ def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> 
 def admitted(ik: PointIk, displacement: np.ndarray, dt: float) -> np.ndarray:
     """Return the part of a displacement from which the hand can stop without an overlap."""
     collisions = CollisionLimit(ik.hand)
-    collisions.rows(ik.configuration)
     limits = BoxLimits(ik.hand, max_acceleration=ik.options.max_acceleration)
     state: Any = SimpleNamespace(velocity=ik.state.velocity, stop_time=ik.state.stop_time)
-    start = collisions.path_start(ik.configuration)
+    start = Start(ik.configuration.q.copy(), collisions.measure(ik.configuration))
     return StopGuard(limits, collisions.path).admit(start, displacement, displacement, dt, state)
 
 

@@ -134,7 +134,7 @@ class BoundTeleoperation:
 
     def _prepare_distances(self) -> None:
         """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
-        pair, choices = self.pair, self.choices
+        pair = self.pair
         places, pairs = [], []
         for finger in pair.fingers:
             chain = pair.chains[finger]
@@ -147,22 +147,43 @@ class BoundTeleoperation:
         points = AttachedPoints(pair.robot, places)
         damping = [_EXTENSION_DAMPING] * len(pair.fingers) + [_PINCH_DAMPING] * len(self.pinched)
         self.distances = PointDistances(points, pairs, np.zeros(len(pairs)), damping=damping)
-        self.extension_weights = np.array(
+        self._prepare_aims(np.array([pads[0].radius + pad.radius - _SQUEEZE for pad in pads[1:]]))
+
+    def _prepare_aims(self, touching: np.ndarray) -> None:
+        """Make wanted distance and weight of each row functions of the human's distance.
+
+        The wanted distance is linear between two bounds. A pinch is wanted as the thumb and the
+        finger come near; its share goes smoothly from 0 to 1 as a linear function of their gap
+        does. Extension is always wanted.
+
+        Args:
+            touching: Distance of the robot's pads where they press on each other [m], shape (p,).
+        """
+        pair, choices = self.pair, self.choices
+        human = pair.human_rest
+        at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1) / pair.human_reach
+        # Between jaws, an object is as large as between the human's fingers.
+        ratio = np.full(len(touching), 1.0 if pair.has_jaws else float(pair.reach_ratios.mean()))
+        # Jaws follow a gap of any size.
+        nearness = np.inf if pair.has_jaws else _PINCH_FROM / _PINCH_OVER
+        always = np.ones(len(pair.fingers))
+        extension_weights = [
+            choices.thumb_extension_weight if finger == THUMB else choices.extension_weight
+            for finger in pair.fingers
+        ]
+        closing, full = np.full(len(touching), -1.0 / _PINCH_OVER), np.ones(len(touching))
+        self.aim_slopes = np.concatenate([pair.robot_reach / pair.human_reach, ratio])
+        self.aim_offsets = np.concatenate(
             [
-                choices.thumb_extension_weight if finger == THUMB else choices.extension_weight
-                for finger in pair.fingers
+                pair.robot_reach * (pair.robot_extension - at_rest),
+                touching - ratio * choices.contact_gap,
             ]
         )
-        self.touching = np.array([pads[0].radius + pad.radius - _SQUEEZE for pad in pads[1:]])
-        self.human_extension = (
-            np.linalg.norm(pair.human_rest[pair.tips] - pair.human_rest[pair.knuckles], axis=1)
-            / pair.human_reach
-        )
-        self.robot_extension = pair.robot_extension
-        # Between jaws, an object is as large as between the human's fingers.
-        self.pinch_ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
-        # Jaws follow a gap of any size.
-        self.pinch_from = np.inf if pair.has_jaws else _PINCH_FROM
+        self.least_aims = np.concatenate([0.0 * always, touching])
+        self.largest_aims = np.concatenate([pair.robot_reach, np.inf * full])
+        self.share_slopes = np.concatenate([0.0 * always, closing])
+        self.share_offsets = np.concatenate([always, nearness * full])
+        self.row_weights = np.concatenate([extension_weights, choices.pinch_weight * full])
 
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
@@ -213,16 +234,18 @@ class TeleoperationMap:
         estimate = method.estimator.estimate(now.take(pair.shape_points, 0))
         in_palm = self._points(estimate, now)
         distances = lengths(now.take(self._to, 0) - now.take(self._from, 0))
-        extensions = distances[: len(pair.fingers)] / pair.human_reach
-        gaps = distances[len(pair.fingers) :]
-        pinching = smoothstep((method.pinch_from - gaps) / _PINCH_OVER)
+        count = len(pair.fingers)
+        extensions, gaps = distances[:count] / pair.human_reach, distances[count:]
+        shares = smoothstep(method.share_slopes * distances + method.share_offsets)
+        aims = method.aim_slopes * distances + method.aim_offsets
+        aims = np.minimum(np.maximum(aims, method.least_aims), method.largest_aims)
         return Targets(
             in_palm.dot(palm[:3, :3].T) + palm[:3, 3],
             self._follower.wrist(palm),
             TeleoperationDiagnostics(
-                estimate, self._palm_before, human_palm, gaps, pinching, extensions
+                estimate, self._palm_before, human_palm, gaps, shares[count:], extensions
             ),
-            (self._distance_task(extensions, gaps, pinching),),
+            (method.distances.aimed_at(aims, method.row_weights * shares),),
             self._margins(gaps),
         )
 
@@ -238,19 +261,6 @@ class TeleoperationMap:
         followed += self._offsets.dot(estimate.linear.T)
         followed += self._centre + self._shift * estimate.centroid_after
         return followed
-
-    def _distance_task(
-        self, extensions: np.ndarray, gaps: np.ndarray, pinching: np.ndarray
-    ) -> PointDistances:
-        """Aim the distance rows: the change of each extension, and the gap of each pinch."""
-        method, pair = self._method, self._pair
-        share = method.robot_extension + (extensions - method.human_extension)
-        stretched = pair.robot_reach * np.minimum(np.maximum(share, 0.0), 1.0)
-        open_by = method.pinch_ratio * np.maximum(gaps - method.choices.contact_gap, 0.0)
-        return method.distances.aimed_at(
-            np.concatenate([stretched, method.touching + open_by]),
-            np.concatenate([method.extension_weights, method.choices.pinch_weight * pinching]),
-        )
 
     def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
         """Widen the margin between thumb and finger with the human's gap: nothing may touch."""
