@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from logging import INFO
+from typing import TypeVar
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.service.audit import AuditLog
@@ -25,6 +26,7 @@ from handmap_qp.service.store import PostureStore, Record
 _SHORTEST_SECRET = 16
 _REMEMBERED = 1024
 
+_T = TypeVar("_T")
 Publish = Callable[[str, bytes], None]
 """Takes a session's name and a message of its stream (msgpack)."""
 
@@ -62,6 +64,7 @@ class Sessions:
     Attributes:
         entries: Sessions by their secrets.
         publish: Callbacks that receive the messages of all streams.
+        is_preparing: Whether the opening thread loads a hand, which it does not stop on request.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class Sessions:
     ) -> None:
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
+        self.is_preparing = False
         self._audit = audit
         self._caps, self._cache, self._metrics, self._store, self._clock = (
             caps,
@@ -86,15 +90,9 @@ class Sessions:
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
-        self._preparing: Future[tuple[Hands, Calibration | None]] | None = None
         self._names_opening: set[str] = set()
         self._ended: OrderedDict[str, str] = OrderedDict()
         self._last_name = 0
-
-    @property
-    def is_preparing(self) -> bool:
-        """Whether the opening thread loads hands, which it does not stop on request."""
-        return self._preparing is not None and self._preparing.running()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -140,8 +138,8 @@ class Sessions:
         name = request.name or self._new_name()
         self._names_opening.add(name)
         try:
-            self._preparing = self._executor.submit(self._prepare, request)
-            hands, calibration = await asyncio.wrap_future(self._preparing)
+            work = self._submit(lambda: self._prepare(request))
+            hands, calibration = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_unattended(self._find_named(request.name))
@@ -205,7 +203,19 @@ class Sessions:
         hands = prepare_hands(request, self._cache)
         if not hands.needs_measuring:
             return hands, None
-        return hands, Calibration(request, self._cache, self._executor.submit)
+        return hands, Calibration(request, self._cache, self._submit)
+
+    def _submit(self, work: Callable[[], _T]) -> Future[_T]:
+        """Run work in the opening thread."""
+
+        def run() -> _T:
+            self.is_preparing = True
+            try:
+                return work()
+            finally:
+                self.is_preparing = False
+
+        return self._executor.submit(run)
 
     def _check(self, request: Open) -> None:
         """Refuse requests that can be refused before hands are loaded."""

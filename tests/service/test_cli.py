@@ -46,11 +46,13 @@ def test_serve_ends_while_it_loads_a_hand() -> None:
     try:
         assert process.stdout is not None
         ready = json.loads(process.stdout.readline())
-        request = {"type": "open", "protocol": 1, "seq": 1, "session": "s" * 32, "robot": "hey5"}
+        request = {"type": "open", "protocol": 1, "seq": 1, "robot": "hey5"}
         with zmq.Context() as context, context.socket(zmq.DEALER) as client:
             client.linger = 0
             client.connect(f"tcp://127.0.0.1:{ready['ports']['requests']}")
-            client.send(msgspec.msgpack.encode(request))
+            for number in range(2):
+                request["session"] = str(number) * 32
+                client.send(msgspec.msgpack.encode(request))
             assert process.stdout.readline() == "loading\n"
         process.send_signal(signal.SIGTERM)
         log = process.communicate(timeout=PATIENCE)[1]
