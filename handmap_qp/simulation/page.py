@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 _RATE = 30.0
 _FIELD_OF_VIEW = np.radians(35.0)
 # From the front, slightly from above.
-_DIRECTION = np.array([0.1, -1.0, 0.3]) / np.linalg.norm([0.1, -1.0, 0.3])
+_DIRECTION = np.array([0.1, 0.3, 1.0]) / np.linalg.norm([0.1, 0.3, 1.0])
 # Between hands that are shown side by side, and of what is seen around them [m].
 _GAP, _MARGIN = 0.12, 0.08
+# Rotation from +z up, as in pictures, to +y up, as in the view.
+_TO_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _OBJECT_COLOUR = (237, 140, 38)
 
 
@@ -54,9 +56,10 @@ def write_page(
     """
     with serving() as server:
         _set_up(server)
-        places = _side_by_side(episodes, turn_up(up))
+        turn = _TO_Y @ turn_up(up)
+        places = _side_by_side(episodes, turn)
         actors = [
-            _Actor(server, name, episode, turn_up(up), place)
+            _Actor(server, name, episode, turn, place)
             for (name, episode), place in zip(episodes.items(), places, strict=True)
         ]
         _frame_camera(server, actors)
@@ -98,9 +101,12 @@ class _Actor:
     ) -> None:
         self.episode, self.time = episode, episode.time - episode.time[0]
         node = name.replace(" ", "_")
-        self._hand = HandFigure(server, node, episode.hand)
+        self._hand, self._name = HandFigure(server, node, episode.hand), name
         self._hand.turn(turn)
-        self._hand.frame.position = place
+        box = travel(episode, turn)
+        middle, self.corners = box.mean(axis=0), box + place
+        self._hand.anchor, self._hand.extent = middle + place, box - middle
+        self._hand.place(middle, low=float(self.corners[0, 1]) - 0.6 * _MARGIN)
         mesh = surface(episode.body.shape)
         self._object: Any = server.scene.add_mesh_simple(
             f"/{node}/object",
@@ -108,13 +114,6 @@ class _Actor:
             np.asarray(mesh.faces, dtype=np.uint32),
             color=_OBJECT_COLOUR,
             flat_shading=True,
-        )
-        self.corners = travel(episode, turn) + place
-        low, high = self.corners
-        below = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2] - 0.6 * _MARGIN)
-        self._name = name
-        self._label: Any = server.scene.add_label(
-            f"/{node}_caption", name, position=below, anchor="top-center", font_screen_scale=1.1
         )
 
     def draw(self, instant: float) -> None:
@@ -125,7 +124,7 @@ class _Actor:
         pose = episode.object_pose[i]
         self._object.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
         self._object.position = pose[:3, 3]
-        self._label.text = (
+        self._hand.name(
             f"{self._name} · {self.time[i]:.2f} s · {episode.force[i]:.1f} N · "
             f"{int(episode.touching[i])} links touch"
         )
@@ -158,18 +157,18 @@ def _side_by_side(episodes: Mapping[str, Episode], turn: np.ndarray) -> list[np.
     places, edge = [], 0.0
     for episode in episodes.values():
         low, high = travel(episode, turn)
-        places.append(np.array([edge - low[0], -0.5 * (low[1] + high[1]), -low[2]]))
+        places.append(np.array([edge - low[0], -low[1], -0.5 * (low[2] + high[2])]))
         edge += high[0] - low[0] + _GAP + _MARGIN
     return places
 
 
 def _set_up(server: viser.ViserServer) -> None:
     scene = server.scene
-    scene.set_up_direction("+z")
+    scene.set_up_direction("+y")
     scene.world_axes.visible = False
     scene.add_grid(
         "/floor",
-        plane="xy",
+        plane="xz",
         infinite_grid=True,
         cell_size=0.05,
         section_size=0.25,
@@ -178,7 +177,7 @@ def _set_up(server: viser.ViserServer) -> None:
         cell_thickness=0.6,
         section_thickness=0.8,
         fade_distance=3.0,
-        position=(0.0, 0.0, -_MARGIN),
+        position=(0.0, -_MARGIN, 0.0),
     )
 
 
@@ -187,8 +186,8 @@ def _frame_camera(server: viser.ViserServer, actors: list[_Actor]) -> None:
     corners = np.concatenate([actor.corners for actor in actors])
     low, high = corners.min(axis=0) - _MARGIN, corners.max(axis=0) + _MARGIN
     middle = 0.5 * (low + high)
-    radius = 0.5 * max(high[0] - low[0], high[2] - low[2])
-    distance = radius / np.tan(0.5 * _FIELD_OF_VIEW) + 0.5 * (high[1] - low[1])
+    radius = 0.5 * max(high[0] - low[0], high[1] - low[1])
+    distance = radius / np.tan(0.5 * _FIELD_OF_VIEW) + 0.5 * (high[2] - low[2])
     camera = server.initial_camera
     camera.look_at, camera.fov = middle, float(_FIELD_OF_VIEW)
-    camera.up, camera.position = np.array([0.0, 0.0, 1.0]), middle + distance * _DIRECTION
+    camera.up, camera.position = np.array([0.0, 1.0, 0.0]), middle + distance * _DIRECTION
