@@ -70,7 +70,7 @@ def main(words: Sequence[str] | None = None) -> list[dict[str, Any]]:
     common.write_json(arguments.json, "bench_hands", {"hands": rows, "notes": notes})
     common.save_picture(arguments.picture, lambda: draw(rows))
     if arguments.page is not None:
-        write_page(arguments.page, rows, len(recordings))
+        write_page(arguments.page, rows, [file.stem for file in files])
     return rows
 
 
@@ -157,14 +157,14 @@ def draw(rows: list[dict[str, Any]]) -> Any:
     return figure
 
 
-def write_page(page: Path, rows: list[dict[str, Any]], recordings: int) -> None:
+def write_page(page: Path, rows: list[dict[str, Any]], recordings: list[str]) -> None:
     """Replace the table between the marks of a Markdown page."""
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(_BEGIN)
     _, _, after = rest.partition(_END)
     columns = [column for column in rows[0] if column != "problem" or any(r[column] for r in rows)]
     lines = [
-        f"Means over {recordings} recordings.",
+        f"Means over {len(recordings)} recordings: {', '.join(recordings)}.",
         "",
         f"| {' | '.join(columns)} |",
         f"|{'---|' * len(columns)}",
