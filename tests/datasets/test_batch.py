@@ -281,7 +281,12 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     root = tmp_path_factory.mktemp("pairs")
     folder = root / "in" / "pour_water"
     folder.mkdir(parents=True)
-    write_recordings([piece(0, 20, "left"), piece(0, 20, "right")], folder / "0.npz")
+    right = piece(0, 20, "right")
+    # Three samples in which the right hand was not seen.
+    valid, landmarks = right.valid.copy(), right.landmarks.copy()
+    valid[8:11], landmarks[8:11] = False, np.nan
+    right = replace(right, valid=valid, landmarks=landmarks)
+    write_recordings([piece(0, 20, "left"), right], folder / "0.npz")
     write_recordings([piece(40, 20, "left")], folder / "1.npz")
     command = ["batch", str(root / "in"), "--robot", "allegro_left", "allegro_right"]
     return [*command, "--workers", "0", "--fps", "50", "--out", str(root / "out")]
@@ -325,6 +330,12 @@ def test_the_data_set_keeps_limits_and_pairs_hands(form: str, pairs: list[str]) 
             np.testing.assert_allclose(np.linalg.norm(quats, axis=1), 1.0, atol=1e-6)
         assert valid[:, 0].any()
     assert [bool(valid[:, 1].any()) for _, _, valid in episodes_] == [True, False]
+    # At least those between the samples around the three that were not seen; none at the ends.
+    seen = episodes_[0][2][:, 1]
+    gap = float(np.ptp(piece(0, 20, "right").time[[7, 11]]))
+    assert (~seen).sum() >= 50.0 * gap - 1.0
+    assert seen[0]
+    assert seen[-1]
 
 
 def test_rounding_to_float32_stays_inside_the_limits(tmp_path: Path) -> None:
