@@ -190,6 +190,7 @@ class View:
         """Return a recording mapped to a robot, as the view shows it."""
         from handmap_qp.trackers.fit import fit_recording
         from handmap_qp.trackers.person import measure_person, read_person
+        from handmap_qp.viewer.contenders import contender_names
         from handmap_qp.viewer.replay import Replay
 
         robot = self.arguments.load_robot(name)
@@ -199,6 +200,8 @@ class View:
         motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)
         gap = person.contact_gap
+        if self.compare is not None:
+            self._check_compared(self.compare, contender_names(human, robot))
         replay = Replay(
             recording,
             motion,
@@ -209,13 +212,15 @@ class View:
             contact_gap=gap,
         )
         if self.compare is not None:
-            names = replay.contenders
-            if self.compare not in names:
-                raise InvalidInputError(
-                    argument="--compare",
-                    expected=f"one of {', '.join(names)}",
-                    value=self.compare,
-                    advice=did_you_mean(self.compare, names),
-                )
             replay.compare(replay.contender(self.compare))
         return replay
+
+    def _check_compared(self, name: str, names: tuple[str, ...]) -> None:
+        """Reject a method that the hands cannot be mapped with."""
+        if name not in names:
+            raise InvalidInputError(
+                argument="--compare",
+                expected=f"one of {', '.join(names)}",
+                value=name,
+                advice=did_you_mean(name, names),
+            )

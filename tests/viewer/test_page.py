@@ -8,11 +8,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
@@ -97,6 +100,11 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
         },
         InvalidInputError,
     ),
+    "no such method": ({"compare": "papr"}, InvalidInputError),
+    "comparison of a service": (
+        {"recording": None, "live": "127.0.0.1", "compare": "paper"},
+        InvalidInputError,
+    ),
     "all addresses": ({"host": ""}, InvalidInputError),
     "service of no name": ({"recording": None, "live": ""}, InvalidInputError),
     "not our address": ({"host": "192.0.2.1"}, InvalidInputError),
@@ -117,6 +125,8 @@ OPTIONS_AT_FAULT = {
     "address of a page": "--host",
     "points for a service": "--human-points",
     "options for a service": "--ridge",
+    "no such method": "--compare",
+    "comparison of a service": "--compare",
     "all addresses": "--host",
     "service of no name": "--live",
     "not our address": "--host",
@@ -269,6 +279,21 @@ def test_the_page_draws_both_hands_and_a_slider_moves_the_robot(
         return int(changed[:, half:].sum()) > 500
 
     wait_until(robot_has_moved, "the robot does not move in the picture", DRAWING)
+    # The saved picture is that of the scene, without the panels.
+    client = next(iter(viewer.server.get_clients().values()))
+    sent: list[bytes] = []
+    capturing = SimpleNamespace(
+        camera=client.camera,
+        get_render=client.get_render,
+        send_file_download=lambda name, content: sent.append(content),
+    )
+    viewer.exports.send_picture(cast(Any, SimpleNamespace(client=capturing)))
+    picture = np.asarray(Image.open(BytesIO(sent[0])))
+    assert picture.shape == (client.camera.image_height, client.camera.image_width, 3)
+    assert skin(picture) > FEWEST_PIXELS
+    # In a small window, the gauges make room for the hands.
+    browser.resize(800, 600)
+    browser.wait_for("document.querySelector('canvas').clientWidth > 400")
     assert not browser.errors
 
 
@@ -368,6 +393,17 @@ def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> Non
         return has_moved(pictures)
 
     wait_until(hands_move, "the hands do not move by themselves", DRAWING)
+    # Title, gauges and options; the gauges follow the time that is played.
+    text = "document.querySelector('{}').textContent"
+    assert browser.evaluate(text.format("h1")) == "closing on three_finger, paper"
+    assert "ridge0.1" in browser.evaluate(text.format(".options"))
+    assert "pinch gaps" in browser.evaluate(text.format("#handmap-table"))
+    bars = browser.evaluate(text.format("#handmap-bars"))
+    wait_until(
+        lambda: browser.evaluate(text.format("#handmap-bars")) != bars,
+        "the gauges stand still",
+        DRAWING,
+    )
     assert not browser.errors
 
 
