@@ -230,3 +230,21 @@ def test_a_name_has_its_side_once() -> None:
     )
     text = robot.replace("</robot>", above + "</robot>")
     assert detect_text(text, Path("x.urdf"), side="right").spec.name == "shadow_right"
+
+
+def test_a_visual_fingertip_has_the_pad_that_collision_shapes_would_show() -> None:
+    made = make_hand(np.random.default_rng(2))
+    ball = "<geometry><sphere radius='0.008'/></geometry>"
+    pads = {}
+    for kind in ("visual", "collision"):
+        text = made.urdf
+        for tip in made.tips.values():
+            shape = f'<link name="{tip}"><{kind}>{ball}</{kind}></link>'
+            text = text.replace(f'<link name="{tip}"/>', shape)
+        points = detect_text(text, Path("x.urdf")).spec.points
+        pads[kind] = [point.pad for point in points if point.name.endswith("_tip")]
+    assert pads["collision"] == [None] * len(made.tips)
+    for pad in pads["visual"]:
+        assert pad is not None
+        assert pad.radius == pytest.approx(0.008, abs=3e-4)
+        np.testing.assert_allclose(pad.xyz, 0.0, atol=3e-4)
