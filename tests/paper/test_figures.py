@@ -49,6 +49,7 @@ def quick() -> Iterator[None]:
         for module in (paper_drawings, beyond_figures):
             patch.setattr(module, "draw_hands", draw_coarsely)
         patch.setattr(paper_figures, "STEPS", (5, 20, 50, 200))
+        patch.setattr(beyond_runs, "STEPS", 6)
         patch.setattr(beyond_runs, "PLANS", 12)
         patch.setattr(beyond_runs, "MARGINS", (0.0, 4.0))
         patch.setattr(beyond_runs, "DISTANCES", (0.1, 1.0))
