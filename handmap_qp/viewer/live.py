@@ -43,6 +43,7 @@ class LiveSource(Protocol):
         choice: Preset and options in force there, whichever client set them.
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot is released.
+        stop_number: Number of the emergency stop in force; 0 for none.
         is_outdated: Whether it has ended because other hands are mapped there now.
         last_error: Why the last request failed; None if it succeeded.
     """
@@ -52,6 +53,7 @@ class LiveSource(Protocol):
     choice: Choice
     is_shared: bool
     is_released: bool
+    stop_number: int
     is_outdated: bool
     last_error: HandmapError | None
 
@@ -74,6 +76,10 @@ class LiveSource(Protocol):
 
     def stop(self) -> None:
         """Request an emergency stop, which works also where nothing else can be steered."""
+        ...
+
+    def clear(self, stop_number: int) -> None:
+        """Request that an emergency stop ends; the robot is then released."""
         ...
 
     def configure(self, changes: dict[str, Any]) -> None:
@@ -101,6 +107,8 @@ class LiveViewer:
         recent: These samples.
         status_text: The sample rate, or that no sample arrives.
         stop: Button of the emergency stop.
+        clear: Button that ends the stop in force; shown while there is one, for a source that can
+            be steered.
         steering: Clutch and options; None if the source cannot be steered.
         display: What the scene shows.
         exports: Buttons that download files; the page is of the last 10 s.
@@ -140,9 +148,17 @@ class LiveViewer:
             self.stop = server.gui.add_button(
                 "Stop the robot",
                 color="red",
-                hint="Emergency stop: the robot holds until its client clears the stop",
+                hint="Emergency stop: the robot holds until the stop is cleared",
             )
             self.stop.on_click(lambda _: source.stop())
+            self.clear = server.gui.add_button(
+                "Clear the stop",
+                hint="End the emergency stop; the robot stays where it is until Clutch is pressed",
+                visible=False,
+            )
+            self._stop_number = 0
+            # The number that was shown, so that a later stop is not cleared unseen.
+            self.clear.on_click(lambda _: source.clear(self._stop_number))
             self.steering = (
                 SteeringControls(
                     server,
@@ -171,6 +187,7 @@ class LiveViewer:
             self._steer(self.steering)
         sample, rows = self.sample, tuple(self.rows)
         self._show_choice()
+        self._show_stop()
         self.display.apply_to(self.scene)
         is_gauges_due = self._gauges_throttle.is_due()
         if is_gauges_due:
@@ -239,6 +256,13 @@ class LiveViewer:
             variant = self._variant()
             self.scene.set_variants([variant])
             self.gauges.set_variants([variant])
+
+    def _show_stop(self) -> None:
+        """Offer to clear the stop in force."""
+        self._stop_number = self._source.stop_number
+        is_offered = self._stop_number != 0 and self._source.is_shared
+        if self.clear.visible != is_offered:
+            self.clear.visible = is_offered
 
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""

@@ -57,6 +57,7 @@ class ServiceSession:
         choice: Preset and options in force at the last status request.
         is_shared: Whether it can be steered from here.
         is_released: Whether the robot is released, by its client or by a view.
+        stop_number: Number of the emergency stop in force; 0 for none.
         is_outdated: Whether the session has changed to other hands.
         last_error: Why the last request failed; None if it succeeded.
 
@@ -96,7 +97,7 @@ class ServiceSession:
         self._start: float | None = None
         self._detail: dict[str, Any] = {}
         self._requests: deque[Callable[[], Any]] = deque()
-        self.is_outdated, self.is_released = False, False
+        self.is_outdated, self.is_released, self.stop_number = False, False, 0
         self.last_error: HandmapError | None = None
         address = service_address("--live", host)
         self._client = self._try(lambda: Client(address, timeout=_FIRST_TIMEOUT, keys=keys))
@@ -190,6 +191,10 @@ class ServiceSession:
         """Request an emergency stop, which works also where nothing else can be steered."""
         self._requests.append(self._client.stop)
 
+    def clear(self, stop_number: int) -> None:
+        """Request that an emergency stop ends; the robot is then released."""
+        self._requests.append(lambda: self._client.clear(stop_number))
+
     def configure(self, changes: dict[str, Any]) -> None:
         """Request another preset or other values of some options, as of `Choice`."""
         rest = dict(changes)
@@ -224,7 +229,7 @@ class ServiceSession:
                 self.robot = self._with_method_points()
         except (*self._failures, LookupError):
             return
-        self.is_released = state.is_released
+        self.is_released, self.stop_number = state.is_released, state.stop
 
     def _find_session(self, session: str | None, end: float) -> dict[str, Any]:
         """Wait until a session is open and its human hand is measured; return its properties."""

@@ -37,6 +37,7 @@ class Source:
         self.choice = replay.choice
         self.is_shared, self.is_released, self.is_busy, self.is_outdated = True, False, False, False
         self.is_stopped = False
+        self.stop_number = 0
         self.last_error: HandmapError | None = None
         self.asked: list[dict[str, Any]] = []
         self.given: queue.Queue[ViewSample | HandmapError | None] = queue.Queue()
@@ -55,6 +56,10 @@ class Source:
 
     def stop(self) -> None:
         self.is_stopped = True
+        self.stop_number = 7
+
+    def clear(self, stop_number: int) -> None:
+        self.stop_number -= stop_number
 
     def configure(self, changes: dict[str, Any]) -> None:
         self.asked.append(changes)
@@ -156,8 +161,20 @@ def test_a_stop_reaches_every_source(server: Any, source: Source, is_shared: boo
     source.is_shared = is_shared
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
+    viewer.tick()
+    assert not viewer.clear.visible
     press(viewer.stop)
     assert source.is_stopped
+    viewer.tick()
+    assert viewer.clear.visible == is_shared
+    # A stop that came later has not been seen.
+    source.stop_number = 8
+    press(viewer.clear)
+    assert source.stop_number == 1
+    viewer.tick()
+    press(viewer.clear)
+    viewer.tick()
+    assert not viewer.clear.visible
     viewer.close()
 
 
