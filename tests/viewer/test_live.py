@@ -323,14 +323,14 @@ def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> N
     viewer.tick()
     near = np.linalg.norm(server.initial_camera.position)
     shift = np.array([0.8, 0.0, 0.0])
-    far = source.samples[0].human_wrist.copy()
+    far = np.array(source.samples[0].human_wrist)
     far[:3, 3] += shift
     source.given.put(
         replace(
             source.samples[0],
             time=0.1,
             human_wrist=far,
-            human_points=source.samples[0].human_points + shift,
+            human_points=np.asarray(source.samples[0].human_points) + shift,
         )
     )
     wait_until(lambda: viewer.sample.time == 0.1)
@@ -341,14 +341,18 @@ def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> N
 
 def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Source) -> None:
     first = replace(
-        source.samples[0], human_q=None, human_points=source.samples[0].human_points + 3.0
+        source.samples[0],
+        human_q=None,
+        human_points=np.asarray(source.samples[0].human_points) + 3.0,
     )
     source.given.put(first)
     viewer = LiveViewer(server, source)
     viewer.tick()
     assert not server.scene.get_handle_by_name("/human/body").visible
     human = server.scene.get_handle_by_name("/human")
-    middle = rotation_from_quat_wxyz(human.wxyz) @ first.human_points.mean(axis=0) + human.position
+    middle = (
+        rotation_from_quat_wxyz(human.wxyz) @ np.mean(first.human_points, axis=0) + human.position
+    )
     assert abs(middle[0]) < 0.3, "the points are beside the robot"
     # The middle of the points' box is there, not their mean.
     np.testing.assert_allclose(middle[1:], 0.0, atol=0.02)

@@ -414,6 +414,10 @@ def test_an_encrypted_service_is_shown_only_with_keys(
             session.release()
             wait_until(lambda: next(samples).status == "released")
             assert session.is_released
+            session.stop()
+            wait_until(lambda: next(samples).status == "stopped" and session.stop_number > 0)
+            session.clear(session.stop_number)
+            wait_until(lambda: next(samples).status == "released" and session.stop_number == 0)
         for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
             monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", 0.1)
         with pytest.raises(InvalidInputError, match="no answer"):
