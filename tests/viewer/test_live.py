@@ -351,7 +351,8 @@ def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Source) -> 
     assert not server.scene.get_handle_by_name("/human/body").visible
     human = server.scene.get_handle_by_name("/human")
     middle = (
-        rotation_from_quat_wxyz(human.wxyz) @ np.mean(first.human_points, axis=0) + human.position
+        rotation_from_quat_wxyz(human.wxyz) @ np.asarray(first.human_points).mean(axis=0)
+        + human.position
     )
     assert abs(middle[0]) < 0.3, "the points are beside the robot"
     # The middle of the points' box is there, not their mean.

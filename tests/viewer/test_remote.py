@@ -119,6 +119,8 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         # Points of the service against those of the local model.
         np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
         assert sample.human_q is not None
+        assert sample.human_points is not None
+        assert sample.human_wrist is not None
         np.testing.assert_allclose(
             sample.human_points, session.human.points(sample.human_q, sample.human_wrist), atol=1e-9
         )
@@ -343,6 +345,7 @@ def test_a_session_that_comes_back_with_other_hands_ends_the_view_of_the_old_one
     with watching_after(service, usual) as (session, samples):
         with connected(service, **(usual | changes)) as client, moving(client):
             for sample in samples:
+                assert sample.human_points is not None
                 assert len(sample.human_points) == len(session.human.reference_points)
                 assert len(sample.robot_points) == len(session.robot.reference_points)
         assert session.is_outdated
@@ -376,6 +379,7 @@ def test_wrist_is_estimated_from_points_without_one(service: Server) -> None:
     ):
         sample = next(samples)
     assert sample.human_q is None
+    assert sample.human_wrist is not None
     np.testing.assert_allclose(sample.human_wrist, pose, atol=2e-3)
 
 
