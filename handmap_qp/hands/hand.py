@@ -169,6 +169,13 @@ class Hand:
         counts = f"joints={len(self.joint_names)}, points={len(self.reference_points)}"
         return f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, {counts})"
 
+    def __copy__(self) -> Hand:
+        """Return the same hand with a workspace of its own, for another thread."""
+        hand = object.__new__(type(self))
+        hand.__dict__.update(self.__dict__)
+        hand.__dict__.pop("_scratch", None)
+        return hand
+
     def with_points(self, points: Points | None) -> Hand:
         """Return the same hand, scaled as it is, with other reference points.
 
@@ -432,7 +439,6 @@ class Hand:
             self._frame_ids.setdefault(point.name, frame)
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        self.__dict__.pop("_scratch", None)
 
     @cached_property
     def _scratch(self) -> Configuration:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -124,7 +125,8 @@ class HandPair:
         self.chains, self.pads = _fingers_and_pads(robot)
         self.fingers = _common_fingers(robot)
         self._check(names)
-        self.has_jaws, self.robot = _with_finger_points(robot)
+        self.has_jaws, shared = _with_finger_points(robot)
+        self.robot = copy(shared)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
         self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
