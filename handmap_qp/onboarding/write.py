@@ -40,15 +40,19 @@ def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> 
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
-    """Reject a file that exists, unless it may be replaced.
+    """Reject a file that is no YAML, or that exists, unless it may be replaced.
 
     Args:
         path: The file to write.
         overwrite: Whether to replace it.
 
     Raises:
-        InvalidInputError: If it exists.
+        InvalidInputError: If it has another suffix, or exists.
     """
+    if path.suffix not in (".yaml", ".yml"):
+        raise InvalidInputError(
+            argument="--out", expected="a file that ends in .yaml", value=str(path)
+        )
     if path.exists() and not overwrite:
         raise InvalidInputError(
             argument="--out",

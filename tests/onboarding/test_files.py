@@ -338,6 +338,9 @@ def test_init_takes_an_mjcf_file(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert load_hand(out).joint_names == hand.joint_names
     with pytest.raises(InvalidInputError, match="exists already"):
         HandsInit(model, out=out).run()
+    with pytest.raises(InvalidInputError, match=r"ends in \.yaml"):
+        HandsInit(model, out=tmp_path / "folder").run()
+    assert not (tmp_path / "folder").exists()
     model.write_text("<mujoco/>")
     with pytest.raises(HandError, match="no joint moves"):
         HandsInit(model, out=tmp_path / "other" / "claw.yaml").run()
