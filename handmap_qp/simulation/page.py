@@ -17,6 +17,7 @@ from handmap_qp.simulation.episode import Episode
 from handmap_qp.simulation.shapes import surface, turn_up
 from handmap_qp.transform import quat_wxyz_from_rotation
 from handmap_qp.viewer.figure import HandFigure
+from handmap_qp.viewer.scene import set_up_stage
 from handmap_qp.viewer.serving import serving
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def write_page(
         InvalidInputError: If the file cannot be written.
     """
     with serving() as server:
-        _set_up(server)
+        set_up_stage(server, floor=-_MARGIN)
         turn = _TO_Y @ turn_up(up)
         places = _side_by_side(episodes, turn)
         actors = [
@@ -160,25 +161,6 @@ def _side_by_side(episodes: Mapping[str, Episode], turn: np.ndarray) -> list[np.
         places.append(np.array([edge - low[0], -low[1], -0.5 * (low[2] + high[2])]))
         edge += high[0] - low[0] + _GAP + _MARGIN
     return places
-
-
-def _set_up(server: viser.ViserServer) -> None:
-    scene = server.scene
-    scene.set_up_direction("+y")
-    scene.world_axes.visible = False
-    scene.add_grid(
-        "/floor",
-        plane="xz",
-        infinite_grid=True,
-        cell_size=0.05,
-        section_size=0.25,
-        cell_color=(225, 228, 232),
-        section_color=(205, 210, 216),
-        cell_thickness=0.6,
-        section_thickness=0.8,
-        fade_distance=3.0,
-        position=(0.0, -_MARGIN, 0.0),
-    )
 
 
 def _frame_camera(server: viser.ViserServer, actors: list[_Actor]) -> None:

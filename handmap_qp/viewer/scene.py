@@ -172,7 +172,7 @@ class HandScene:
         self.deformation_shape: Shape = "ellipsoid"
         self.has_landmarks = self.has_trails = False
         first = variants[0].samples[0]
-        _set_up_stage(server)
+        set_up_stage(server, floor=-0.22)
         self.cameras = BrowserCameras(server)
         self._human = None if human is None else _HumanFigure(server, human, first)
         self._landmarks: LandmarkFigure | None = None
@@ -378,7 +378,13 @@ def _add_solid(server: viser.ViserServer, solid: Solid) -> Any:
     )
 
 
-def _set_up_stage(server: viser.ViserServer) -> None:
+def set_up_stage(server: viser.ViserServer, floor: float) -> None:
+    """Turn +y up, and draw the floor.
+
+    Args:
+        server: The server of the page.
+        floor: Height of the floor [m].
+    """
     scene = server.scene
     scene.set_up_direction("+y")
     scene.world_axes.visible = False
@@ -393,5 +399,5 @@ def _set_up_stage(server: viser.ViserServer) -> None:
         cell_thickness=0.6,
         section_thickness=0.8,
         fade_distance=3.0,
-        position=(0.0, -0.22, 0.0),
+        position=(0.0, floor, 0.0),
     )
