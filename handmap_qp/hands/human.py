@@ -239,16 +239,15 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
     joints = _joints(robot)
     old = HumanLengths.from_urdf(text)
     size = lengths.hand_length / old.hand_length
-    for i, finger in enumerate(FINGERS):
-        chain = _chain(finger)
-        first = joints[chain[0]]
-        _set_position(first, lengths.bases[i])
+    for name, move in joint_moves(old, lengths).items():
+        _set_position(joints[name], move.origin)
         # Fingers point along their x axes, about which the first of the three turns is.
-        set_numbers(_origin(first), "rpy", [lengths.rolls[i], *_rpy(first)[1:]])
-        for k, name in enumerate(chain[2:]):
-            _set_position(joints[name], np.array([lengths.segments[i, k], 0.0, 0.0]))
+        roll, pitch, yaw = _rpy(joints[name])
+        set_numbers(_origin(joints[name]), "rpy", [roll + move.roll, pitch, yaw])
+    for i, finger in enumerate(FINGERS):
+        for k, name in enumerate(_chain(finger)[1:4]):
             stretch = np.array([lengths.segments[i, k] / old.segments[i, k], size, size])
-            for shape in _shapes(robot, _bone(joints[chain[1 + k]])):
+            for shape in _shapes(robot, _bone(joints[name])):
                 _scale_shape(shape, partial(np.multiply, stretch), size)
     for shape in _shapes(robot, "palm"):
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
