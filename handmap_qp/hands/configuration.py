@@ -1,16 +1,20 @@
 """A hand in one posture: the workspace of everything that runs sample by sample.
 
-It holds Pinocchio's data, the reference points and their Jacobian; all memory is allocated once. It
-also offers what `mink.build_ik` reads from a configuration (`model.nv`, `nv`, `q`).
+It holds Pinocchio's data, the reference points and their Jacobian. All memory is allocated once,
+that of Jacobians when the first one is asked for. It also offers what `mink.build_ik` reads from a
+configuration (`model.nv`, `nv`, `q`).
 """
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, StaleJacobianError
-from handmap_qp.hands.placements import moved_by, placement_views
+from handmap_qp.hands.placements import PlacementViews, moved_by, placement_views
+from handmap_qp.transform import frozen
 
 CROSS = np.zeros((3, 9))
 """Rows of -[p]x, flattened, are linear in p: `p @ CROSS == (-skew(p)).ravel()`."""
@@ -40,9 +44,6 @@ class Configuration:
         points: Reference points in the world [m], shape (m, 3); a read-only view that follows
             every placement.
         wrist: Wrist frame, a `pinocchio.SE3` view that follows every placement.
-        joints: Placements of the model's joints in the world, views that follow every placement.
-        support: 1 where a velocity coordinate of the model moves a point's row or the wrist's,
-            shape (3 m + 6, model.nv); read-only.
     """
 
     def __init__(
@@ -61,24 +62,28 @@ class Configuration:
         self.q.setflags(write=False)
         self.points = placement_views(self.data.oMf, first_point).translations
         self.wrist = self.data.oMf[wrist_frame]
-        self.joints = placement_views(self.data.oMi)
+        self._frames = (*range(first_point, len(model.frames)), wrist_frame)
         self._has_jacobians = False
-        self._joint_columns = self.data.J
-        count = len(self.points)
-        # data.J holds the spatial velocity of each joint at the world's origin: [I, -[p]x] takes it
-        # to the point p.
-        self._rows = np.zeros((3 * count + 6, 6))
-        self._rows[: 3 * count, :3] = np.tile(np.eye(3), (count, 1))
-        self._wrist_rows = self._rows[-6:]
-        self._crosses = np.empty((count, 9))
-        self._crosses_3 = self._crosses.reshape(count, 3, 3)
-        self._angular = self._rows[: 3 * count].reshape(count, 3, 6)[:, :, 3:]
-        self._jacobian = np.empty((3 * count + 6, model.nv))
-        frames = [*range(first_point, len(model.frames)), wrist_frame]
-        joints = [model.frames[frame].parentJoint for frame in frames]
-        self.support = np.repeat(moved_by(model, joints), [3] * count + [6], axis=0)
-        self.support.setflags(write=False)
         self.place_frames(self._q)
+
+    @cached_property
+    def joints(self) -> PlacementViews:
+        """Placements of the model's joints in the world, views that follow every placement."""
+        return placement_views(self.data.oMi)
+
+    @cached_property
+    def support(self) -> np.ndarray:
+        """Where a velocity coordinate of the model moves a row: 1, else 0; read-only.
+
+        Shape (3 m + 6, model.nv): rows of the points, and those of the wrist.
+        """
+        joints = [self.model.frames[frame].parentJoint for frame in self._frames]
+        counts = [3] * len(self.points) + [6]
+        return frozen(np.repeat(moved_by(self.model, joints), counts, axis=0))
+
+    @cached_property
+    def _workspace(self) -> _JacobianWorkspace:
+        return _JacobianWorkspace(len(self.points), self.model.nv)
 
     @property
     def nv(self) -> int:
@@ -140,7 +145,7 @@ class Configuration:
         """
         if not self._has_jacobians:
             raise StaleJacobianError
-        return self._joint_columns
+        return self.data.J
 
     def point_jacobian(self) -> np.ndarray:
         """Jacobian of the points in the active coordinates, in world axes [m per unit].
@@ -151,8 +156,18 @@ class Configuration:
         Raises:
             StaleJacobianError: If the model was placed without Jacobians.
         """
-        jacobian = self.stacked_jacobian(_IDENTITY_6) * self.support
-        return self.contracted(jacobian[: 3 * len(self.points)])
+        return self.contracted(self.full_point_jacobian())
+
+    def full_point_jacobian(self) -> np.ndarray:
+        """Jacobian of the points in all coordinates of the model, in world axes [m per unit].
+
+        Returns:
+            Jacobian, rows x, y, z of each point in turn, shape (3 m, model.nv); a new array.
+
+        Raises:
+            StaleJacobianError: If the model was placed without Jacobians.
+        """
+        return (self.stacked_jacobian(_IDENTITY_6) * self.support)[:-6]
 
     def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
         """Body Jacobian of the wrist in the active coordinates.
@@ -195,11 +210,27 @@ class Configuration:
         """
         if not self._has_jacobians:
             raise StaleJacobianError
-        self.points.dot(CROSS, out=self._crosses)
-        self._angular[:] = self._crosses_3
-        error_jacobian.dot(self.wrist.toActionMatrixInverse(), out=self._wrist_rows)
-        return self._rows.dot(self._joint_columns, out=self._jacobian)
+        work = self._workspace
+        self.points.dot(CROSS, out=work.crosses)
+        work.angular[:] = work.crosses_3
+        error_jacobian.dot(self.wrist.toActionMatrixInverse(), out=work.wrist_rows)
+        return work.rows.dot(self.data.J, out=work.jacobian)
 
     def _wrong(self, q: object) -> InvalidInputError:
         expected = f"a Pinocchio configuration of shape ({self.model.nq},)"
         return InvalidInputError(argument="q", expected=expected, value=q)
+
+
+class _JacobianWorkspace:
+    """Memory of `Configuration.stacked_jacobian`, for `count` points."""
+
+    def __init__(self, count: int, nv: int) -> None:
+        # data.J holds the spatial velocity of each joint at the world's origin: [I, -[p]x] takes it
+        # to the point p.
+        self.rows = np.zeros((3 * count + 6, 6))
+        self.rows[: 3 * count, :3] = np.tile(np.eye(3), (count, 1))
+        self.wrist_rows = self.rows[-6:]
+        self.crosses = np.empty((count, 9))
+        self.crosses_3 = self.crosses.reshape(count, 3, 3)
+        self.angular = self.rows[: 3 * count].reshape(count, 3, 6)[:, :, 3:]
+        self.jacobian = np.empty((3 * count + 6, nv))

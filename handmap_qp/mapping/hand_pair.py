@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -30,9 +30,11 @@ from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.ik.costs import point_costs
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.transform import as_floats, frozen, inverse_pose, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
@@ -57,16 +59,8 @@ _RESTING_THUMB = {
     "thumb_MCP_flexion": 0.1,
     "thumb_IP_flexion": -0.2,
 }
-# The palm stays where it is, and nothing hurries.
-_STILL = IkOptions(
-    wrist_position_weight=1e3,
-    wrist_orientation_weight=1e3,
-    rest_weight=0.05,
-    error_damping=1.5,
-    max_iterations=200,
-    step_tolerance=1e-4,
-    has_velocity_limits=False,
-)
+# Weight of the rest posture in the matched one: it decides only where the points do not.
+_REST_WEIGHT = 0.05
 _OPENING = IkOptions(
     point_weight=0.0,
     wrist_position_weight=1e3,
@@ -113,6 +107,8 @@ class HandPair:
         human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
         robot_knuckles: The same of the robot.
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
+        robot_extension: Knuckle-to-tip distance of each robot finger in the matched posture, as a
+            share of its reach, shape (f,).
 
     Raises:
         InvalidOptionsError: If the hands have no finger in common, or the human's reference points
@@ -147,32 +143,19 @@ class HandPair:
     def _measure_centres(self) -> None:
         """Find the centres of the knuckles, and of the robot's tips and middle joints."""
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB] or [0]
-        places = [self.chains[f].knuckle for f in self.fingers]
-        at_rest = points_in_palm_at(self.robot, places, self.matched)
-        self.robot_knuckles = frozen(at_rest[others].mean(axis=0))
+        chains = [self.chains[finger] for finger in self.fingers]
+        places = [place for chain in chains for place in (chain.knuckle, chain.tip, chain.middle)]
+        points = points_in_palm_at(self.robot, places, self.matched).reshape(-1, 3, 3)
+        self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
         self.human_knuckles = frozen(self.human_rest[self.knuckles[others]].mean(axis=0))
-        used = self._used_chains().values()
-        points = [place for chain in used for place in (chain.tip, chain.middle)]
-        centre = points_in_palm_at(self.robot, points, self.matched).mean(axis=0)
-        self.robot_centre = frozen(centre)
+        self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
+        spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+        self.robot_extension = frozen(spans / self.robot_reach)
 
     @property
     def contacts(self) -> ShapePairs:
         """All pairs of the robot's collision shapes that may collide."""
         return _contacts(self._given_robot)
-
-    @cached_property
-    def robot_extension(self) -> np.ndarray:
-        """Knuckle-to-tip distance of each robot finger in the matched posture [reach], (f,)."""
-        chains, robot = [self.chains[finger] for finger in self.fingers], self.robot
-        configuration = robot.configuration()
-        configuration.place_frames(robot.configuration_vector(self.matched))
-        ends = [place for chain in chains for place in (chain.knuckle, chain.tip)]
-        points = AttachedPoints(robot, ends).positions(configuration).reshape(-1, 2, 3)
-        return frozen(np.linalg.norm(points[:, 1] - points[:, 0], axis=1) / self.robot_reach)
-
-    def _used_chains(self) -> dict[str, FingerChain]:
-        return {finger: self.chains[finger] for finger in self.fingers}
 
     def _check(self, names: dict[str, int]) -> None:
         if not self.fingers:
@@ -203,22 +186,26 @@ class HandPair:
         """
         if self.has_jaws:
             return self._open_jaws()
-        robot, palm = self.robot, self.robot.wrist_to_palm
-        targets = np.empty((len(robot.reference_points), 3))
-        knuckles = points_in_palm_at(robot, [self.chains[f].knuckle for f in self.fingers])
+        robot = self.robot
+        in_palm = np.empty((len(robot.reference_points), 3))
+        knuckles = _knuckles_at_rest(self._given_robot)
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
             human = self.human_rest[self.partners[j]]
             if point.finger == THUMB:
-                targets[j] = self._thumb_target(knuckles, human)
+                in_palm[j] = self._thumb_target(knuckles, human)
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
-                targets[j] = knuckles[i] + self.reach_ratios[i] * vector
-        ik = PointIk(robot, _STILL)
-        ik.place(robot.configuration_vector(robot.rest))
-        wrist = ik.configuration.wrist.homogeneous
-        ik.solve(transform_points(wrist @ palm, targets), wrist, 1e3)
-        return ik.configuration.q[robot.q_indices]
+                in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
+        targets = transform_points(robot.frame_pose("palm", robot.rest), in_palm)
+        costs = point_costs(robot, IkOptions())
+        return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
+
+    def _first_guess(self) -> np.ndarray:
+        """Return the posture that matches the person of the package's own hand, once known."""
+        if self.human.name not in HUMAN_HANDS or self.human is _standard_human(self.human.name):
+            return self.robot.rest
+        return _standard_match(self.human.name, self._given_robot)
 
     def _open_jaws(self) -> np.ndarray:
         """Solve the posture in which each jaw's gap to the thumb is the resting human's."""
@@ -276,6 +263,22 @@ def _with_finger_points(robot: Hand) -> tuple[bool, Hand]:
     has_jaws = len(used) > 1 and THUMB in used and all(c.is_jaw for c in used.values())
     weight = _JAW_WEIGHT if has_jaws else 1.0
     return has_jaws, robot.with_points(tuple(_finger_points(robot, used, weight)))
+
+
+@lru_cache(maxsize=32)
+def _knuckles_at_rest(robot: Hand) -> np.ndarray:
+    chains = _fingers_and_pads(robot)[0]
+    return frozen(points_in_palm_at(robot, [chains[f].knuckle for f in _common_fingers(robot)]))
+
+
+@lru_cache(maxsize=32)
+def _standard_match(name: str, robot: Hand) -> np.ndarray:
+    return frozen(HandPair(_standard_human(name), robot).solve_matched())
+
+
+@lru_cache(maxsize=2)
+def _standard_human(name: str) -> Hand:
+    return load_hand(name, points="landmarks")
 
 
 @lru_cache(maxsize=32)
@@ -345,11 +348,10 @@ def points_in_palm_at(
     hand: Hand, places: list[tuple[int, np.ndarray]], q: np.ndarray | None = None
 ) -> np.ndarray:
     """Return points on joints in palm axes, at rest if no posture is given [m], shape (k, 3)."""
-    posture = hand.rest if q is None else q
-    configuration = hand.configuration()
-    configuration.place_frames(hand.configuration_vector(posture))
-    points = AttachedPoints(hand, places).positions(configuration)
-    return transform_points(inverse_pose(hand.frame_pose("palm", posture)), points)
+    placed = hand.configuration()
+    placed.place_frames(hand.configuration_vector(hand.rest if q is None else q))
+    points = AttachedPoints(hand, places).positions(placed)
+    return transform_points(inverse_pose(placed.data.oMf[hand.palm_frame_id].homogeneous), points)
 
 
 def resting_posture(human: Hand) -> np.ndarray:
@@ -363,12 +365,18 @@ def resting_posture(human: Hand) -> np.ndarray:
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
-    different = list(dict.fromkeys(fingers))
-    named = {point.name: point for point in human.spec.points}
-    names = [f"{f}_{joint}" for f in different for joint in (_THUMB if f == THUMB else _FINGER)]
-    joints = human.with_points(tuple(named[name] for name in names)).points(human.rest)
-    bones = np.linalg.norm(np.diff(joints.reshape(-1, 4, 3), axis=1), axis=2).sum(axis=1)
-    return bones[[different.index(finger) for finger in fingers]]
+    at_rest = _named_points_at_rest(human)
+    names = [f"{f}_{joint}" for f in fingers for joint in (_THUMB if f == THUMB else _FINGER)]
+    joints = np.array([at_rest[name] for name in names]).reshape(-1, 4, 3)
+    return np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
+
+
+@lru_cache(maxsize=8)
+def _named_points_at_rest(human: Hand) -> dict[str, np.ndarray]:
+    """Return all points that a hand's description names, at rest [m], shape (3,) each."""
+    points = human.with_points(human.spec.points)
+    names = [point.name for point in points.reference_points]
+    return dict(zip(names, points.points(human.rest), strict=True))
 
 
 def _human_pads(human: Hand, ends: Mapping[str, FingerEnd]) -> dict[str, Pad]:
@@ -394,9 +402,9 @@ def _standard_pads(name: str) -> tuple[float, dict[str, float]]:
 
 def _hand_length(human: Hand) -> float:
     """Return the distance from wrist to middle fingertip along the bones [m]."""
-    named = {point.name: point for point in human.spec.points}
-    wrist, knuckle = human.with_points((named["wrist"], named["middle_mcp"])).points(human.rest)
-    return float(np.linalg.norm(knuckle - wrist) + bone_lengths(human, ["middle"])[0])
+    points = _named_points_at_rest(human)
+    palm = points["middle_mcp"] - points["wrist"]
+    return float(np.linalg.norm(palm) + bone_lengths(human, ["middle"])[0])
 
 
 def _pinching_thumb(

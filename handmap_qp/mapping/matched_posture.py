@@ -1,0 +1,141 @@
+"""The posture in which a hand's reference points are nearest to their targets, by Newton's method.
+
+    min   f(q) = 1/2 sum_j w_j^2 |p_j(q) - t_j|^2 + 1/2 w_q^2 |q - q_rest|^2
+    s.t.  q_min <= q <= q_max
+
+with the palm at rest. Targets may be out of reach, so the Hessian holds the curvature of the
+points' paths too: the second derivative of a point by the joints i and j, i nearer to the palm, is
+the axis of i times the point's derivative by j. Each step solves a QP with the joint limits.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.hands.configuration import CROSS
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.placements import moved_by
+from handmap_qp.ik.solvers import make_solver
+
+_MOST_STEPS, _SMALLEST_STEP = 50, 1e-6  # rad or m
+_LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
+"""Share of the decrease that the slope foretells (Armijo), and least share of a step to try."""
+_LEAST_CURVATURE = 1e-6
+"""Least eigenvalue of the Hessian over its largest; smaller ones are turned or lifted."""
+
+
+def nearest_posture(
+    hand: Hand, targets: np.ndarray, costs: np.ndarray, rest_cost: float, start: np.ndarray
+) -> np.ndarray:
+    """Return the joint positions that bring a hand's points nearest to their targets.
+
+    Joints that move the wrist (those of an arm) stay as in the rest posture.
+
+    Args:
+        hand: The hand.
+        targets: Targets of its reference points, its wrist being where it is in the rest posture
+            with the identity as wrist pose [m], shape (m, 3).
+        costs: Cost of each point's error [1/m], shape (m,).
+        rest_cost: Cost of leaving the rest posture [1/rad or 1/m].
+        start: Joint positions to begin at, shape (n,); of several minima, the one nearby is found.
+
+    Returns:
+        Joint positions inside their limits [rad or m], shape (n,).
+    """
+    distance = _Distance(hand, targets, costs, rest_cost)
+    free = distance.free
+    lower, upper = hand.lower_limits[free], hand.upper_limits[free]
+    solver = make_solver("daqp", len(free))
+    x = np.clip(start[free], lower, upper)
+    here = distance.at(x)
+    for _ in range(_MOST_STEPS):
+        step = solver.solve(_convex(here.hessian), here.gradient, lower - x, upper - x, None)
+        if step is None:
+            break
+        slope, share = float(step @ here.gradient), 1.0
+        while True:
+            ahead = np.clip(x + share * step, lower, upper)
+            there = distance.at(ahead)
+            if there.value <= here.value + _LEAST_DECREASE * share * slope:
+                break
+            share *= 0.5
+            if share < _SMALLEST_SHARE:
+                return distance.whole(x)
+        length = float(np.abs(ahead - x).max())
+        x, here = ahead, there
+        if length < _SMALLEST_STEP:
+            break
+    return distance.whole(x)
+
+
+class _Terms(NamedTuple):
+    """Value, gradient (k,) and Hessian (k, k) of f in the free joints."""
+
+    value: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+
+class _Distance:
+    """f of one hand; arguments as of `nearest_posture`.
+
+    Attributes:
+        free: Indices of the joints that do not move the wrist, shape (k,).
+    """
+
+    def __init__(
+        self, hand: Hand, targets: np.ndarray, costs: np.ndarray, rest_cost: float
+    ) -> None:
+        self._hand, self._targets = hand, targets
+        self._costs, self._row_costs = costs[:, None] ** 2, np.repeat(costs, 3)[:, None]
+        self._rest_cost = rest_cost**2
+        self._placed = hand.configuration()
+        self._vector = hand.configuration_vector(hand.rest)
+        moves_wrist = self._placed.contracted(self._placed.support[-1:])[0, hand.joint_columns]
+        self.free = np.flatnonzero(moves_wrist == 0.0)
+        # From the free joints to the model's tangent space.
+        active = np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
+        self._spread = active[:, hand.joint_columns[self.free]]
+        self._rest, self._q = hand.rest[self.free], hand.rest.copy()
+        model = hand.model
+        carriers = np.repeat(np.arange(model.njoints), model.nvs)
+        self._is_ancestor = moved_by(model, carriers.tolist()).T
+
+    def whole(self, x: np.ndarray) -> np.ndarray:
+        """Return the positions of all joints, given those of the free ones."""
+        q = self._q.copy()
+        q[self.free] = x
+        return q
+
+    def at(self, x: np.ndarray) -> _Terms:
+        """Return f and its derivatives at positions of the free joints, shape (k,)."""
+        placed, away = self._placed, x - self._rest
+        self._hand.write_configuration(self._vector, self.whole(x))
+        placed.place_with_jacobians(self._vector)
+        errors = placed.points - self._targets
+        forces = self._costs * errors
+        rows = placed.full_point_jacobian()
+        weighted = self._row_costs * rows
+        # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
+        turning = forces.dot(CROSS).reshape(-1, 3, 3).transpose(1, 0, 2).reshape(3, -1)
+        curvature = placed.joint_jacobian()[3:].T.dot(turning.dot(rows)) * self._is_ancestor
+        full = weighted.T.dot(weighted) + curvature + curvature.T
+        full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
+        hessian = self._spread.T.dot(full).dot(self._spread)
+        hessian.reshape(-1)[:: len(hessian) + 1] += self._rest_cost
+        gradient = forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
+        value = 0.5 * float((forces * errors).sum() + self._rest_cost * away.dot(away))
+        return _Terms(value, gradient, hessian)
+
+
+def _convex(hessian: np.ndarray) -> np.ndarray:
+    """Return a matrix with positive eigenvalues, so that every step leads downhill."""
+    try:
+        np.linalg.cholesky(hessian)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(hessian)
+        values = np.maximum(np.abs(values), _LEAST_CURVATURE * np.abs(values).max())
+        return (vectors * values).dot(vectors.T)
+    return hessian
