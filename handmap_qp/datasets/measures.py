@@ -113,14 +113,16 @@ def _surfaces(
     spread = np.linspace(0, len(recording) - 1, min(MOST_SURFACES, len(recording))).astype(int)
     pinches = np.flatnonzero(pinching.any(axis=1))
     chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
-    found = meter.measure(trajectory.q[np.concatenate([spread, chosen])])
+    gaps = meter.pinches(trajectory.q[chosen]) if len(chosen) else {}
     closed = [
-        found.pinches[finger][len(spread) :][pinching[chosen, i]] < _CLOSED
+        gaps[finger][pinching[chosen, i]] < _CLOSED
         for i, finger in enumerate(FINGERS[1:])
-        if finger in found.pinches
+        if finger in gaps
     ]
+    # Deeper overlaps than this are counted, and how deep they are is not asked.
+    nearest = meter.nearest(trajectory.q[spread], most=-_DEEP)
     answers = np.concatenate(closed) if closed else np.zeros(0, dtype=bool)
     return {
-        "self_penetration": float((found.nearest[: len(spread)] < -_DEEP).mean()),
+        "self_penetration": float((nearest < -_DEEP).mean()),
         "pinch_closed": float(answers.mean()) if len(answers) else None,
     }

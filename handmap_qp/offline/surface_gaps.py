@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
 
@@ -119,21 +120,42 @@ class GapMeter:
         Args:
             q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
         """
+        return SurfaceGaps(self.pinches(q), self.nearest(q))
+
+    def pinches(self, q: np.ndarray) -> dict[str, np.ndarray]:
+        """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
+
+        Args:
+            q: Joint angles [rad], shape (T, n).
+        """
+        gaps = {finger: np.empty(len(q)) for finger in self._groups}
+        for t, placed in enumerate(self._placed(self._pinching, q)):
+            for finger, pairs in self._groups.items():
+                gaps[finger][t] = placed.smallest(pairs, np.inf)
+        return gaps
+
+    def nearest(self, q: np.ndarray, most: float = FAR) -> np.ndarray:
+        """Measure the smallest distance between any two links that can collide [m], shape (T,).
+
+        Args:
+            q: Joint angles [rad], shape (T, n).
+            most: Distance up to which it is measured, and that stands for larger ones [m].
+        """
+        everything = slice(None)
+        placed = self._placed(self._colliding, q)
+        return np.array([pairs.smallest(everything, most) for pairs in placed])
+
+    def _placed(self, pairs: _NearestPairs, q: np.ndarray) -> Iterator[_NearestPairs]:
+        """Move pairs from posture to posture."""
         hand = self._hand
         # GJK starts from the last result of a pair, so each motion gets its own.
-        pinching, colliding = self._pinching.renewed(), self._colliding.renewed()
-        pinches = {finger: np.empty(len(q)) for finger in self._groups}
-        nearest = np.empty(len(q))
+        placed = pairs.renewed()
         data, vector = hand.model.createData(), hand.configuration_vector(hand.rest)
-        for t, angles in enumerate(q):
+        for angles in q:
             hand.write_configuration(vector, angles)
             pin.forwardKinematics(hand.model, data, vector)
-            pinching.place(data)
-            for finger, pairs in self._groups.items():
-                pinches[finger][t] = pinching.smallest(pairs, np.inf)
-            colliding.place(data)
-            nearest[t] = colliding.smallest(slice(None), FAR)
-        return SurfaceGaps(pinches, nearest)
+            placed.place(data)
+            yield placed
 
 
 def _pinch_pairs(
