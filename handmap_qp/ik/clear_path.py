@@ -51,7 +51,7 @@ class ClearPath:
         self._distances, levers = distances, distances.levers
         active = levers if self._expansion is None else levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(active > 0.0, axis=0)
-        self._longest = levers.max(axis=0, initial=0.0)
+        self._levers = levers
         # By pair: levers, and factors of turns in S + 2 C.
         self._motions = np.stack(
             [levers, distances.relative_turns + 2.0 * distances.common_turns], 1
@@ -76,28 +76,32 @@ class ClearPath:
         """
         step = displacement if self._expansion is None else self._expansion.dot(displacement)
         turns = np.abs(step)
-        # No pair travels farther than the longest levers take it.
-        longest = self._longest.dot(turns)
-        both = start.bounds + (start.bounds - longest if end is None else end.bounds)
-        pairs = ((both < longest + _KEPT) & (start.bounds > 0.0)).nonzero()[0]
-        motion = self._motions[pairs].dot(turns)
-        is_open = both[pairs] < motion[:, 0] + _KEPT
-        if not is_open.any():
-            return True
-        pairs, motion = pairs[is_open], motion[is_open]
+        travel = self._levers.dot(turns)
         way = _Way(self._model, q, step)
-        before = self._gaps(start, way, 0.0, pairs)
-        after = self._gaps(end, way, 1.0, pairs)
+        if end is None:
+            end = self._distances.bound_at(way.at(1.0), start.bounds - travel)
+        # What travel leaves open, of pairs that are apart at the start.
+        open_ = ((start.bounds + end.bounds < travel + _KEPT) & (start.bounds > 0.0)).nonzero()[0]
+        if not len(open_):
+            return True
+        after = self._gaps(end, way, 1.0, open_)
+        # A pair that was only bounded may be closed now that it is measured.
+        pairs = open_[start.bounds[open_] + after.distances < travel[open_] + _KEPT]
+        if not len(pairs):
+            return True
+        before, after = self._gaps(start, way, 0.0, pairs), end.gaps(pairs)
         kept = np.minimum(before.distances, _KEPT)
         if (after.distances < kept).any():
             return False
+        motion = self._motions[pairs].dot(turns)
         return self._is_clear_between(way, pairs, (0.0, 1.0), (before, after), motion, kept)
 
-    def _gaps(self, known: NearPairs | None, way: _Way, part: float, pairs: np.ndarray) -> Gaps:
-        """Return some pairs at a point of a way, measured unless they are known there."""
-        if known is not None and known.is_measured[pairs].all():
-            return known.gaps(pairs)
-        return self._distances.gaps_at(way.at(part), pairs)
+    def _gaps(self, known: NearPairs, way: _Way, part: float, pairs: np.ndarray) -> Gaps:
+        """Return some pairs at a point of a way; measure those that are not known there."""
+        unknown = pairs[~known.is_measured[pairs]]
+        if len(unknown):
+            known.add(unknown, self._distances.results_at(way.at(part), unknown))
+        return known.gaps(pairs)
 
     def _is_clear_between(
         self,

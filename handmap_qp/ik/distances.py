@@ -76,6 +76,16 @@ class NearPairs(NamedTuple):
         """Return pairs that were measured."""
         return Gaps(self.bounds[pairs], self.found[pairs, 1:4])
 
+    def add(self, pairs: np.ndarray, results: np.ndarray) -> None:
+        """Note what was measured of further pairs.
+
+        Args:
+            pairs: Indices of the pairs, shape (r,).
+            results: Distance, normal and first nearest point of each, shape (r, 7).
+        """
+        self.found[pairs], self.bounds[pairs] = results, results[:, 0]
+        self.is_measured[pairs] = True
+
 
 class ShapeDistances:
     """Measures signed distances of pairs of shapes.
@@ -178,16 +188,40 @@ class ShapeDistances:
         return self._compute(np.arange(len(self._is_active)))[:, 0]
 
     def gaps_at(self, q: np.ndarray, pairs: np.ndarray) -> Gaps:
+        """Measure some pairs in any posture, as `results_at`."""
+        results = self.results_at(q, pairs)
+        return Gaps(results[:, 0], results[:, 1:4])
+
+    def results_at(self, q: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Measure some pairs in any posture, without changing what is known of the last one.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
             pairs: Indices of the pairs, shape (r,).
+
+        Returns:
+            Distance, normal and first nearest point of each, shape (r, 7).
         """
+        self._place_elsewhere(q)
+        return self._compute(pairs)
+
+    def bound_at(self, q: np.ndarray, bounds: np.ndarray) -> NearPairs:
+        """Bound all pairs in any posture by their balls; none is measured.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            bounds: Lower bounds that are known there [m], shape (k,).
+        """
+        self._place_elsewhere(q)
+        count = len(bounds)
+        gaps = self._ball_gaps(np.arange(count))
+        nothing = np.zeros(0, dtype=int)
+        is_measured, found = np.zeros(count, dtype=bool), np.empty((count, 7))
+        return NearPairs(nothing, np.maximum(bounds, gaps), is_measured, found)
+
+    def _place_elsewhere(self, q: np.ndarray) -> None:
         pin.forwardKinematics(self._model, self._elsewhere, q)
         pin.updateGeometryPlacements(self._model, self._elsewhere, self._geometry, self._data)
-        results = self._compute(pairs)
-        return Gaps(results[:, 0], results[:, 1:4])
 
     def _ball_gaps(self, pairs: np.ndarray) -> np.ndarray:
         """Return the distances of the bounding balls of some pairs [m], shape (r,)."""
