@@ -92,6 +92,21 @@ def affine(linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return motion
 
 
+def affines(linear: np.ndarray, translations: np.ndarray) -> np.ndarray:
+    """Compose many motions as `affine`; not checked.
+
+    Args:
+        linear: Linear parts, shape (T, 3, 3).
+        translations: Translations [m], shape (T, 3).
+
+    Returns:
+        Motions, shape (T, 4, 4).
+    """
+    motions = np.tile(_IDENTITY, (len(linear), 1, 1))
+    motions[:, :3, :3], motions[:, :3, 3] = linear, translations
+    return motions
+
+
 def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Apply a pose or a motion to points.
 

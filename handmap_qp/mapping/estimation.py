@@ -8,6 +8,8 @@ products. With `ridge = 0` the solution is exactly the paper's.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import msgspec
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +21,7 @@ from handmap_qp.transform import (
     determinant,
     frozen,
     nearest_rotation,
+    nearest_rotations,
 )
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
@@ -71,6 +74,20 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
 
 
 _ORIGIN = np.zeros(3)
+
+
+class MotionColumns(NamedTuple):
+    """Motions fitted in many samples.
+
+    Attributes:
+        linear: Linear parts, shape (T, 3, 3).
+        centroids: Centroids of the points after the motion [m], shape (T, 3).
+        estimates: The estimate of each sample; they share these arrays.
+    """
+
+    linear: np.ndarray
+    centroids: np.ndarray
+    estimates: list[MotionEstimate]
 
 
 class MotionEstimator:
@@ -168,6 +185,27 @@ class MotionEstimator:
         return MotionEstimate(
             linear, self.centroid, centroid_after, self._centred, after, self.singular_values
         )
+
+    def estimate_all(self, points_after: np.ndarray) -> MotionColumns:
+        """Fit the motion to the points' positions in many samples, as `estimate` up to rounding.
+
+        Args:
+            points_after: The same points in every sample [m], shape (T, n, 3), finite.
+        """
+        centroids = self.weights @ points_after
+        after = self._centring @ points_after
+        moments = after.transpose(0, 2, 1) @ self._moments
+        linear = moments[:, :, :3]
+        if self.ridge != 0.0:
+            linear = linear + nearest_rotations(moments[:, :, 3:]) @ self._prior_gain
+        columns = zip(linear, centroids, after, strict=True)
+        estimates = [
+            MotionEstimate(
+                motion, self.centroid, centroid, self._centred, centred, self.singular_values
+            )
+            for motion, centroid, centred in columns
+        ]
+        return MotionColumns(linear, centroids, estimates)
 
 
 def estimate_motion(

@@ -8,7 +8,14 @@ import numpy.typing as npt
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.transform import FARTHEST, affine, as_floats, nearest_rotation
+from handmap_qp.transform import (
+    FARTHEST,
+    affine,
+    affines,
+    as_floats,
+    nearest_rotation,
+    nearest_rotations,
+)
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
 """Landmarks that move as one rigid body."""
@@ -67,6 +74,30 @@ class LandmarkReader:
         if wrist is None:
             wrist = self._fit(points.take(self._palm, 0))
         return HumanPose(points.take(self._used, 0), wrist)
+
+    def read_all(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return many samples without wrist poses of their own, as `read` up to rounding.
+
+        Args:
+            landmarks: In every sample, of a `Recording` [m], shape (T, 21, 3).
+
+        Returns:
+            Points [m], shape (T, n_h, 3), and wrist poses, shape (T, 4, 4).
+
+        Raises:
+            InvalidInputError: If a coordinate is too large.
+        """
+        # `not ... <= FARTHEST` also rejects NaN.
+        if not np.abs(landmarks).max(initial=0.0) <= FARTHEST:
+            raise InvalidInputError(
+                argument="landmarks", expected=f"finite coordinates within {FARTHEST:g} m"
+            )
+        palms = landmarks.take(self._palm, 1)
+        centres = _MEAN @ palms
+        covariances = (_CENTRING @ palms).transpose(0, 2, 1) @ self._model
+        rotations = nearest_rotations(covariances)
+        wrists = affines(rotations, centres - rotations @ self._model_centre)
+        return landmarks.take(self._used, 1), wrists
 
     def _fit(self, palm: np.ndarray) -> np.ndarray:
         """Lay the model's palm on measured points (5, 3) as `rigid_fit` does, centred once."""

@@ -7,7 +7,7 @@ eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -25,6 +25,7 @@ from handmap_qp.ik.tasks import Task
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.method import (
     BoundMethod,
+    ForesightMap,
     HumanPose,
     Method,
     RobotPosture,
@@ -38,6 +39,7 @@ from handmap_qp.mapping.rejoin import Rejoin, RejoinKind
 from handmap_qp.mapping.smoothing import Smoothing, SmoothState, smooth_sample
 from handmap_qp.mapping.step import MapStep, RobotCommand
 from handmap_qp.trackers.guard import StreamGuard, Verdict
+from handmap_qp.trackers.recorded_motion import RecordedSamples
 from handmap_qp.trackers.sample import HumanSample
 from handmap_qp.transform import (
     FARTHEST,
@@ -269,9 +271,7 @@ class HandMapper:
         )
         return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
 
-    def map_sample(
-        self, sample: HumanSample, *, dt: float | None = None, verdict: Verdict | None = None
-    ) -> MapStep:
+    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
         The guard judges the sample by named rules (`trackers.guard.RULES`). The robot holds its
@@ -280,8 +280,6 @@ class HandMapper:
         Args:
             sample: The sample. Its time stamps say how much time has passed.
             dt: Time that the step may account for [s]; that of the time stamps if omitted.
-            verdict: What a guard has said about the sample (`trackers.recorded_motion`), as about
-                all others of its stream; the mapper's own guard judges it if omitted.
 
         Returns:
             Every stage of the step; of a held one, targets and points are the robot's own.
@@ -294,29 +292,74 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
-        reader, guard, before = self._landmarks, None, None
-        if verdict is None:
-            guard = self._guard
-            before = guard.state
-            verdict = guard.check(sample)
+        reader, guard, before = self._landmarks, self._guard, self._guard.state
+        verdict = guard.check(sample)
         if verdict.is_held:
             return self._held(verdict, sample.confidence, started)
         try:
             pose = reader.read(sample.landmarks, sample.wrist)
-            rejoin = self._rejoin.start(pose) if verdict.is_return else self._rejoin
-            pose, rejoin = rejoin.advance(pose, verdict.dt)
-            granted = max(verdict.dt, _SHORTEST_DT) if dt is None else dt
-            step = self._map(pose, granted, (), started)
+            return self._follow(pose, verdict, sample.confidence, dt, started)
         except HandmapError:
-            if guard is not None and before is not None:
-                guard.state = before
+            guard.state = before
             raise
+
+    def map_recorded(self, recorded: RecordedSamples) -> Iterator[MapStep]:
+        """Map the samples of a recording one after the other, as `map_sample` up to rounding.
+
+        Verdicts, palms and targets are computed by column, so that a sample costs little more than
+        its QP.
+
+        Args:
+            recorded: The samples.
+
+        Yields:
+            The step of each sample.
+
+        Raises:
+            InvalidInputError: If the recording is of the other hand, or cannot be used.
+            InvalidOptionsError: If a reference point of the human is not a landmark.
+            DegeneratePointsError: If the first sample's points do not determine the motion.
+        """
+        verdicts, confidence = recorded.judged(self.human), recorded.confidence.tolist()
+        points, wrists = self._landmarks.read_all(recorded.landmarks)
+        course, targets = None, None
+        for i, verdict in enumerate(verdicts):
+            started = perf_counter()
+            if verdict.is_held:
+                yield self._held(verdict, confidence[i], started)
+                continue
+            asked = targets[i] if targets and course is self._course else None
+            pose = HumanPose(points[i], wrists[i])
+            step = self._follow(pose, verdict, confidence[i], None, started, asked)
+            if course is not self._course:
+                course, targets = self._course, self._foreseen(points, wrists)
+            yield step
+
+    def _foreseen(self, points: np.ndarray, wrists: np.ndarray) -> Sequence[Targets] | None:
+        """Return the targets of all samples from the present reference, where the method can."""
+        course, plan = self._course, self._plan
+        if course is None or plan.smoothing is not None or plan.bound.renews_reference:
+            return None
+        known = course.map
+        return known.targets_of(points, wrists) if isinstance(known, ForesightMap) else None
+
+    def _follow(
+        self,
+        pose: HumanPose,
+        verdict: Verdict,
+        confidence: float,
+        dt: float | None,
+        started: float,
+        foreseen: Targets | None = None,
+    ) -> MapStep:
+        """Map a sample that makes sense; its targets may be known unless the robot comes back."""
+        rejoin = self._rejoin.start(pose) if verdict.is_return else self._rejoin
+        moved, rejoin = rejoin.advance(pose, verdict.dt)
+        granted = max(verdict.dt, _SHORTEST_DT) if dt is None else dt
+        step = self._map(moved, granted, (), started, foreseen if moved is pose else None)
         self._rejoin = rejoin
         return msgspec.structs.replace(
-            step,
-            verdict=verdict,
-            confidence=sample.confidence,
-            is_gliding=rejoin.is_fading,
+            step, verdict=verdict, confidence=confidence, is_gliding=rejoin.is_fading
         )
 
     def _held(self, verdict: Verdict, confidence: float, started: float) -> MapStep:
@@ -358,6 +401,7 @@ class HandMapper:
         dt: float | None,
         out_of_range: tuple[str, ...],
         started: float,
+        foreseen: Targets | None = None,
     ) -> MapStep:
         """Map one sample with known points: targets by the method, motion by the QP."""
         dt = self.dt if dt is None else _check_dt(dt)
@@ -365,7 +409,7 @@ class HandMapper:
         if plan.smoothing is not None:
             sample, smooth = smooth_sample(plan.smoothing, self._smooth, sample, dt)
         course = self._course or self._course_from(sample)
-        asked = course.map.targets(sample)
+        asked = course.map.targets(sample) if foreseen is None else foreseen
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, course.posture)

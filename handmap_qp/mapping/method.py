@@ -12,6 +12,7 @@ A method says how a human sample becomes targets of the robot. It goes through t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import msgspec
@@ -77,6 +78,20 @@ class TargetMap(Protocol):
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
+        ...
+
+
+@runtime_checkable
+class ForesightMap(TargetMap, Protocol):
+    """A map that computes the targets of a whole recording at once, by column."""
+
+    def targets_of(self, points: np.ndarray, wrists: np.ndarray) -> Sequence[Targets]:
+        """Return the targets of many samples, as `targets` of each up to rounding.
+
+        Args:
+            points: Human reference points of every sample [m], shape (T, n_h, 3).
+            wrists: Wrist poses, shape (T, 4, 4).
+        """
         ...
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.transform import affine, frozen, inverse_pose
+from handmap_qp.transform import affine, affines, frozen, inverse_pose
 
 _ORIGIN = frozen(np.zeros(3))
 
@@ -64,8 +64,20 @@ class PalmFollower:
             origin = origin + self._further * moved
         return human_palm, affine(human_palm[:3, :3].dot(self._rotation), origin)
 
+    def all_palms(self, wrists: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return both palms as `palms`, for many wrist poses (T, 4, 4): shape (T, 4, 4) each."""
+        human = wrists @ self._human_wrist_to_palm
+        if self._is_still:
+            return human, np.broadcast_to(self._start, human.shape)
+        rotations, places = human[:, :3, :3], human[:, :3, 3]
+        origins = rotations @ self._origin + places + self._offset
+        if self._further:
+            moved = rotations @ self._human_anchor + places - self._human_start
+            origins += self._further * moved
+        return human, affines(rotations @ self._rotation, origins)
+
     def wrist(self, palm: np.ndarray) -> np.ndarray:
-        """Return the robot's wrist pose for a pose of its palm, shape (4, 4)."""
+        """Return the robot's wrist pose for a pose of its palm, or many, shape (..., 4, 4)."""
         return palm.dot(self._robot_palm_to_wrist)
 
 

@@ -8,7 +8,7 @@ rows and limits: what it returns holds them all as exactly as online.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.offline.trajectory import Trajectory, map_recording
-from handmap_qp.trackers.guard import Verdict
+from handmap_qp.trackers.recorded_motion import RecordedSamples
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample
 
@@ -87,11 +87,15 @@ class _MarginMapper(HandMapper):
         super().__init__(human, robot, method, ik=ik)
         self.margins: list[np.ndarray | None] = []
 
-    def map_sample(
-        self, sample: HumanSample, *, dt: float | None = None, verdict: Verdict | None = None
-    ) -> MapStep:
+    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
         """Map one sample; see `HandMapper.map_sample`."""
-        step = super().map_sample(sample, dt=dt, verdict=verdict)
+        return self._noted(super().map_sample(sample, dt=dt))
+
+    def map_recorded(self, recorded: RecordedSamples) -> Iterator[MapStep]:
+        """Map a recording; see `HandMapper.map_recorded`."""
+        return map(self._noted, super().map_recorded(recorded))
+
+    def _noted(self, step: MapStep) -> MapStep:
         before = self.margins[-1] if self.margins else None
         self.margins.append(before if step.is_held else step.asked.margins)
         return step

@@ -164,13 +164,8 @@ def map_recording(
     if wrist_poses is not None:
         # The guard examines them too.
         return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
-    recorded = recorded_samples(recording)
-    samples, verdicts = recorded.samples, recorded.judged(mapper.human)
-
-    def map_sample(i: int) -> MapStep:
-        return mapper.map_sample(samples[i], verdict=verdicts[i])
-
-    return _map_samples(mapper, recording.time, map_sample, progress)
+    steps = mapper.map_recorded(recorded_samples(recording))
+    return _map_samples(mapper, recording.time, lambda i: next(steps), progress)
 
 
 def follow_recording(

@@ -45,12 +45,16 @@ class RecordedSamples:
 
     Attributes:
         samples: Its samples, as a tracker would send them.
+        landmarks: Their landmarks [m], shape (T, 21, 3); zeros where the hand was not seen.
+        confidence: The tracker's confidence in each, shape (T,).
         sights: What each sample shows, measured against the one before that shows a hand; None
             where the hand was not seen.
     """
 
     def __init__(self, recording: Recording) -> None:
         self.samples = recording_samples(recording)
+        self.landmarks = np.where(recording.valid[:, None, None], recording.landmarks, 0.0)
+        self.confidence = np.array([sample.confidence for sample in self.samples])
         self.sights = _sights(recording)
         self._verdicts: dict[tuple[str, bytes], list[Verdict]] = {}
 

@@ -185,6 +185,12 @@ class BoundTeleoperation:
         self.share_offsets = np.concatenate([always, nearness * full])
         self.row_weights = np.concatenate([extension_weights, choices.pinch_weight * full])
 
+    def shares_and_aims(self, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return share of the weight and wanted distance of each row; shapes (..., k) all."""
+        shares = smoothstep(self.share_slopes * distances + self.share_offsets)
+        aims = self.aim_slopes * distances + self.aim_offsets
+        return shares, np.minimum(np.maximum(aims, self.least_aims), self.largest_aims)
+
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
         fingers = () if self.contacts is None else self.contacts.fingers
@@ -236,9 +242,7 @@ class TeleoperationMap:
         distances = lengths(now.take(self._to, 0) - now.take(self._from, 0))
         count = len(pair.fingers)
         extensions, gaps = distances[:count] / pair.human_reach, distances[count:]
-        shares = smoothstep(method.share_slopes * distances + method.share_offsets)
-        aims = method.aim_slopes * distances + method.aim_offsets
-        aims = np.minimum(np.maximum(aims, method.least_aims), method.largest_aims)
+        shares, aims = method.shares_and_aims(distances)
         return Targets(
             in_palm.dot(palm[:3, :3].T) + palm[:3, 3],
             self._follower.wrist(palm),
@@ -248,6 +252,39 @@ class TeleoperationMap:
             (method.distances.aimed_at(aims, method.row_weights * shares),),
             self._margins(gaps),
         )
+
+    def targets_of(self, points: np.ndarray, wrists: np.ndarray) -> list[Targets]:
+        """Return the targets of many samples by column; see `ForesightMap.targets_of`."""
+        method, pair, count = self._method, self._pair, len(self._pair.fingers)
+        human_palms, palms = self._follower.all_palms(wrists)
+        now = (points - human_palms[:, None, :3, 3]) @ human_palms[:, :3, :3]
+        found = method.estimator.estimate_all(now.take(pair.shape_points, 1))
+        in_palm = self._gain * now.take(pair.partners, 1)
+        in_palm += self._offsets @ found.linear.transpose(0, 2, 1)
+        in_palm += (self._centre + self._shift * found.centroids)[:, None]
+        distances = lengths(now.take(self._to, 1) - now.take(self._from, 1))
+        extensions, gaps = distances[:, :count] / pair.human_reach, distances[:, count:]
+        shares, aims = method.shares_and_aims(distances)
+        weights, margins = method.row_weights * shares, self._margins(gaps)
+        columns = zip(
+            in_palm @ palms[:, :3, :3].transpose(0, 2, 1) + palms[:, None, :3, 3],
+            self._follower.wrist(palms),
+            zip(found.estimates, human_palms, gaps, shares[:, count:], extensions, strict=True),
+            zip(aims, weights, strict=True),
+            [None] * len(points) if margins is None else margins,
+            strict=True,
+        )
+        before, aimed_at = self._palm_before, method.distances.aimed_at
+        return [
+            Targets(
+                targets,
+                wrist,
+                TeleoperationDiagnostics(estimate, before, *measured),
+                (aimed_at(*aim),),
+                own_margins,
+            )
+            for targets, wrist, (estimate, *measured), aim, own_margins in columns
+        ]
 
     def _points(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
         """Move the matched points by T, and add each finger's residual; palm axes, shape (m, 3).
@@ -263,13 +300,21 @@ class TeleoperationMap:
         return followed
 
     def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
-        """Widen the margin between thumb and finger with the human's gap: nothing may touch."""
+        """Widen the margin between thumb and finger with the human's gap: nothing may touch.
+
+        Args:
+            gaps: In one sample or in many [m], shape (..., p).
+
+        Returns:
+            Margins [m], shape (..., k); None if links are not kept apart.
+        """
         method = self._method
         if method.contacts is None:
             return None
         wide = np.minimum(np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST)
-        margins = method.base_margins.copy()
-        margins[method.pinch_pairs] = method.pinch_margins + wide.take(method.pinch_of_pair)
+        margins = np.empty((*gaps.shape[:-1], len(method.base_margins)))
+        margins[:] = method.base_margins
+        margins[..., method.pinch_pairs] = method.pinch_margins + wide[..., method.pinch_of_pair]
         return margins
 
 

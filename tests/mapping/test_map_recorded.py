@@ -1,0 +1,77 @@
+"""`map_recorded`: targets by column give the steps of a live stream."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from marks import slow
+
+from handmap_qp import HandMapper, InvalidInputError, load_hand
+from handmap_qp.trackers.injection import inject, parse_faults
+from handmap_qp.trackers.recorded_motion import RecordedSamples
+from handmap_qp.trackers.recording import Recording, read_recording, recording_samples
+
+DEMO = read_recording("demo", "right")
+HUMAN = load_hand("human", points="landmarks")
+
+
+def faulty() -> Recording:
+    """Two seconds of a real recording: lost, then elsewhere, then one landmark off."""
+    faults = parse_faults("dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05")
+    samples = list(inject(recording_samples(DEMO.part(slice(0, 120))), faults))
+    return Recording(
+        name="faulty",
+        time=np.array([sample.time for sample in samples]),
+        landmarks=np.array([sample.landmarks for sample in samples]),
+        valid=np.array([sample.valid for sample in samples]),
+        side=DEMO.side,
+        confidence=np.array([sample.confidence for sample in samples]),
+    )
+
+
+@pytest.mark.parametrize("robot", ["three_finger", *map(slow, ["allegro_right", "panda_gripper"])])
+@pytest.mark.parametrize("method", ["teleoperation", "paper"])
+def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: str) -> None:
+    recorded, hand = RecordedSamples(faulty()), load_hand(robot)
+    live = HandMapper(HUMAN, hand, method)
+    expected = [live.map_sample(sample) for sample in recorded.samples]
+    found = list(HandMapper(HUMAN, hand, method).map_recorded(recorded))
+    assert [step.status for step in found] == [step.status for step in expected]
+    assert {"held", "gliding"} < {step.status for step in found}
+    for step, other in zip(found, expected, strict=True):
+        assert (step.rule, step.confidence) == (other.rule, other.confidence)
+        np.testing.assert_allclose(step.command.q, other.command.q, atol=1e-9)
+        np.testing.assert_allclose(step.command.wrist, other.command.wrist, atol=1e-9)
+        np.testing.assert_allclose(step.targets, other.targets, atol=1e-12)
+        if step.asked.margins is not None:
+            np.testing.assert_allclose(step.asked.margins, other.asked.margins, atol=1e-12)
+        if method == "teleoperation" and not step.is_held:
+            for name in ("palm", "gaps", "pinching", "extensions"):
+                one, two = (getattr(s.asked.diagnostics, name) for s in (step, other))
+                np.testing.assert_allclose(one, two, atol=1e-12)
+            np.testing.assert_allclose(
+                step.asked.diagnostics.estimate.motion,
+                other.asked.diagnostics.estimate.motion,
+                atol=1e-12,
+            )
+
+
+def test_a_clutch_between_samples_counts() -> None:
+    """Targets known from the reference before are not used after a clutch."""
+    recorded = RecordedSamples(DEMO.part(slice(0, 40)))
+    hand = load_hand("three_finger")
+    live, mapper = HandMapper(HUMAN, hand), HandMapper(HUMAN, hand)
+    steps = mapper.map_recorded(recorded)
+    for i, sample in enumerate(recorded.samples):
+        if i == 20:
+            live.clutch()
+            mapper.clutch()
+        step, other = next(steps), live.map_sample(sample)
+        np.testing.assert_allclose(step.command.wrist, other.command.wrist, atol=1e-9)
+
+
+def test_coordinates_that_are_far_away_are_refused() -> None:
+    far = DEMO.part(slice(0, 20))
+    far = Recording(far.name, far.time, far.landmarks + 1e9, far.valid, far.side)
+    with pytest.raises(InvalidInputError, match="coordinates within"):
+        list(HandMapper(HUMAN, load_hand("three_finger")).map_recorded(RecordedSamples(far)))
