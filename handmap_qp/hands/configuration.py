@@ -60,7 +60,11 @@ class Configuration:
         self._q = pin.neutral(model)
         self.q = self._q.view()
         self.q.setflags(write=False)
-        self.points = placement_views(self.data.oMf, first_point).translations
+        self._placed_points = placement_views(self.data.oMf, first_point).translations
+        # Numpy takes three times as long to subtract points that lie apart in memory.
+        self._points = self._placed_points.copy()
+        self.points = self._points.view()
+        self.points.setflags(write=False)
         self.wrist = self.data.oMf[wrist_frame]
         self._frames = (*range(first_point, len(model.frames)), wrist_frame)
         self._has_jacobians = False
@@ -105,6 +109,7 @@ class Configuration:
             raise self._wrong(q) from error
         self._has_jacobians = False
         self._q[:] = q
+        self._points[:] = self._placed_points
 
     def place_with_jacobians(self, q: np.ndarray) -> None:
         """Put the model at a configuration, place its frames and make Jacobians valid.
@@ -122,6 +127,7 @@ class Configuration:
         pin.updateFramePlacements(self.model, self.data)
         self._has_jacobians = True
         self._q[:] = q
+        self._points[:] = self._placed_points
 
     def displace(self, start: np.ndarray, displacement: np.ndarray) -> None:
         """Go from a configuration by a displacement; Jacobians become valid.

@@ -187,11 +187,10 @@ class PseudoinverseIk:
         iterations: int,
         last_step: float,
     ) -> IkResult:
-        points = self.configuration.points.copy()
         return IkResult(
             end=end,
-            points=points,
-            errors=point_targets - points,
+            points=self.configuration.points.copy(),
+            targets=point_targets,
             point_tolerance=self.options.point_tolerance,
             displacement=total,
             lower=lower,

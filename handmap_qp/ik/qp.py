@@ -24,6 +24,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.placements import placement_views
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
@@ -55,7 +56,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
         end: `solved`; `failed`: the solver found no answer, and the hand stays where it was, or
             comes back into its limits; `released`: it had no targets.
         points: Reference points [m], shape (m, 3).
-        errors: Target minus point [m], shape (m, 3).
+        targets: Their targets [m], shape (m, 3).
         point_tolerance: Length of an error that counts as none [m].
         displacement: From the sample before to this one, in the active coordinates (wrist, and
             joints that follow no other), shape (k,).
@@ -69,7 +70,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     end: End
     points: np.ndarray
-    errors: np.ndarray
+    targets: np.ndarray
     point_tolerance: float
     displacement: np.ndarray
     lower: np.ndarray
@@ -77,6 +78,11 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
     joint_columns: np.ndarray
     iterations: int
     last_step: float
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Target minus point [m], shape (m, 3)."""
+        return self.targets - self.points
 
     @cached_property
     def active(self) -> np.ndarray:
@@ -198,9 +204,9 @@ class PointIk:
         self._weighted_error = np.zeros(3 * count + 6)
         self._point_error = self._error[: 3 * count].reshape(count, 3)
         self._wrist_error = self._error[3 * count :]
-        self._rest_weight = options.rest_weight**2
+        self._rest_weights = np.full(len(self._order), float(options.rest_weight) ** 2)
         self._diagonal = np.full(nv, float(options.damping) ** 2)
-        self._diagonal[first_joint:] += self._rest_weight
+        self._diagonal[first_joint:] += self._rest_weights
         # Weigh the whole displacement of a sample, and its difference from the last one's.
         self._speed_cost = options.speed_weight**2
         self._acceleration_cost = options.acceleration_weight**2
@@ -214,6 +220,9 @@ class PointIk:
         self._c = np.empty(nv)
         self._c_joints = self._c[first_joint:]
         self._zero_step = frozen(np.zeros(nv))
+        self._target = pin.SE3.Identity()
+        self._target_columns = placement_views([self._target]).columns.reshape(4, 3)
+        self._target_columns.setflags(write=True)
 
     @property
     def collisions(self) -> CollisionLimit | None:
@@ -279,7 +288,7 @@ class PointIk:
         start = configuration.q.copy()
         stopping = 0.0 if guard is None else 0.5 * guard.longest_stop(state.velocity, dt) / dt
         lower, upper = self._box(dt)
-        target = None if wrist_target is None else pin.SE3(wrist_target)
+        target = self._pose_of(wrist_target)
         resting = (self.hand.rest if rest is None else rest)[self._order]
         first = total = self._zero_step
         before = rows = None
@@ -289,15 +298,21 @@ class PointIk:
             if self._is_smooth:
                 self._smooth(total, dt)
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
-            box = (lower - total, upper - total) if iterations else (lower, upper)
+            least, most = (lower - total, upper - total) if iterations else (lower, upper)
             if collisions is not None:
                 near = None if iterations else state.near
                 near = near or collisions.measure(configuration, margins, dt)
                 rows = collisions.feasible_rows(
-                    configuration, *box, margins, near=near, stopping=stopping, so_far=total
+                    configuration,
+                    least,
+                    most,
+                    margins,
+                    near=near,
+                    stopping=stopping,
+                    so_far=total,
                 )
                 before = before or Start(start, near)
-            step = self._solver.solve(self._H, self._c, *box, rows)
+            step = self._solver.solve(self._H, self._c, least, most, rows)
             iterations += 1
             length = math.nan if step is None else math.sqrt(step.dot(step))
             # Catch NaN too, which solvers return where extreme weights or targets overflow.
@@ -307,7 +322,8 @@ class PointIk:
                 last_step, end = 0.0, "failed"
             else:
                 # Clip exactly: solvers hold the box up to their tolerance.
-                total = np.maximum(np.minimum(total + step, upper), lower)
+                reached = total + step if iterations > 1 else step
+                total = np.maximum(np.minimum(reached, upper), lower)
                 last_step = length
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
@@ -323,17 +339,15 @@ class PointIk:
                 total, state.near = admitted, None
                 configuration.displace(start, total)
         state.velocity = total / dt
-        points = configuration.points.copy()
-        columns, tolerance = self.hand.joint_columns, options.point_tolerance
         return IkResult(
             end,
-            points,
-            point_targets - points,
-            tolerance,
+            configuration.points.copy(),
+            point_targets,
+            options.point_tolerance,
             total,
             lower,
             upper,
-            columns,
+            self.hand.joint_columns,
             iterations,
             last_step,
         )
@@ -347,7 +361,7 @@ class PointIk:
         return IkResult(
             "released",
             points,
-            np.zeros_like(points),
+            points,
             tolerance,
             self._zero_step,
             -free,
@@ -372,13 +386,18 @@ class PointIk:
             H, shape (k, k); c, lower and upper bound, shape (k,) each.
         """
         resting = (self.hand.rest if rest is None else rest)[self._order]
-        self._linearise(
-            point_targets, None if wrist_target is None else pin.SE3(wrist_target), resting, tasks
-        )
+        self._linearise(point_targets, self._pose_of(wrist_target), resting, tasks)
         if self._is_smooth:
             self._smooth(self._zero_step, dt)
         lower, upper = self._box(dt)
         return self._H.copy(), self._c.copy(), lower, upper
+
+    def _pose_of(self, wrist_target: np.ndarray | None) -> pin.SE3 | None:
+        """Return a matrix as Pinocchio's pose, in memory that the next call overwrites."""
+        if wrist_target is None:
+            return None
+        self._target_columns[:] = wrist_target[:3].T
+        return self._target
 
     def _box(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next sample's displacement, shape (nv,) each."""
@@ -418,11 +437,15 @@ class PointIk:
         weighted.T.dot(weighted, out=self._H)
         # Damp by error times lever, the curvature that the linearisation neglects. The root of the
         # diagonal is the lever.
-        self._H_diagonal += self._diagonal + self._turning * (
-            np.sqrt(self._H_diagonal) * math.sqrt(weighted_error.dot(weighted_error))
-        )
+        damping = np.sqrt(self._H_diagonal)
+        damping *= self._turning
+        damping *= math.sqrt(weighted_error.dot(weighted_error))
+        damping += self._diagonal
+        self._H_diagonal += damping
         weighted_error.dot(weighted, out=self._c)
-        self._c_joints += self._rest_weight * (configuration.q[self._joint_angles] - rest)
+        away = configuration.q[self._joint_angles] - rest
+        away *= self._rest_weights
+        self._c_joints += away
         for task in tasks:
             residual, rows, damping = task.linearise(configuration)
             self._H += rows.T.dot(rows)

@@ -68,8 +68,9 @@ class DaqpSolver:
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._no_rows = np.zeros((0, size)), np.zeros(0)
+        self._no_rows = np.zeros((0, size))
         self._resize(0)
+        self._box_sense = self._sense
 
     def solve(
         self,
@@ -80,24 +81,21 @@ class DaqpSolver:
         rows: Rows | None = None,
     ) -> np.ndarray | None:
         """See `QpSolver.solve`."""
-        G, h = self._no_rows if rows is None else rows
-        if len(h):
+        if rows is None or not len(rows[1]):
+            G, sense = self._no_rows, self._box_sense
+        else:
             # DAQP takes the box first and the rows behind it.
-            size = self._size
+            (G, h), size = rows, self._size
             if len(h) != len(self._sense) - size:
                 self._resize(len(h))
             self._lower[:size], self._upper[:size], self._upper[size:] = lower, upper, h
-            lower, upper = self._lower, self._upper
-        elif len(self._sense) != self._size:
-            self._resize(0)
-        x, _, flag, _ = daqp.solve(H, c, G, upper, lower, self._sense, **_SETTINGS)
+            lower, upper, sense = self._lower, self._upper, self._sense
+        x, _, flag, _ = daqp.solve(H, c, G, upper, lower, sense, **_SETTINGS)
         if flag <= 0:
             # With a Hessian of 1e11 (targets 1000 km away) it reports feasible problems as
             # infeasible. The solution does not depend on the cost's scale.
             scale = 1.0 / H.diagonal().max()
-            x, _, flag, _ = daqp.solve(
-                scale * H, scale * c, G, upper, lower, self._sense, **_SETTINGS
-            )
+            x, _, flag, _ = daqp.solve(scale * H, scale * c, G, upper, lower, sense, **_SETTINGS)
         return x if flag > 0 else None
 
     def _resize(self, row_count: int) -> None:

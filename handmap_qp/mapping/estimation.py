@@ -16,11 +16,12 @@ import numpy.typing as npt
 
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
 from handmap_qp.transform import (
+    FARTHEST,
     affine,
     as_floats,
     determinant,
     frozen,
-    nearest_rotation,
+    kabsch_rotation,
     nearest_rotations,
 )
 
@@ -39,7 +40,7 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
         centroid_before: Weighted centroid of the points before the motion [m], shape (3,).
         centroid_after: The same after it [m], shape (3,).
         centred_before: Points before the motion relative to their centroid [m], shape (n, 3).
-        centred_after: The same after it [m], shape (n, 3).
+        points_after: Points after it [m], shape (n, 3).
         singular_values: Of the weighted, centred points before the motion, largest first [m], shape
             (3,). The smallest tells how well the points determine T: a plane has zero.
     """
@@ -48,7 +49,7 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
     centroid_before: np.ndarray
     centroid_after: np.ndarray
     centred_before: np.ndarray
-    centred_after: np.ndarray
+    points_after: np.ndarray
     singular_values: np.ndarray
 
     @property
@@ -59,7 +60,8 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
     @property
     def residual_vectors(self) -> np.ndarray:
         """`y_k - T x_k` for every point [m], shape (n, 3)."""
-        return self.centred_after - self.centred_before.dot(self.linear.T)
+        after = self.points_after - self.centroid_after
+        return after - self.centred_before.dot(self.linear.T)
 
     @property
     def residual_norms(self) -> np.ndarray:
@@ -125,7 +127,6 @@ class MotionEstimator:
         # Estimates hand both out, so they are write-protected.
         self.centroid = frozen(self.weights @ points)
         self._centred = frozen(points - self.centroid)
-        self._weighted = self._centred * self.weights[:, None]
         roots = np.sqrt(self.weights * len(points))
         # The SVD of the points, not of their normal matrix, which would square the condition of
         # points near a plane.
@@ -140,13 +141,14 @@ class MotionEstimator:
         known = np.where(values > floor, values, 0.0)
         pull = self.ridge * (values @ values) / 3.0
         gains = np.divide(known, known * known + pull, out=np.zeros_like(known), where=known > 0.0)
-        # (n, 3) and (3, 3): A = y^T gain + R0 prior_gain
-        self._gain = np.ascontiguousarray((roots[:, None] * left * gains) @ right)
+        # (3, n) and (3, 3): A^T = gain y + prior_gain R0^T, of centred points y
+        gain = right.T @ (roots[:, None] * left * gains).T
         self._prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
-        # One product gives both sums of a sample: the one with the gain, and Kabsch's covariance.
-        self._moments = np.hstack([self._gain, self._weighted])
-        # Centres a sample in a third of the time of a subtraction from every row.
-        self._centring = np.eye(len(points)) - self.weights
+        # One product gives the sum with the gain, Kabsch's covariance and the centroid of a sample.
+        # The rows of the first two sum to zero, so that they centre the sample as well.
+        sums = np.vstack([gain, (self._centred * self.weights[:, None]).T])
+        sums -= np.outer(sums.sum(axis=1), self.weights)
+        self._moments = np.vstack([sums, self.weights])
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
         _, middle, smallest = self.singular_values
@@ -174,16 +176,14 @@ class MotionEstimator:
         Returns:
             The estimate.
         """
-        # `dot` takes half the time of `@` on arrays this small.
-        centroid_after = self.weights.dot(points_after)
-        after = self._centring.dot(points_after)
-        moments = after.T.dot(self._moments)
-        linear = moments[:, :3]
+        # `dot` takes a third of the time of `@` on arrays this small.
+        moments = self._moments.dot(points_after)
+        linear = moments[:3].T
         if self.ridge != 0.0:
-            rotation = nearest_rotation(moments[:, 3:]) if prior is None else prior
+            rotation = kabsch_rotation(moments[3:6].T) if prior is None else prior
             linear = linear + rotation.dot(self._prior_gain)
         return MotionEstimate(
-            linear, self.centroid, centroid_after, self._centred, after, self.singular_values
+            linear, self.centroid, moments[6], self._centred, points_after, self.singular_values
         )
 
     def estimate_all(self, points_after: np.ndarray) -> MotionColumns:
@@ -192,18 +192,17 @@ class MotionEstimator:
         Args:
             points_after: The same points in every sample [m], shape (T, n, 3), finite.
         """
-        centroids = self.weights @ points_after
-        after = self._centring @ points_after
-        moments = after.transpose(0, 2, 1) @ self._moments
-        linear = moments[:, :, :3]
+        moments = self._moments @ points_after
+        linear = moments[:, :3].transpose(0, 2, 1)
         if self.ridge != 0.0:
-            linear = linear + nearest_rotations(moments[:, :, 3:]) @ self._prior_gain
-        columns = zip(linear, centroids, after, strict=True)
+            rotations = nearest_rotations(moments[:, 3:6].transpose(0, 2, 1))
+            linear = linear + rotations @ self._prior_gain
+        centroids = moments[:, 6]
         estimates = [
             MotionEstimate(
-                motion, self.centroid, centroid, self._centred, centred, self.singular_values
+                motion, self.centroid, centroid, self._centred, points, self.singular_values
             )
-            for motion, centroid, centred in columns
+            for motion, centroid, points in zip(linear, centroids, points_after, strict=True)
         ]
         return MotionColumns(linear, centroids, estimates)
 
@@ -264,8 +263,10 @@ def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
         raise InvalidInputError(
             argument=name, expected="shape (n, 3) with n >= 1", got=f"{array.shape}"
         )
-    if not np.isfinite(array).all():
-        raise InvalidInputError(argument=name, expected="finite numbers", value=array.tolist())
+    # `not ... <= FARTHEST` also rejects NaN; products of such coordinates are finite.
+    if not np.abs(array).max() <= FARTHEST:
+        expected = f"finite coordinates within {FARTHEST:g} m"
+        raise InvalidInputError(argument=name, expected=expected, value=array.tolist())
     return array
 
 

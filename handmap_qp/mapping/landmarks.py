@@ -13,7 +13,7 @@ from handmap_qp.transform import (
     affine,
     affines,
     as_floats,
-    nearest_rotation,
+    kabsch_rotation,
     nearest_rotations,
 )
 
@@ -102,5 +102,5 @@ class LandmarkReader:
     def _fit(self, palm: np.ndarray) -> np.ndarray:
         """Lay the model's palm on measured points (5, 3) as `rigid_fit` does, centred once."""
         centre = _MEAN.dot(palm)
-        rotation = nearest_rotation(_CENTRING.dot(palm).T.dot(self._model))
+        rotation = kabsch_rotation(_CENTRING.dot(palm).T.dot(self._model))
         return affine(rotation, centre - rotation.dot(self._model_centre))

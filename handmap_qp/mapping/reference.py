@@ -26,7 +26,7 @@ class Reference(NamedTuple):
         robot_rows: Robot reference points from the pivot, `s_i - c_r` [m], and a 1 behind each,
             shape (n_r, 4).
         robot_wrist: Robot wrist pose in V axes, its translation from the pivot, shape (4, 4).
-        robot_pivot: c_r [m], shape (3,).
+        robot_origin: `c_r - scale Q c_h`: the origin of W, taken to V by shifts [m], shape (3,).
         alignment: Q, from W axes to V axes, shape (3, 3); None where they agree.
         shift_map: `scale Q`, from shifts in W axes to V axes, shape (3, 3); None for the identity.
         residual_share: Part of each human point's residual that each robot point takes over, shape
@@ -39,7 +39,7 @@ class Reference(NamedTuple):
     human_pivot: np.ndarray
     robot_rows: np.ndarray
     robot_wrist: np.ndarray
-    robot_pivot: np.ndarray
+    robot_origin: np.ndarray
     alignment: np.ndarray | None
     shift_map: np.ndarray | None
     residual_share: np.ndarray | None
@@ -78,6 +78,8 @@ def make_reference(
     else:
         human_pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
     alignment = _alignment(options, human_palm, robot_palm)
+    shift_map = _shift_map(alignment, options.scale)
+    start = human_pivot if shift_map is None else shift_map @ human_pivot
     return Reference(
         estimator=estimator,
         human_offsets=sample.points - human_pivot,
@@ -85,9 +87,9 @@ def make_reference(
         human_pivot=frozen(human_pivot),
         robot_rows=np.column_stack([posture.points - robot_pivot, np.ones(len(posture.points))]),
         robot_wrist=affine(posture.wrist[:3, :3], posture.wrist[:3, 3] - robot_pivot),
-        robot_pivot=robot_pivot,
+        robot_origin=robot_pivot - start,
         alignment=alignment,
-        shift_map=_shift_map(alignment, options.scale),
+        shift_map=shift_map,
         residual_share=_residual_share(options, sample.points, posture.points, partners),
     )
 

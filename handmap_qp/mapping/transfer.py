@@ -88,7 +88,7 @@ def transfer_motion(
     rotation, rigid_image = RIGID_PARTS[options.rigid_from].part(
         Displacement(factors.rotation, image), pivot, reference.human_wrist, sample.wrist
     )
-    centre = _centre_after(reference, image - pivot)
+    centre = _in_robot_world(reference, image)
     points = moved_rows(reference.robot_rows, _in_robot_axes(reference, linear), centre)
     if reference.residual_share is not None:
         # The residual refers to the imposed motion, so it makes up for clamping and gain.
@@ -96,17 +96,17 @@ def transfer_motion(
         share = reference.residual_share.dot(residual)
         points += share if reference.alignment is None else share @ reference.alignment.T
     if rigid_image is not image:
-        centre = _centre_after(reference, rigid_image - pivot)
+        centre = _in_robot_world(reference, rigid_image)
     wrist = affine(_in_robot_axes(reference, rotation), centre).dot(reference.robot_wrist)
     return Transfer(
         linear, rotation, pivot, rigid_image, image, factors.stretches, is_clamped, points, wrist
     )
 
 
-def _centre_after(reference: Reference, shift: np.ndarray) -> np.ndarray:
-    """Return where a shift of the human's pivot takes the robot's [m], shape (3,)."""
+def _in_robot_world(reference: Reference, image: np.ndarray) -> np.ndarray:
+    """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
     scaled = reference.shift_map
-    return reference.robot_pivot + (shift if scaled is None else scaled.dot(shift))
+    return reference.robot_origin + (image if scaled is None else scaled.dot(image))
 
 
 def _in_robot_axes(reference: Reference, linear: np.ndarray) -> np.ndarray:

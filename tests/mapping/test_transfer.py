@@ -113,7 +113,9 @@ def test_a_rigid_motion_deforms_nothing(
     np.testing.assert_allclose(transfer.stretches, 1.0, atol=1e-12)
     # The robot's points and wrist move as one body.
     body = transfer.wrist_target @ np.linalg.inv(robot_wrist)
-    start_points = reference.robot_rows[:, :3] + reference.robot_pivot
+    shift_map = np.eye(3) if reference.shift_map is None else reference.shift_map
+    robot_pivot = reference.robot_origin + shift_map @ reference.human_pivot
+    start_points = reference.robot_rows[:, :3] + robot_pivot
     np.testing.assert_allclose(transfer.targets, transform_points(body, start_points), atol=1e-12)
 
 
@@ -256,7 +258,7 @@ def _in_unit(reference: Reference, options: MappingOptions, unit: float) -> Refe
         human_pivot=unit * reference.human_pivot,
         robot_rows=reference.robot_rows * (unit, unit, unit, 1.0),
         robot_wrist=_pose_in_unit(reference.robot_wrist, unit),
-        robot_pivot=unit * reference.robot_pivot,
+        robot_origin=unit * reference.robot_origin,
     )
 
 
