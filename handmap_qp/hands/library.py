@@ -8,6 +8,7 @@ packages ship.
 from __future__ import annotations
 
 from contextlib import suppress
+from copy import copy
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -100,14 +101,22 @@ def load_hand(
 
 def _person(name: str, lengths: HumanLengths, points: Points | None, mount: Mount | None) -> Hand:
     """Scale a human hand of the package to a person, without reading its URDF again."""
+    hand = _scaled_human(name, lengths, mount)
+    chosen = hand.with_points(points)
+    # Each caller has a workspace of its own.
+    return copy(hand) if chosen is hand else chosen
+
+
+# A recording's person is loaded to look for faults, and to map it.
+@lru_cache(maxsize=2)
+def _scaled_human(name: str, lengths: HumanLengths, mount: Mount | None) -> Hand:
     standard, own = _standard_human(name, mount)
     spec = standard.spec
 
     def compose() -> str:
         return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths)).text
 
-    moves = joint_moves(own, lengths, mirrors=spec.mirror)
-    return standard.with_joints(moves, compose, points)
+    return standard.with_joints(joint_moves(own, lengths, mirrors=spec.mirror), compose)
 
 
 @lru_cache(maxsize=8)

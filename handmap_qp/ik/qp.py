@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -97,13 +97,46 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
         `unreachable`: no limit does and the hand does not move any more; `unsettled`: it is still
         on its way; `failed` and `released` as in `end`.
         """
+        is_near = np.linalg.norm(self.errors, axis=1).max() <= self.point_tolerance
+        return self._status(bool(is_near), bool(self.active.any()))
+
+    def _status(self, is_near: bool, is_limited: bool) -> Status:
         if self.end != "solved":
             return self.end
-        if np.linalg.norm(self.errors, axis=1).max() <= self.point_tolerance:
+        if is_near:
             return "converged"
-        if self.active.any():
+        if is_limited:
             return "limited"
         return "unreachable" if self.last_step <= _AT_REST else "unsettled"
+
+
+class IkColumns(NamedTuple):
+    """Outcome of many samples; see `IkResult`.
+
+    Attributes:
+        status: Status of each.
+        active: Active bounds, shape (T, k).
+    """
+
+    status: list[Status]
+    active: np.ndarray
+
+    @classmethod
+    def of(cls, results: Sequence[IkResult]) -> Self:
+        """Compute status and active bounds of results of one hand, by column."""
+        active = active_bounds(
+            np.array([result.displacement for result in results]),
+            np.array([result.lower for result in results]),
+            np.array([result.upper for result in results]),
+        )
+        errors = np.array([result.errors for result in results])
+        tolerances = np.array([result.point_tolerance for result in results])
+        excess = np.linalg.norm(errors, axis=2).max(axis=1) - tolerances
+        bounds = np.count_nonzero(active, axis=1).tolist()
+        flags = zip(results, excess.tolist(), bounds, strict=True)
+        return cls(
+            [result._status(over <= 0.0, count > 0) for result, over, count in flags], active
+        )
 
 
 def active_bounds(displacement: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

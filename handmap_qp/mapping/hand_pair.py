@@ -373,10 +373,15 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _named_points_at_rest(human: Hand) -> dict[str, np.ndarray]:
-    """Return all points that a hand's description names, at rest [m], shape (3,) each."""
-    points = human.with_points(human.spec.points)
-    names = [point.name for point in points.reference_points]
-    return dict(zip(names, points.points(human.rest), strict=True))
+    """Return the points that a hand's description names, at rest [m], shape (3,) each.
+
+    Of a hand with all landmarks, these.
+    """
+    wanted = human.spec.sets.get("landmarks", ())
+    if not wanted or not set(wanted) <= {point.name for point in human.reference_points}:
+        human = human.with_points(human.spec.points)
+    names = [point.name for point in human.reference_points]
+    return dict(zip(names, human.points(human.rest), strict=True))
 
 
 def _human_pads(human: Hand, ends: Mapping[str, FingerEnd]) -> dict[str, Pad]:
@@ -412,22 +417,23 @@ def _pinching_thumb(
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     others = [finger for finger in chains if finger != THUMB]
+    # Reference points have no weight here, and one of them takes the least time.
+    hand = hand.with_points(hand.reference_points[:1])
     ik, tips = PointIk(hand, _PINCHING), []
     start = hand.configuration_vector(hand.rest)
-    place = AttachedPoints(hand, [chains[THUMB].tip])
-    for finger in others:
-        ends = AttachedPoints(
-            hand, [(pad.joint, pad.offset) for pad in (pads[THUMB], pads[finger])]
-        )
+    used = [pads[THUMB], *(pads[finger] for finger in others)]
+    places = [chains[THUMB].tip, *((pad.joint, pad.offset) for pad in used)]
+    ends = AttachedPoints(hand, places)
+    for k, finger in enumerate(others, start=2):
         touching = pads[THUMB].radius + pads[finger].radius
         ik.place(start)
         wrist, points = ik.configuration.wrist.homogeneous, ik.configuration.points.copy()
-        task = PointDistances(ends, [(0, 1)], [touching], [3.0])
+        task = PointDistances(ends, [(1, k)], [touching], [3.0])
         for _ in range(_PINCH_STEPS):
             ik.solve(points, wrist, 1e3, tasks=[task])
-            thumb, other = ends.positions(ik.configuration)
-            if abs(np.linalg.norm(other - thumb) - touching) < _TOUCHING:
+            at = ends.positions(ik.configuration)
+            if abs(np.linalg.norm(at[k] - at[1]) - touching) < _TOUCHING:
                 break
         palm = ik.configuration.wrist.homogeneous @ hand.wrist_to_palm
-        tips.append(transform_points(inverse_pose(palm), place.positions(ik.configuration))[0])
+        tips.append(transform_points(inverse_pose(palm), ends.positions(ik.configuration)[:1])[0])
     return np.mean(tips, axis=0)

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanPose
+from handmap_qp.trackers.landmarks import landmarks_at_rest
 from handmap_qp.transform import (
     FARTHEST,
     affine,
@@ -46,7 +47,7 @@ class LandmarkReader:
         self._count = len(names)
         self._used = np.array([known[point.name] for point in human.reference_points])
         self._palm = np.array([known[name] for name in _PALM])
-        model = human.with_points(_PALM).points(human.rest)
+        model = landmarks_at_rest(human)[self._palm]
         self._model_centre = model.mean(axis=0)
         self._model = model - self._model_centre
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.qp import active_bounds
+from handmap_qp.ik.qp import IkColumns
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
@@ -261,12 +261,12 @@ def _map_samples(
     targets = np.array([step.targets for step in steps])
     points = np.array([step.points for step in steps])
     results = [step.ik for step in steps]
-    is_active = active_bounds(
-        np.array([result.displacement for result in results]),
-        np.array([result.lower for result in results]),
-        np.array([result.upper for result in results]),
-    )
-    at_bound = (is_active[:, results[0].joint_columns] != 0) & ~is_held[:, None]
+    outcome = IkColumns.of(results)
+    at_bound = (outcome.active[:, results[0].joint_columns] != 0) & ~is_held[:, None]
+    status = [
+        "held" if verdict.is_held else step.named(status)
+        for step, verdict, status in zip(steps, verdicts, outcome.status, strict=True)
+    ]
     return Trajectory(
         robot=mapper.robot,
         time=time,
@@ -279,9 +279,7 @@ def _map_samples(
         valid=~is_held,
         at_limit=at_limit,
         at_speed_limit=at_bound & ~at_limit,
-        status=np.array(
-            ["held" if held else step.status for step, held in zip(steps, is_held, strict=True)]
-        ),
+        status=np.array(status),
         step_cpu=step_cpu,
         rule=np.array([verdict.rule for verdict in verdicts]),
         consistency=np.array([verdict.consistency for verdict in verdicts]),

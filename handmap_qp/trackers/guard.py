@@ -15,7 +15,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.clock import SampleClock, Tick
-from handmap_qp.trackers.landmarks import PalmShape
+from handmap_qp.trackers.landmarks import PalmShape, landmarks_at_rest
 from handmap_qp.trackers.motion import (
     FINGER_LIMITS,
     PALM_LIMITS,
@@ -163,6 +163,7 @@ class StreamGuard:
 
     Attributes:
         state: What it remembers. Put a former one back to forget the samples since then.
+        lengths: The person's distances that cannot change [m], shape (23,).
 
     Raises:
         HandError: If the hand has no landmarks.
@@ -172,9 +173,8 @@ class StreamGuard:
         self.state = GuardState()
         self._side: Side = "left" if human.side == "left" else "right"
         self._input = InputCheck(self._side)
-        marked = human.with_points("landmarks")
-        self._palm = PalmShape(marked)
-        self._lengths = fixed_lengths(marked.points(human.rest))
+        self._palm = PalmShape(human)
+        self.lengths = fixed_lengths(landmarks_at_rest(human))
 
     def check(self, sample: HumanSample, sight: Sight | None = None) -> Verdict:
         """Judge the next sample of the stream.
@@ -206,7 +206,8 @@ class StreamGuard:
             return Verdict(tick.rule, True, False, tick.dt, math.nan)
         sight, unusable = self._seen(sample, sight, now)
         if unusable in ("", "size"):
-            finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
+            measures = None if sight is None else sight.measures
+            finding = self._input.update(sample.time, sample.landmarks, sample.wrist, measures)
             if finding is not None:
                 self.state = _holding(state, finding.kind)
                 return Verdict(finding.kind, True, False, tick.dt, math.nan, finding)
@@ -238,7 +239,7 @@ class StreamGuard:
 
     def consistency(self, sight: Sight) -> float:
         """Return the RMS difference of lengths that cannot change from the person's [m]."""
-        off = sight.fresh.lengths - self._lengths
+        off = sight.fresh.lengths - self.lengths
         return math.sqrt(off.dot(off) / len(off))
 
     def _follow(

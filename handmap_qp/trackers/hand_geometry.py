@@ -16,6 +16,8 @@ import numpy as np
 from handmap_qp.trackers.sample import LANDMARK_COUNT
 
 _BASES = (1, 5, 9, 13, 17)
+MEASURES = 28
+"""Numbers that `sample_measures` gives for each sample."""
 _PAIRS = np.array(
     [pair for base in _BASES for pair in ((0, base), *((base + k, base + k + 1) for k in range(3)))]
     + [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
@@ -105,6 +107,28 @@ def own_distances(landmarks: np.ndarray) -> Distances:
     return _measure(landmarks, _PAIRS[:, 0], _PAIRS[:, 1])
 
 
+def sample_measures(landmarks: np.ndarray) -> np.ndarray:
+    """Measure each sample by itself: squared distances as of `own_distances`, and the palmar side.
+
+    Args:
+        landmarks: Finite landmarks in our order and any unit, shape (T, 21, 3).
+
+    Returns:
+        A row for each sample, shape (T, 28): 26 squared distances, then `PalmarEvidence.total` and
+        `PalmarEvidence.fingers`.
+    """
+    evidence = palmar_evidence(landmarks)
+    rows = np.empty((len(landmarks), len(_PAIRS) + 2))
+    rows[:, :-2] = _squares(landmarks, _PAIRS[:, 0], _PAIRS[:, 1])
+    rows[:, -2], rows[:, -1] = evidence.total, evidence.fingers
+    return rows
+
+
+def measured_distances(measures: np.ndarray) -> Distances:
+    """Return `own_distances` of samples that were measured by `sample_measures`, shape (T, 28)."""
+    return _distances(measures[:, :-2].copy())
+
+
 def all_distances(landmarks: np.ndarray) -> Distances:
     """Measure all distances between landmarks.
 
@@ -160,8 +184,16 @@ def misfits_of_orders(distances: Distances, orders: np.ndarray) -> np.ndarray:
 
 
 def _measure(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> Distances:
+    return _distances(_squares(landmarks, first, second))
+
+
+def _squares(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     offsets = landmarks[:, first] - landmarks[:, second]
-    squares = np.einsum("tpi,tpi->tp", offsets, offsets)
+    return np.einsum("tpi,tpi->tp", offsets, offsets)
+
+
+def _distances(squares: np.ndarray) -> Distances:
+    """Return medians and spreads of squared distances (T, p), which are sorted in place."""
     squares.sort(axis=0)
     count = len(squares)
     rows = squares[[count // 4, count // 2, count - 1 - count // 4]]

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -50,8 +50,7 @@ class PalmShape:
     """
 
     def __init__(self, human: Hand) -> None:
-        posture = np.clip(0.0, human.lower_limits, human.upper_limits)
-        self.points = human.with_points("landmarks").points(posture)[PALM]
+        self.points = landmarks_at_rest(human)[PALM]
         self._size = float(palm_sizes(self.points))
 
     def size_of(self, landmarks: np.ndarray) -> float:
@@ -108,6 +107,16 @@ class PalmShape:
             )
 
 
+@lru_cache(maxsize=8)
+def landmarks_at_rest(human: Hand) -> np.ndarray:
+    """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).
+
+    Raises:
+        HandError: If the hand has no landmarks.
+    """
+    return frozen(human.with_points("landmarks").points(human.rest))
+
+
 def human_name(side: Side) -> str:
     """Return the name of the human hand of a side.
 
@@ -162,6 +171,12 @@ def measure_hand(recording: Recording) -> HumanLengths:
     """
     if not isinstance(recording, Recording):
         raise InvalidInputError(argument="recording", expected="a Recording", value=recording)
+    return _measured_hand(recording)
+
+
+# A recording without faults is measured twice: before they are looked for, and after.
+@lru_cache(maxsize=2)
+def _measured_hand(recording: Recording) -> HumanLengths:
     landmarks = recording.landmarks[recording.valid]
     segments = check_length(landmarks)
     if recording.side == "left":

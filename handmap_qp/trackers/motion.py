@@ -104,6 +104,7 @@ class Sight(NamedTuple):
         before: The sample before with the motion that led to it; None if it is not known.
         change: Motion from `before` to this sample.
         is_same: Both have exactly the same landmarks.
+        measures: Its row of `plausibility.recorded_measures`; None if it is not known.
     """
 
     size: float
@@ -112,6 +113,7 @@ class Sight(NamedTuple):
     before: Track | None = None
     change: Change | None = None
     is_same: bool = False
+    measures: np.ndarray | None = None
 
 
 def is_zero(size: float, landmarks: np.ndarray) -> bool:

@@ -109,10 +109,11 @@ def without_faults(recording: Recording) -> Recording:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    human = load_hand(human_name(recording.side), lengths=measure_hand(recording))
+    lengths = measure_hand(recording)
+    human = load_hand(human_name(recording.side), points="landmarks", lengths=lengths)
     follows = [not verdict.is_held for verdict in recorded_samples(recording).judged(human)]
     valid = recording.valid & np.array(follows)
-    if 2 * valid.sum() < recording.valid.sum():
+    if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
         return recording
     return replace(recording, valid=valid)
 

@@ -11,6 +11,7 @@ asks which mistake explains it, and names it. `check_recording` does the same fo
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -18,16 +19,18 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.trackers.hand_geometry import (
+    MEASURES,
+    measured_distances,
     median,
-    own_distances,
     own_misfit,
-    palmar_evidence,
+    sample_measures,
 )
 from handmap_qp.trackers.landmark_order import find_order, prepare
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.trackers.units import find_length_unit, find_time_unit
 from handmap_qp.trackers.wrist_axes import WristCheck
+from handmap_qp.transform import frozen
 
 Mistake = Literal["time", "unit", "order", "side", "flexion", "wrist"]
 """Kinds of mistakes: the unit of time, the unit of length, the order of landmarks, the other hand
@@ -88,12 +91,13 @@ class InputCheck:
         self._landmarks = np.empty((_CALM_FACTOR * _BATCH, LANDMARK_COUNT, 3))
         self._wrists = np.empty((_CALM_FACTOR * _BATCH, 3, 4))
         self._times = np.empty(_CALM_FACTOR * _BATCH)
+        self._measures = np.empty((_CALM_FACTOR * _BATCH, MEASURES))
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples: of a new session, or after the input was changed."""
         self._count = 0
-        self._has_wrists = True
+        self._has_wrists = self._has_measures = True
         self._last_time = np.nan
         self._guess: Finding | None = None
         self._batches = 0
@@ -108,7 +112,11 @@ class InputCheck:
         return self._finding
 
     def update(
-        self, time: float, landmarks: np.ndarray, wrist: np.ndarray | None = None
+        self,
+        time: float,
+        landmarks: np.ndarray,
+        wrist: np.ndarray | None = None,
+        measures: np.ndarray | None = None,
     ) -> Finding | None:
         """Take one sample in which the tracker saw the hand.
 
@@ -116,6 +124,7 @@ class InputCheck:
             time: Its instant [s].
             landmarks: Its landmarks as they came, finite, shape (21, 3); not changed.
             wrist: The tracker's own wrist pose, shape (4, 4), if it has one.
+            measures: Its row of `recorded_measures`, if it is of a recording.
 
         Returns:
             The finding so far (`finding`).
@@ -127,6 +136,10 @@ class InputCheck:
             self._has_wrists = False
         elif self._has_wrists:
             self._wrists[k] = wrist[:3]
+        if measures is None:
+            self._has_measures = False
+        elif self._has_measures:
+            self._measures[k] = measures
         self._count = k + 1
         if self._is_complete():
             self._judge()
@@ -135,7 +148,7 @@ class InputCheck:
     def alert(self) -> None:
         """Judge the next samples by themselves and soon: something has changed."""
         self._count = 0
-        self._has_wrists = True
+        self._has_wrists = self._has_measures = True
         self._calm = -_CALM
 
     def _is_complete(self) -> bool:
@@ -169,8 +182,10 @@ class InputCheck:
             times = np.concatenate([[self._last_time], times])
         self._last_time = float(times[-1])
         wrists = self._wrists[:count] if self._has_wrists else None
-        self._has_wrists = True
-        guess = self._examine(times, self._landmarks[:count], wrists)
+        landmarks = self._landmarks[:count]
+        measures = self._measures[:count] if self._has_measures else sample_measures(landmarks)
+        self._has_wrists = self._has_measures = True
+        guess = self._examine(times, landmarks, wrists, measures)
         # Two batches in a row must agree that something is wrong, or that nothing is.
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
         self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
@@ -179,7 +194,11 @@ class InputCheck:
         self._guess = guess
 
     def _examine(
-        self, times: np.ndarray, landmarks: np.ndarray, wrists: np.ndarray | None
+        self,
+        times: np.ndarray,
+        landmarks: np.ndarray,
+        wrists: np.ndarray | None,
+        measures: np.ndarray,
     ) -> Finding | None:
         """Return what is wrong in one batch."""
         if unit := find_time_unit(times):
@@ -188,19 +207,20 @@ class InputCheck:
         # units or order, and has rules of its own.
         is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
         if not is_hand.all():
-            landmarks, wrists = landmarks[is_hand], None if wrists is None else wrists[is_hand]
+            landmarks, measures = landmarks[is_hand], measures[is_hand]
+            wrists = None if wrists is None else wrists[is_hand]
             if not len(landmarks):
                 return None
-        distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
+        distances = measured_distances(measures)
         misfit = own_misfit(distances)
-        total = median(self._sign * evidence.total)
+        total = median(self._sign * measures[:, -2])
         is_known = misfit < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         guess = None if is_known else find_order(landmarks, self._sign, total)
         if unit := find_length_unit(landmarks, distances, is_hand=guess is None):
             return Finding("unit", *unit)
         if guess is not None:
             return self._order_finding(guess.name)
-        fingers = median(self._sign * evidence.fingers)
+        fingers = median(self._sign * measures[:, -1])
         if fingers < _BACKWARDS_BEYOND and total - fingers > _OTHERWISE_RIGHT:
             return _BACKWARDS
         if total < -_SURE_SIDE:
@@ -273,15 +293,32 @@ def examine_recording(recording: Recording) -> Finding | None:
     """
     check = InputCheck(recording.side)
     indices = np.flatnonzero(recording.valid)
-    wrists = recording.wrist
-    start, end = recording.time[indices[[0, -1]]]
+    landmarks, wrists, measures = recording.landmarks, recording.wrist, recorded_measures(recording)
+    times = recording.time.tolist()
+    start, end = times[indices[0]], times[indices[-1]]
     found = 0
-    for i in indices:
+    for i in indices.tolist():
         wrist = None if wrists is None else wrists[i]
-        finding = check.update(recording.time[i], recording.landmarks[i], wrist)
+        finding = check.update(times[i], landmarks[i], wrist, measures[i])
         if finding is not None:
             found += 1
             if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
                 return finding
     last = check.finish()
     return last if end - start <= 1.0 else None
+
+
+# A recording is examined as a whole, and by the guard while its person is measured.
+@lru_cache(maxsize=1)
+def recorded_measures(recording: Recording) -> np.ndarray:
+    """Measure all samples of a recording by column; those of the last one are kept.
+
+    Args:
+        recording: The recording.
+
+    Returns:
+        Rows of `sample_measures`, shape (T, 28); zeros where the hand was not seen.
+    """
+    rows = np.zeros((len(recording), MEASURES))
+    rows[recording.valid] = sample_measures(recording.landmarks[recording.valid])
+    return frozen(rows)

@@ -32,6 +32,7 @@ from handmap_qp.trackers.motion import (
     Track,
     fixed_lengths,
 )
+from handmap_qp.trackers.plausibility import recorded_measures
 from handmap_qp.trackers.recording import Recording, recording_samples
 from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.transform import nearest_rotations
@@ -56,6 +57,7 @@ class RecordedSamples:
         self.landmarks = np.where(recording.valid[:, None, None], recording.landmarks, 0.0)
         self.confidence = np.array([sample.confidence for sample in self.samples])
         self.sights = _sights(recording)
+        self._lengths = fixed_lengths(self.landmarks)
         self._verdicts: dict[tuple[str, bytes], list[Verdict]] = {}
 
     def judged(self, human: Hand) -> list[Verdict]:
@@ -81,11 +83,13 @@ class RecordedSamples:
             self._verdicts[key] = verdicts
             return verdicts
         # Of another person, whose palm is as large, the lengths of the bones alone differ.
+        off = self._lengths - guard.lengths
+        other = np.sqrt(np.einsum("ti,ti->t", off, off) / off.shape[1]).tolist()
         return [
             verdict
-            if sight is None or math.isnan(verdict.consistency)
-            else verdict._replace(consistency=guard.consistency(sight))
-            for verdict, sight in zip(known, self.sights, strict=True)
+            if math.isnan(verdict.consistency)
+            else Verdict(*verdict[:4], consistency, verdict.finding)
+            for verdict, consistency in zip(known, other, strict=True)
         ]
 
 
@@ -109,6 +113,7 @@ def _sights(recording: Recording) -> tuple[Sight | None, ...]:
     points, lengths = landmarks - centres[:, None], fixed_lengths(landmarks)
     count = np.count_nonzero(landmarks.any(axis=2), axis=1)
     is_zero = (sizes < ZERO_SIZE) | (count < LANDMARK_COUNT - 1)
+    measures = recorded_measures(recording)
     fresh = [
         Track(time, own, centre, STILL, STILL, UNBENT, 0.0, fixed)
         for time, own, centre, fixed in zip(
@@ -117,7 +122,7 @@ def _sights(recording: Recording) -> tuple[Sight | None, ...]:
     ]
     sights: list[Sight | None] = [None] * len(recording)
     for i, size, zero, track in zip(seen, sizes.tolist(), is_zero.tolist(), fresh, strict=True):
-        sights[i] = Sight(size, zero, track)
+        sights[i] = Sight(size, zero, track, measures=measures[i])
     hands = np.flatnonzero(~is_zero)
     if len(hands) > 1:
         tracks, index = [fresh[k] for k in hands], seen[hands]

@@ -15,7 +15,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample, unchecked_sample
 from handmap_qp.transform import as_floats, check_poses
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -197,24 +197,20 @@ def recording_samples(
         wrist_poses: Wrist poses with our axes, shape (T, 4, 4). Those of the recording are left
             out, because their axes are the tracker's own; the palm gives the wrist then.
     """
+    times, valid, confidence = recording.time.tolist(), recording.valid.tolist(), [1.0]
+    confidence *= len(times)
+    if recording.confidence is not None:
+        confidence = np.where(recording.valid, recording.confidence, 0.0).tolist()
+    columns = zip(times, recording.landmarks, valid, confidence, strict=True)
+    if wrist_poses is None:
+        return [
+            unchecked_sample(time, recording.side, landmarks, is_seen, share)
+            for time, landmarks, is_seen, share in columns
+        ]
     return [
-        HumanSample(
-            float(recording.time[i]),
-            recording.side,
-            recording.landmarks[i],
-            None if wrist_poses is None or not recording.valid[i] else wrist_poses[i],
-            bool(recording.valid[i]),
-            _confidence(recording, i),
-        )
-        for i in range(len(recording))
+        HumanSample(time, recording.side, landmarks, pose if is_seen else None, is_seen, share)
+        for (time, landmarks, is_seen, share), pose in zip(columns, wrist_poses, strict=True)
     ]
-
-
-def _confidence(recording: Recording, i: int) -> float:
-    """Return the tracker's confidence in a sample; 1 if it gives none."""
-    if recording.confidence is None:
-        return 1.0
-    return float(recording.confidence[i]) if recording.valid[i] else 0.0
 
 
 def as_flags(values: Any, name: str, count: int) -> np.ndarray:

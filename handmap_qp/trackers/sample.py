@@ -73,3 +73,22 @@ class HumanSample:
         if not 0.0 <= self.confidence <= 1.0:
             expected = "a number from 0 to 1"
             raise InvalidInputError(argument="confidence", expected=expected, value=self.confidence)
+
+
+def unchecked_sample(
+    time: float, side: Side, landmarks: np.ndarray, valid: bool, confidence: float
+) -> HumanSample:
+    """Return a sample of a recording, whose columns have been checked; the array is not copied.
+
+    Args:
+        time: As of `HumanSample`, and so are the others.
+        side: `right` or `left`.
+        landmarks: Read-only landmarks [m], shape (21, 3).
+        valid: Whether the tracker saw the hand.
+        confidence: From 0 to 1.
+    """
+    sample = object.__new__(HumanSample)
+    values = (time, side, landmarks, None, valid, confidence)
+    for name, value in zip(HumanSample.__slots__, values, strict=True):
+        object.__setattr__(sample, name, value)
+    return sample
