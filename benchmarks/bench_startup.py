@@ -1,8 +1,9 @@
 """What is paid once: CPU time of imports and of a recording, memory of an import and of a session.
 
-Every number is that of a fresh process, the least of several; with `--quick`, one process runs all
-programs, so that their numbers mean nothing. With `--compare`, processes of
-another checkout take turns with these.
+Every number is that of a fresh process, the least of several. Modules are compiled once before, as
+in an installed package. Memory of a session is what `malloc` has handed out, and memory of an
+import what the process holds. With `--quick`, one process runs all programs, so that their numbers
+mean nothing. With `--compare`, processes of another checkout take turns with these.
 
     python benchmarks/bench_startup.py
     python benchmarks/bench_startup.py --compare ../another_checkout
@@ -17,6 +18,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,24 +27,40 @@ import interleaved
 
 _RECORDING = "quest3_webxr_right"
 _CLOCK = """
-import json, resource, sys, time
+import ctypes, gc, json, resource, sys, time
 def cpu():
     used = resource.getrusage(resource.RUSAGE_SELF)
     return 1e3 * (used.ru_utime + used.ru_stime)
 def memory():
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+def in_use():
+    gc.collect()
+    names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
+    fields = [(name, ctypes.c_size_t) for name in names.split()]
+    count = ctypes.CDLL("libc.so.6").mallinfo2
+    count.restype = type("Counts", (ctypes.Structure,), {"_fields_": fields})
+    found = count()
+    return (found.uordblks + found.hblkhd) / 1e6
 """
 _HANDS = """
+import numpy as np
 from handmap_qp import HandMapper, HumanLengths, load_hand
 lengths = HumanLengths.from_hand_length(0.19)
-def session(robot):
+def session(robot, preset="teleoperation"):
     human = load_hand("human", points="landmarks", lengths=lengths)
-    mapper = HandMapper(human, robot, "teleoperation")
-    mapper.map_step(human.rest, human.frame_pose("wrist", human.rest))
+    mapper = HandMapper(human, robot, preset)
+    mapper.map_step(human.rest, np.eye(4))
     return mapper
+def memory_of(preset):
+    robot = load_hand("allegro_right")
+    kept = [session(robot, preset) for _ in range(count // 4)]
+    start = in_use()
+    kept += [session(robot, preset) for _ in range(count)]
+    return (in_use() - start) / count
 """
 PROGRAMS = {
+    "import numpy and pinocchio, ms": "import numpy, pinocchio\nresult = cpu()",
     "import handmap_qp, ms": "import handmap_qp\nresult = cpu()",
     "import HandMapper and load_hand, ms": (
         "from handmap_qp import HandMapper, load_hand\nresult = cpu()"
@@ -57,13 +75,8 @@ PROGRAMS = {
     "memory of that import, MB": (
         "start = memory()\nfrom handmap_qp import HandMapper, load_hand\nresult = memory() - start"
     ),
-    "memory of one more session, MB": (
-        _HANDS + "robot = load_hand('allegro_right')\n"
-        "kept = [session(robot) for _ in range(count // 4)]\n"
-        "start = memory()\n"
-        "kept += [session(robot) for _ in range(count)]\n"
-        "result = (memory() - start) / count"
-    ),
+    "memory of a session, teleoperation, MB": _HANDS + "result = memory_of('teleoperation')",
+    "memory of a session, object, MB": _HANDS + "result = memory_of('object')",
     "measuring a person, per sample, us": (
         "from handmap_qp import read_recording\n"
         "from handmap_qp.trackers.landmarks import measure_hand\n"
@@ -83,6 +96,9 @@ PROGRAMS = {
         "    load_hand('allegro_right')\n"
         "result = (cpu() - start) / (count // 2)"
     ),
+    "the first hands and mapper of a process, ms": (
+        _HANDS + "start = cpu()\nsession(load_hand('allegro_right'))\nresult = cpu() - start"
+    ),
     "matching person and robot, ms": (
         _HANDS + "robot = load_hand('allegro_right')\n"
         "session(robot)\n"
@@ -95,9 +111,24 @@ PROGRAMS = {
 """Programs by what they measure; each sets `result`, the mean of about `count` repetitions."""
 
 
-def measure(tree: Path, *programs: str, count: int = 20) -> list[float]:
-    """Run programs in a fresh process with the package of a checkout; return their results."""
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
+def measure(tree: Path, compiled: Path, *programs: str, count: int = 20) -> list[float]:
+    """Run programs in a fresh process with the package of a checkout; return their results.
+
+    Args:
+        tree: The checkout.
+        compiled: Folder for compiled modules.
+        *programs: The programs.
+        count: Repetitions, about.
+    """
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tree),
+        "PYTHONPYCACHEPREFIX": str(compiled),
+        "PYTHONDONTWRITEBYTECODE": "",
+    }
+    if any("in_use" in program for program in programs):
+        # Python's own pools would hide what its objects take.
+        environment["PYTHONMALLOC"] = "malloc"
     code = "".join(
         f"{_CLOCK}\ncount = {count}\n{program}\nprint(json.dumps(result))\n" for program in programs
     )
@@ -122,7 +153,8 @@ def measure_all(
     Args:
         trees: Checkouts by name.
         recording: The recording to measure a person in; None to leave that out.
-        rounds: Processes for each number, of which the least counts; 0 for one process in all.
+        rounds: Processes for each number, of which the least counts, after one that compiles; 0
+            for one process in all.
 
     Returns:
         A row a program.
@@ -134,14 +166,19 @@ def measure_all(
     }
     found: dict[str, dict[str, float]] = {what: {} for what in programs}
     together = [[what] for what in programs] if rounds else [list(programs)]
-    with common.progress("programs", len(together)) as advance:
+    count = 20 if rounds else 4
+    with (
+        common.progress("programs", len(together)) as advance,
+        tempfile.TemporaryDirectory() as compiled,
+    ):
         for names in together:
             texts = [programs[what] for what in names]
-            for _ in range(max(rounds, 1)):
+            for k in range(rounds + 1):
                 for tree, folder in trees.items():
-                    for what, value in zip(
-                        names, measure(folder, *texts, count=20 if rounds else 4), strict=True
-                    ):
+                    values = measure(folder, Path(compiled), *texts, count=count)
+                    if k == 0 and rounds:
+                        continue
+                    for what, value in zip(names, values, strict=True):
                         found[what][tree] = min(value, found[what].get(tree, value))
             advance()
     rows = []

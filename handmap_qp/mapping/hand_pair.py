@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.fingers import (
     THUMB,
     FingerChain,
@@ -197,7 +198,7 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        targets = transform_points(robot.frame_pose("palm", robot.rest), in_palm)
+        targets = transform_points(_palm_pose(robot, _placed(robot, robot.rest)), in_palm)
         costs = point_costs(robot, IkOptions())
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
@@ -341,17 +342,28 @@ def _point(
 
 def _points_in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
     """Return a hand's reference points in palm axes [m], shape (m, 3)."""
-    return transform_points(inverse_pose(hand.frame_pose("palm", q)), hand.points(q))
+    placed = _placed(hand, q)
+    return transform_points(inverse_pose(_palm_pose(hand, placed)), placed.points)
+
+
+def _placed(hand: Hand, q: np.ndarray) -> Configuration:
+    """Return a hand in a posture. A workspace for once: one that stays is a megabyte a hand."""
+    placed = hand.configuration()
+    placed.place_frames(hand.configuration_vector(q))
+    return placed
+
+
+def _palm_pose(hand: Hand, placed: Configuration) -> np.ndarray:
+    return placed.data.oMf[hand.palm_frame_id].homogeneous
 
 
 def points_in_palm_at(
     hand: Hand, places: list[tuple[int, np.ndarray]], q: np.ndarray | None = None
 ) -> np.ndarray:
     """Return points on joints in palm axes, at rest if no posture is given [m], shape (k, 3)."""
-    placed = hand.configuration()
-    placed.place_frames(hand.configuration_vector(hand.rest if q is None else q))
+    placed = _placed(hand, hand.rest if q is None else q)
     points = AttachedPoints(hand, places).positions(placed)
-    return transform_points(inverse_pose(placed.data.oMf[hand.palm_frame_id].homogeneous), points)
+    return transform_points(inverse_pose(_palm_pose(hand, placed)), points)
 
 
 def resting_posture(human: Hand) -> np.ndarray:
