@@ -21,7 +21,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.simulation.actuators import Actuators, Drive, felt_inertia, install
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 
-OBJECT, STAND, BASE, MOCAP = "object", "stand", "base", "mocap"
+OBJECT, BASE, MOCAP = "object", "base", "mocap"
 """Names of bodies and constraints of the model."""
 
 # Who collides with whom: bits of (contype, conaffinity).
@@ -255,17 +255,6 @@ def _add_object(spec: Any, body: Body, physics: Physics) -> None:
     )
     _set_contact(geom, physics)
     _set_shape(spec, geom, body.shape)
-    # A stand holds the object in its place until it lets go.
-    stand = spec.add_equality(
-        name=STAND,
-        name1=OBJECT,
-        name2="world",
-        type=mujoco.mjtEq.mjEQ_WELD,
-        objtype=mujoco.mjtObj.mjOBJ_BODY,
-        active=False,
-    )
-    stand.data[10] = 1.0
-    stand.solref, stand.solimp = [_WELD_TIME, 1.0], _STIFF
 
 
 def _set_shape(spec: Any, geom: Any, shape: Shape | MeshShape) -> None:

@@ -14,9 +14,13 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array
 from handmap_qp.hands.hand import Hand
 from handmap_qp.simulation.actuators import Actuators, PositionActuators
-from handmap_qp.simulation.model import MOCAP, OBJECT, STAND, build_model
+from handmap_qp.simulation.model import MOCAP, OBJECT, build_model
 from handmap_qp.simulation.physics import Body, Physics
 from handmap_qp.transform import affine, check_pose, inverse_pose
+
+# Friction of the stand against turning the object acts at this lever [m]: 2/3 of the radius of a
+# disc of 30 mm under even pressure.
+_STAND_LEVER = 0.01
 
 
 class Contacts(NamedTuple):
@@ -140,6 +144,7 @@ class Simulator:
             )
         mujoco.mj_resetData(self.parts.model, self.data)
         self.set_gravity(1.0)
+        self.set_stand(holds=False)
         for address, value in zip(self.parts.all_q, self.hand.all_joints(angles), strict=True):
             if address >= 0:
                 self.data.qpos[address] = value
@@ -155,15 +160,18 @@ class Simulator:
         mujoco.mj_forward(self.parts.model, self.data)
 
     def set_stand(self, holds: bool) -> None:
-        """Let a stand hold the object where it is, or let go."""
-        model, stand = self.parts.model, self.parts.model.equality(STAND).id
-        self.data.eq_active[stand] = int(holds)
-        if holds:
-            # Pose of the world in the object's frame, and no offset of the anchor.
-            inverse = inverse_pose(self.object_pose)
-            x, y, z, w = Rotation.from_matrix(inverse[:3, :3]).as_quat()
-            model.eq_data[stand, :3] = 0.0
-            model.eq_data[stand, 3:10] = (*inverse[:3, 3], w, x, y, z)
+        """Let a stand carry the object, or let go.
+
+        The stand carries the weight m g. A push beyond the friction, mu m g along each axis of the
+        world, moves the object, as on a table.
+        """
+        model, held = self.parts.model, self.parts.object
+        first = model.body_dofadr[held]
+        weight = float(model.body_mass[held] * np.linalg.norm(self.physics.gravity))
+        friction = self.physics.friction * weight if holds else 0.0
+        model.body_gravcomp[held] = float(holds)
+        model.dof_frictionloss[first : first + 3] = friction
+        model.dof_frictionloss[first + 3 : first + 6] = _STAND_LEVER * friction
 
     def set_gravity(self, share: float) -> None:
         """Set gravity to a share of its full value."""

@@ -237,6 +237,22 @@ def test_a_stand_holds_the_object_until_it_lets_go() -> None:
     assert simulator.object_pose[2, 3] < 1.7
 
 
+@pytest.mark.parametrize("push", [0.9, 1.5])
+def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
+    """A push of `push` times mu m g moves it by (push - 1) mu g t^2 / 2, or not at all."""
+    grasp, physics = cube_grasp(), Physics(friction=0.5)
+    simulator = Simulator(grasp.hand, Body(CUBE, 0.3), physics)
+    simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+    simulator.set_stand(holds=True)
+    weight = 0.3 * np.linalg.norm(physics.gravity)
+    simulator.data.xfrc_applied[simulator.parts.object, 0] = push * 0.5 * weight
+    simulator.hold(0.2)
+    moved = simulator.object_pose[:3, 3] - FAR[:3, 3]
+    free = max(0.0, push - 1.0) * 0.5 * np.linalg.norm(physics.gravity) * 0.2**2 / 2.0
+    # One step of 2 ms is 1 % of 0.2 s.
+    np.testing.assert_allclose(moved, [free, 0.0, 0.0], rtol=0.0101, atol=1e-8)
+
+
 @KINDS
 def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
     actuators: Actuators,
