@@ -441,12 +441,21 @@ class _damage:  # noqa: N801 - used as a context manager
             raise RecordingError(problem, file=self._file) from error
 
 
+_QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+"""Quantiles by the names of LeRobot, some of whose policies are normalised by them."""
+
+
 class _Stats:
-    """Least, largest, mean and standard deviation of a column, of one episode or of many."""
+    """Least, largest, mean, standard deviation and quantiles of a column.
+
+    Quantiles of many episodes are the means of the episodes' own, weighted by their frames, as
+    LeRobot itself puts them together.
+    """
 
     def __init__(self) -> None:
         self._count = 0
         self._low = self._high = self._mean = self._square = np.zeros(0)
+        self._quantiles = np.zeros((len(_QUANTILES), 0))
 
     @classmethod
     def of(cls, values: np.ndarray) -> Self:
@@ -455,10 +464,12 @@ class _Stats:
         rows = rows[np.isfinite(rows).all(axis=1)]
         if (count := len(rows)) == 0:
             own._low = own._high = own._mean = own._square = np.zeros(rows.shape[1])
+            own._quantiles = np.zeros((len(_QUANTILES), rows.shape[1]))
             return own
         own._count = count
         own._low, own._high, own._mean = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0)
         own._square = np.square(rows - own._mean).sum(axis=0)
+        own._quantiles = np.quantile(rows, list(_QUANTILES.values()), axis=0)
         return own
 
     def add(self, other: _Stats) -> None:
@@ -475,12 +486,15 @@ class _Stats:
             self._square + other._square + shift**2 * (self._count * other._count / count)
         )
         self._mean = self._mean + shift * (other._count / count)
+        share = other._count / count
+        self._quantiles = self._quantiles + share * (other._quantiles - self._quantiles)
         self._count = count
 
     def as_dict(self) -> dict[str, list[float]]:
         """Return the numbers by the names that LeRobot gives them."""
         spread = np.sqrt(self._square / max(1, self._count))
         values = {"min": self._low, "max": self._high, "mean": self._mean, "std": spread}
+        values |= dict(zip(_QUANTILES, self._quantiles, strict=True))
         lists: dict[str, list[float]] = {name: a.tolist() for name, a in values.items()}
         return {**lists, "count": [self._count]}
 
