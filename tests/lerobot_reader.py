@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import import_module
 from typing import Any
 
-import torch
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
+# This package does not depend on either.
+torch: Any = import_module("torch")
+LeRobotDataset: Any = import_module("lerobot.datasets.lerobot_dataset").LeRobotDataset
 
 
 def main(root: str) -> None:
     """Read everything that training reads."""
-    data: Any = LeRobotDataset(repo_id="local/mapped", root=root)
+    data = LeRobotDataset(repo_id="local/mapped", root=root)
     step = 1.0 / data.fps
-    ahead: Any = LeRobotDataset(
+    ahead = LeRobotDataset(
         repo_id="local/mapped", root=root, delta_timestamps={"observation.state": [-step, 0.0]}
     )
-    last: Any = LeRobotDataset(repo_id="local/mapped", root=root, episodes=[data.num_episodes - 1])
+    last = LeRobotDataset(repo_id="local/mapped", root=root, episodes=[data.num_episodes - 1])
     loader = torch.utils.data.DataLoader(ahead, batch_size=4)
     states = torch.cat([batch["observation.state"] for batch in loader])
     rows = [data[i] for i in range(len(data))]
