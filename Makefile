@@ -23,8 +23,6 @@ PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
 # One thread: our matrices are small, so that more threads only wait for each other, and timings scatter.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
-# pyright would look on the network for a newer self.
-export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # A ROS shell sets PYTHONPATH, and its Pinocchio, built for another Python, would come before ours.
 unexport PYTHONPATH
 
@@ -55,10 +53,10 @@ test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
 
-lint: $(INSTALLED) ## Check style (ruff), types (pyright) and who imports whom (import-linter)
+lint: $(INSTALLED) ## Check style (ruff), types (ty) and who imports whom (import-linter)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/pyright --pythonpath $(BIN)/python
+	@$(BIN)/ty check --error-on-warning --python $(BIN)/python
 	@$(BIN)/lint-imports --no-cache
 
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly

@@ -196,7 +196,7 @@ def measure(stage: Stage, fault: str, at: float, rejoin: RejoinKind) -> dict[str
     """
     name, _, rest = fault.partition("@{}")
     duration = min(float(rest[1:].partition(":")[0]) if rest[:1] == "+" else 1e9, 10.0)
-    duration = min(duration, FAULT_KINDS[name].duration, 2.0)  # type: ignore[index]
+    duration = min(duration, FAULT_KINDS[name].duration, 2.0)  # ty: ignore[invalid-argument-type]
     samples = stage.part(at - BEFORE, at + duration + AFTER)
     if not all(sample.valid for sample in samples):
         return None

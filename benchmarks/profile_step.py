@@ -29,9 +29,9 @@ def costliest(statistics: pstats.Stats, steps: int, count: int) -> list[dict[str
             "calls": calls / steps,
             "own_us": 1e6 * own / steps,
         }
-        for (file, line, name), (_, calls, own, _, _) in statistics.stats.items()  # type: ignore[attr-defined]
+        for (file, line, name), (_, calls, own, _, _) in statistics.stats.items()  # ty: ignore[missing-attribute]
     ]
-    return sorted(rows, key=lambda row: -row["own_us"])[:count]
+    return sorted(rows, key=lambda row: -row["own_us"])[:count]  # ty: ignore[unsupported-operator]
 
 
 def draw(functions: list[dict[str, Any]]) -> Any:

@@ -345,7 +345,7 @@ def _any_command(tyro: Any) -> Any:
             or_,
             (
                 Annotated[
-                    place.load(),
+                    place.load(),  # ty: ignore[invalid-type-form]
                     tyro.conf.subcommand(word, description=place.about, prefix_name=False),
                 ]
                 for word, place in places.items()
@@ -354,7 +354,7 @@ def _any_command(tyro: Any) -> Any:
 
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
     groups = (
-        Annotated[union(_members(group)), tyro.conf.subcommand(group, prefix_name=False)]
+        Annotated[union(_members(group)), tyro.conf.subcommand(group, prefix_name=False)]  # ty: ignore[invalid-type-form]
         for group in _GROUPS
     )
     return reduce(or_, groups, union(single))

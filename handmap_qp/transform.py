@@ -22,9 +22,9 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from eigenpy import ColPivHhJacobiSVD as PivotedSvd  # type: ignore[attr-defined]
-from eigenpy import DecompositionOptions  # type: ignore[attr-defined]
-from eigenpy import NoPrecondJacobiSVD as SquareSvd  # type: ignore[attr-defined]
+from eigenpy import ColPivHhJacobiSVD as PivotedSvd
+from eigenpy import DecompositionOptions
+from eigenpy import NoPrecondJacobiSVD as SquareSvd
 
 from handmap_qp.errors import InvalidInputError, describe_value
 

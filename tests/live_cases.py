@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.recording import Recording
 
 PERIOD = 1.0 / 60.0
 
 
 @cache
-def moving_hand(count: int = 60, side: str = "right") -> Recording:
+def moving_hand(count: int = 60, side: Side = "right") -> Recording:
     """Return a recording at 60 Hz of a hand that closes, opens and moves.
 
     Sample 10 is not valid.
@@ -32,7 +33,7 @@ def moving_hand(count: int = 60, side: str = "right") -> Recording:
     landmarks[~valid] = np.nan
     # An odd start and uneven periods, as trackers have them.
     time = 1234.5 + PERIOD * np.arange(count) + 0.002 * np.sin(np.arange(count))
-    return Recording("moving", time, landmarks, valid, side)  # pyright: ignore[reportArgumentType]
+    return Recording("moving", time, landmarks, valid, side)
 
 
 def save_recording(recording: Recording, file: Path) -> Path:

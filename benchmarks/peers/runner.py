@@ -329,7 +329,7 @@ def main() -> None:
         "low_pass_alpha": config["low_pass_alpha"],
         "failures": solver.failures,
     }
-    np.savez_compressed(arguments.output, facts=np.array(json.dumps(facts)), **result)
+    np.savez_compressed(arguments.output, facts=np.array(json.dumps(facts)), **result)  # ty: ignore[invalid-argument-type]
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ class RayEngine:
 
     def __init__(self, workers: int) -> None:
         try:
-            import ray  # pyright: ignore[reportMissingImports]
+            import ray
         except ImportError as error:
             raise MissingExtraError("ray", "cluster") from error
         self._ray: Any = ray

@@ -107,7 +107,9 @@ def _hull_of(file: str, scale: tuple[float, ...], _: tuple[int, int]) -> coal.Co
     return hull
 
 
-_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_TRIANGLE: np.dtype[np.void] = np.dtype(
+    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+)  # ty: ignore[invalid-assignment]
 _HEADER = 84
 
 

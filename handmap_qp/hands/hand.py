@@ -113,7 +113,7 @@ class Hand:
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
         text, locked = compose_urdf(spec, file_text, arm_text)
-        self._compose = lambda: text
+        self._compose: Callable[[], str] = lambda: text
         rules = mimic_rules(spec, text)
         followers = tuple(rule.follower for rule in rules)
         self.model = model = build_model(spec, text, self.mount, followers)

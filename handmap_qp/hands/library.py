@@ -91,7 +91,7 @@ def load_hand(
         problem = f"only the human hand can be scaled, not {spec.name}"
         raise InvalidInputError(problem, argument=argument, value=value)
     if lengths is None:
-        lengths = HumanLengths.from_hand_length(hand_length)  # type: ignore[arg-type]
+        lengths = HumanLengths.from_hand_length(hand_length)  # ty: ignore[invalid-argument-type]
     elif hand_length is not None:
         problem = "cannot be combined with hand_length: give one of them"
         raise InvalidInputError(problem, argument=argument, value=value)

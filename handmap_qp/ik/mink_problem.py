@@ -64,7 +64,7 @@ class BoxLimit(mink.Limit):
             return 0.0
         return 0.5 * self._guard.longest_stop(self._velocity, dt) / dt
 
-    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
+    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # ty: ignore[incompatible-method-override]
         """Return the rows of the box at this configuration, upper bounds first."""
         lower, upper = self.bounds(configuration, dt)
         eye = np.eye(len(upper))
@@ -85,7 +85,7 @@ class SelfCollisionLimit(mink.Limit):
         self._collisions = collisions
         self._box = box
 
-    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # type: ignore[override]
+    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # ty: ignore[incompatible-method-override]
         """Return one row per pair."""
         box, stopping = self._box.bounds(configuration, dt), self._box.stopping(dt)
         rows = self._collisions.feasible_rows(configuration, *box, stopping=stopping)
@@ -165,7 +165,7 @@ def build_problem(
     # Our configuration has the attributes that build_ik and our tasks read of mink's, which is
     # one of MuJoCo.
     return mink.build_ik(
-        _ActiveConfiguration(configuration),  # type: ignore[arg-type]
+        _ActiveConfiguration(configuration),  # ty: ignore[invalid-argument-type]
         [*own, *extra_tasks],
         dt,
         damping=0.0,

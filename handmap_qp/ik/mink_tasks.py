@@ -34,11 +34,11 @@ class PointTask(mink.Task):
         super().__init__(cost=np.repeat(cost, 3))
         self.targets = targets
 
-    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return point minus target [m], shape (3 m,)."""
         return (configuration.points - self.targets).ravel()
 
-    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return the derivative of the points, world axes, shape (3 m, nv)."""
         return configuration.point_jacobian()
 
@@ -56,11 +56,11 @@ class WristTask(mink.Task):
         super().__init__(cost=np.array([position_cost] * 3 + [orientation_cost] * 3))
         self.target = pin.SE3(target)
 
-    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return minus the twist from the wrist to its target, shape (6,)."""
         return -pin.log6(configuration.wrist.actInv(self.target)).vector
 
-    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return the derivative of the error, shape (6, nv)."""
         return configuration.wrist_jacobian(pin.Jlog6(self.target.actInv(configuration.wrist)))
 
@@ -81,11 +81,11 @@ class RestTask(mink.Task):
         self._jacobian = np.zeros((len(hand.joint_names), len(hand.active_columns)))
         self._jacobian[np.arange(len(hand.joint_names)), hand.joint_columns] = 1.0
 
-    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return joint angle minus rest angle [rad], shape (n,)."""
         return configuration.q[self._hand.q_indices] - self._rest
 
-    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return the selection of the joints, shape (n, nv)."""
         return self._jacobian
 
@@ -118,22 +118,22 @@ class DampingTask(mink.Task):
         self._of = tuple(of)
         self._turns = np.arange(nv) >= free_translations
 
-    def compute_qp_residual(  # type: ignore[override]
+    def compute_qp_residual(
         self, configuration: Configuration
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    ) -> tuple[np.ndarray, np.ndarray, float]:  # ty: ignore[incompatible-method-override]
         """Return the diagonal weighted Jacobian and a zero error."""
-        errors = [task.cost * task.compute_error(configuration) for task in self._of]  # type: ignore[arg-type]
-        levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]  # type: ignore[arg-type]
+        errors = [task.cost * task.compute_error(configuration) for task in self._of]  # ty: ignore[invalid-argument-type]
+        levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]  # ty: ignore[invalid-argument-type]
         error = math.sqrt(sum(e @ e for e in errors))
         lever = np.sqrt(sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self._jacobian))))
         squared_cost = self.cost**2 + self._error_damping * error * lever * self._turns
         return np.diag(np.sqrt(squared_cost)), np.zeros(len(self._jacobian)), 0.0
 
-    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return zero, shape (nv,)."""
         return np.zeros(len(self._jacobian))
 
-    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return the identity, shape (nv, nv)."""
         return self._jacobian
 
@@ -149,9 +149,9 @@ class ExtraTask(mink.Task):
         super().__init__(cost=np.ones(1))
         self._task = task
 
-    def compute_qp_residual(  # type: ignore[override]
+    def compute_qp_residual(
         self, configuration: Configuration
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    ) -> tuple[np.ndarray, np.ndarray, float]:  # ty: ignore[incompatible-method-override]
         """Return weighted Jacobian and negative weighted error, with the rows of damping below."""
         residual, jacobian, damping = self._task.linearise(configuration)
         roots = np.sqrt(np.broadcast_to(damping, (configuration.nv,)))
@@ -161,11 +161,11 @@ class ExtraTask(mink.Task):
             0.0,
         )
 
-    def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_error(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return the task's weighted error, shape (k,)."""
         return self._task.linearise(configuration).residual
 
-    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+    def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
         """Return its weighted Jacobian, shape (k, nv)."""
         return self._task.linearise(configuration).jacobian
 

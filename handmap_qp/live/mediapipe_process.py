@@ -96,7 +96,7 @@ class HandTracker:
 
     def __init__(self, side: str, fov: float) -> None:
         try:
-            from mediapipe.python.solutions.hands import (  # pyright: ignore[reportMissingImports]
+            from mediapipe.python.solutions.hands import (
                 Hands,
             )
         except ImportError as error:
@@ -135,7 +135,7 @@ class HandTracker:
 
 def pictures(arguments: argparse.Namespace) -> Iterator[Picture]:
     """Yield the pictures of the camera or the video, unmirrored."""
-    import cv2  # pyright: ignore[reportMissingImports]
+    import cv2
 
     is_file = arguments.video is not None
     source = str(arguments.video) if is_file else arguments.camera

@@ -110,7 +110,7 @@ def read_options(field: str, values: dict[str, Any], kind: type[_T]) -> _T:
         raise RefusedError("invalid", str(error), field=field) from error
 
 
-def _check_names(field: str, values: dict[str, Any], kind: type) -> None:
+def _check_names(field: str, values: dict[str, Any], kind: type[Any]) -> None:
     known = [item.name for item in fields(kind)]
     for name in values:
         if name not in known:

@@ -568,6 +568,8 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
         The request; or the error to answer with, which has the field at fault, and the number of
         the request if it can be read.
     """
+    if isinstance(payload, str):
+        payload = payload.encode(errors="replace")
     try:
         request = _DECODE[is_json](payload)
     except msgspec.ValidationError as error:
@@ -594,7 +596,7 @@ def encode_reply(reply: AnyReply, *, is_json: bool = False) -> bytes:
     return _ENCODE[is_json](reply)
 
 
-def _head(payload: bytes | str, is_json: bool) -> tuple[Any, int]:
+def _head(payload: bytes, is_json: bool) -> tuple[Any, int]:
     """Return protocol and number of a request that is invalid elsewhere."""
     try:
         head = _DECODE_HEAD[is_json](payload)

@@ -186,7 +186,7 @@ def _preset_line(name: str) -> str:
 
 
 def _default(item: msgspec.structs.FieldInfo) -> Any:
-    value = item.default if item.default is not msgspec.NODEFAULT else item.default_factory()  # type: ignore[operator]
+    value = item.default if item.default is not msgspec.NODEFAULT else item.default_factory()
     return round(value, 4) if isinstance(value, float) else value
 
 

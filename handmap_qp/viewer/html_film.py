@@ -25,7 +25,7 @@ def html_film(frames: Sequence[str]) -> dict[str, Any]:
     """
     split = [_TOKENS.split(frame) for frame in frames]
     lengths = list(dict.fromkeys(map(len, split)))
-    kinds = []
+    kinds: list[dict[str, Any]] = []
     for length in lengths:
         alike = [tokens for tokens in split if len(tokens) == length]
         columns = zip(*alike, strict=True)

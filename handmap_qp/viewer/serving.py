@@ -88,11 +88,11 @@ def _own_pages_only(host: str) -> Iterator[None]:
 
         return serve(handler, *where, process_request=check, **settings)
 
-    websocket_server.serve = serve_own_pages  # type: ignore[assignment]
+    websocket_server.serve = serve_own_pages  # ty: ignore[invalid-assignment]
     try:
         yield
     finally:
-        websocket_server.serve = serve  # type: ignore[misc]
+        websocket_server.serve = serve
 
 
 def is_own_page(host: str, asked: str, origins: list[str]) -> bool:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -344,9 +345,10 @@ def test_rounding_to_float32_stays_inside_the_limits(tmp_path: Path) -> None:
     ends = np.stack([hand.lower_limits, hand.upper_limits])
     assert (ends.astype(np.float32) != ends).any(), "some limits are no float32"
     (tmp_path / "episodes").mkdir()
-    columns = {"time": np.array([0.0, 0.1]), "wrist": np.tile(np.eye(4), (2, 1, 1)), "q": ends}
+    wrist = np.tile(np.eye(4), (2, 1, 1))
+    columns: dict[str, Any] = {"time": np.array([0.0, 0.1]), "wrist": wrist, "q": ends}
     np.savez(tmp_path / "episodes/a.npz", valid=np.ones(2, dtype=bool), **columns)
-    about = {"path": "a", "size": 1, "mtime_ns": 1, "options": ""}
+    about: dict[str, Any] = {"path": "a", "size": 1, "mtime_ns": 1, "options": ""}
     line = Line("a::", "done", side="right", frames=2, out="episodes/a.npz", **about)
     root = assemble([line], tmp_path, "lerobot", 10.0, {"right": hand})
     reader = LeRobotReader(root)

@@ -60,7 +60,8 @@ def stiffen(**changes: Any) -> Any:
 
 
 def closer(**changes: Any) -> HandCloser:
-    return HandCloser(**{"hand": HAND, "shape": BALL, **changes})
+    arguments: dict[str, Any] = {"hand": HAND, "shape": BALL}
+    return HandCloser(**{**arguments, **changes})
 
 
 def preshaped(start: Any = START, direction: Any = DIRECTION) -> HandCloser:
@@ -69,18 +70,18 @@ def preshaped(start: Any = START, direction: Any = DIRECTION) -> HandCloser:
 
 # A call, and the argument at fault.
 BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
-    "box of words": (lambda: Box("big"), "size"),  # type: ignore[arg-type]
-    "box of two sides": (lambda: Box((1.0, 2.0)), "size"),  # type: ignore[arg-type]
+    "box of words": (lambda: Box("big"), "size"),  # ty: ignore[invalid-argument-type]
+    "box of two sides": (lambda: Box((1.0, 2.0)), "size"),  # ty: ignore[invalid-argument-type]
     "box without height": (lambda: Box((1.0, 2.0, 0.0)), "size"),
     "box of NaN": (lambda: Box((1.0, 2.0, np.nan)), "size"),
-    "sphere of words": (lambda: Sphere("r"), "radius"),  # type: ignore[arg-type]
+    "sphere of words": (lambda: Sphere("r"), "radius"),  # ty: ignore[invalid-argument-type]
     "negative sphere": (lambda: Sphere(-1.0), "radius"),
-    "sphere of None": (lambda: Sphere(None), "radius"),  # type: ignore[arg-type]
+    "sphere of None": (lambda: Sphere(None), "radius"),  # ty: ignore[invalid-argument-type]
     "cylinder without length": (lambda: Cylinder(1.0, 0.0), "length"),
     "infinite cylinder": (lambda: Cylinder(np.inf, 1.0), "radius"),
-    "contact of words": (lambda: Contact("palm", "abc", (0, 0, 1)), "xyz"),  # type: ignore[arg-type]
-    "contact of two numbers": (lambda: Contact("palm", (0, 0), (0, 0, 1)), "xyz"),  # type: ignore[arg-type]
-    "normal of words": (lambda: Contact("palm", (0, 0, 0), "up"), "normal"),  # type: ignore[arg-type]
+    "contact of words": (lambda: Contact("palm", "abc", (0, 0, 1)), "xyz"),  # ty: ignore[invalid-argument-type]
+    "contact of two numbers": (lambda: Contact("palm", (0, 0), (0, 0, 1)), "xyz"),  # ty: ignore[invalid-argument-type]
+    "normal of words": (lambda: Contact("palm", (0, 0, 0), "up"), "normal"),  # ty: ignore[invalid-argument-type]
     "zero normal": (lambda: Contact("palm", (0, 0, 0), (0, 0, 0)), "normal"),
     "infinite normal": (lambda: Contact("palm", (0, 0, 0), (0, 0, np.inf)), "normal"),
     "grasp with q of words": (lambda: grasp(q=["a"] * 8), "q"),
@@ -94,7 +95,7 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "wrist pose of words": (lambda: grasp(wrist_pose="here"), "wrist_pose"),
     "contacts of numbers": (lambda: grasp(contacts=[1.0]), "contacts"),
     "contacts None": (lambda: grasp(contacts=None), "contacts"),
-    "motion of words": (lambda: REFERENCE.moved("up"), "motion"),  # type: ignore[arg-type]
+    "motion of words": (lambda: REFERENCE.moved("up"), "motion"),
     "no contact": (lambda: contact_jacobian(HAND, (), HAND.rest), "contacts"),
     "points of words": (lambda: grasp_matrix([["a", "b", "c"]], np.zeros(3)), "points"),
     "points of two columns": (lambda: grasp_matrix(np.zeros((4, 2)), np.zeros(3)), "points"),
@@ -120,31 +121,31 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: palm_centre(HAND, Preshape(START, np.zeros(8), 0.0)),
         "preshape.direction",
     ),
-    "closing with a wrist of words": (lambda: close_hand(HAND, BALL, None, "w"), "wrist_pose"),  # type: ignore[arg-type]
+    "closing with a wrist of words": (lambda: close_hand(HAND, BALL, None, "w"), "wrist_pose"),  # ty: ignore[invalid-argument-type]
     "closing inside the object": (lambda: close_hand(HAND, Sphere(1.0)), "wrist_pose"),
     "planning with a fixed wrist": (lambda: plan_grasps(FIXED, BALL), "hand"),
-    "samples of words": (lambda: plan_grasps(HAND, BALL, samples="many"), "samples"),  # type: ignore[arg-type]
-    "samples of a half": (lambda: plan_grasps(HAND, BALL, samples=0.5), "samples"),  # type: ignore[arg-type]
+    "samples of words": (lambda: plan_grasps(HAND, BALL, samples="many"), "samples"),  # ty: ignore[invalid-argument-type]
+    "samples of a half": (lambda: plan_grasps(HAND, BALL, samples=0.5), "samples"),  # ty: ignore[invalid-argument-type]
     "no samples": (lambda: plan_grasps(HAND, BALL, samples=0), "samples"),
     "negative seed": (lambda: plan_grasps(HAND, BALL, seed=-1), "seed"),
-    "seed of words": (lambda: plan_grasps(HAND, BALL, seed="s"), "seed"),  # type: ignore[arg-type]
+    "seed of words": (lambda: plan_grasps(HAND, BALL, seed="s"), "seed"),  # ty: ignore[invalid-argument-type]
     "unknown quality": (lambda: plan_grasps(HAND, BALL, quality="best"), "quality"),
-    "friction of words": (lambda: plan_grasps(HAND, BALL, friction="dry"), "friction"),  # type: ignore[arg-type]
-    "shape of a plan": (lambda: plan_grasps(HAND, 0.05), "shape"),  # type: ignore[arg-type]
+    "friction of words": (lambda: plan_grasps(HAND, BALL, friction="dry"), "friction"),  # ty: ignore[invalid-argument-type]
+    "shape of a plan": (lambda: plan_grasps(HAND, 0.05), "shape"),  # ty: ignore[invalid-argument-type]
     "unknown measure": (lambda: grasp_quality(REFERENCE, "best"), "measure"),
-    "measure that is a list": (lambda: grasp_quality(REFERENCE, ["gii"]), "measure"),  # type: ignore[arg-type]
+    "measure that is a list": (lambda: grasp_quality(REFERENCE, ["gii"]), "measure"),  # ty: ignore[invalid-argument-type]
     "negative friction": (lambda: grasp_quality(REFERENCE, friction=-0.1), "friction"),
-    "length of words": (lambda: grasp_quality(REFERENCE, length="mm"), "length"),  # type: ignore[arg-type]
+    "length of words": (lambda: grasp_quality(REFERENCE, length="mm"), "length"),  # ty: ignore[invalid-argument-type]
     "no length": (lambda: grasp_quality(REFERENCE, length=0.0), "length"),
     "wrench points of two columns": (
         lambda: cone_wrenches(np.zeros((3, 2)), np.zeros((3, 3)), 0.5),
         "points",
     ),
     "too few normals": (lambda: ferrari_canny(np.eye(3), np.eye(3)[:2], 0.5), "normals"),
-    "edges of words": (lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges="8"), "edges"),  # type: ignore[arg-type]
+    "edges of words": (lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges="8"), "edges"),  # ty: ignore[invalid-argument-type]
     "too few edges": (lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges=2), "edges"),
     "hand without a reference grasp": (lambda: reference_grasp("allegro_right"), "hand"),
-    "reference grasp of a list": (lambda: reference_grasp(["human"]), "hand"),  # type: ignore[arg-type]
+    "reference grasp of a list": (lambda: reference_grasp(["human"]), "hand"),  # ty: ignore[invalid-argument-type]
 }
 
 
@@ -157,5 +158,5 @@ def test_a_bad_argument_is_named(call: Callable[[], Any], argument: str) -> None
 
 
 def test_whole_numbers_of_numpy_are_taken() -> None:
-    planned = plan_grasps(HAND, Box((0.05, 0.05, 0.05)), samples=np.int64(1), seed=np.int32(3))  # type: ignore[arg-type]
+    planned = plan_grasps(HAND, Box((0.05, 0.05, 0.05)), samples=np.int64(1), seed=np.int32(3))  # ty: ignore[invalid-argument-type]
     assert len(planned) == 1

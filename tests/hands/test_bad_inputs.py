@@ -129,47 +129,47 @@ def test_numbers_of_every_real_kind_are_taken() -> None:
 
 FRAMES = {
     "no frame": (lambda: HAND.frame_pose("moon", HAND.rest), "frame"),
-    "number as a frame": (lambda: HAND.frame_pose(5, HAND.rest), "frame"),  # type: ignore[arg-type]
-    "no name": (lambda: HAND.frame_pose(None, HAND.rest), "frame"),  # type: ignore[arg-type]
+    "number as a frame": (lambda: HAND.frame_pose(5, HAND.rest), "frame"),  # ty: ignore[invalid-argument-type]
+    "no name": (lambda: HAND.frame_pose(None, HAND.rest), "frame"),  # ty: ignore[invalid-argument-type]
     "no link": (lambda: HAND.link_poses(["palm", "moon"], HAND.rest), "links[1]"),
-    "number as a link": (lambda: HAND.link_poses([5], HAND.rest), "links[0]"),  # type: ignore[list-item]
+    "number as a link": (lambda: HAND.link_poses([5], HAND.rest), "links[0]"),  # ty: ignore[invalid-argument-type]
     "text as links": (lambda: HAND.link_poses("palm", HAND.rest), "links"),
-    "no links": (lambda: HAND.link_poses(None, HAND.rest), "links"),  # type: ignore[arg-type]
+    "no links": (lambda: HAND.link_poses(None, HAND.rest), "links"),  # ty: ignore[invalid-argument-type]
 }
 LOADING: dict[str, tuple[Callable[[], Any], str]] = {
-    "hand": (lambda: load_hand(5), "hand"),  # type: ignore[arg-type]
-    "no hand": (lambda: load_hand(None), "hand"),  # type: ignore[arg-type]
-    "points": (lambda: load_hand("human", points=5), "points"),  # type: ignore[arg-type]
-    "a point": (lambda: load_hand("human", points=(5,)), "points[0]"),  # type: ignore[arg-type]
+    "hand": (lambda: load_hand(5), "hand"),  # ty: ignore[invalid-argument-type]
+    "no hand": (lambda: load_hand(None), "hand"),  # ty: ignore[invalid-argument-type]
+    "points": (lambda: load_hand("human", points=5), "points"),  # ty: ignore[invalid-argument-type]
+    "a point": (lambda: load_hand("human", points=(5,)), "points[0]"),  # ty: ignore[invalid-argument-type]
     "place of a point": (
         lambda: load_hand("human", points=(PointSpec("p", "palm", xyz=(0.0, np.nan, 0.0)),)),
         "points[0].xyz",
     ),
     "place of text": (
-        lambda: load_hand("human", points=(PointSpec("p", "palm", xyz="abc"),)),  # type: ignore[arg-type]
+        lambda: load_hand("human", points=(PointSpec("p", "palm", xyz="abc"),)),  # ty: ignore[invalid-argument-type]
         "points[0].xyz",
     ),
     "weight of a point": (
         lambda: load_hand("human", points=("index_tip", PointSpec("p", "palm", weight=0.0))),
         "points[1].weight",
     ),
-    "mount": (lambda: load_hand("human", mount="flying"), "mount"),  # type: ignore[arg-type]
-    "length": (lambda: load_hand("human", hand_length="x"), "hand_length"),  # type: ignore[arg-type]
-    "digits": (lambda: load_hand("human", hand_length="0.19"), "hand_length"),  # type: ignore[arg-type]
+    "mount": (lambda: load_hand("human", mount="flying"), "mount"),  # ty: ignore[invalid-argument-type]
+    "length": (lambda: load_hand("human", hand_length="x"), "hand_length"),  # ty: ignore[invalid-argument-type]
+    "digits": (lambda: load_hand("human", hand_length="0.19"), "hand_length"),  # ty: ignore[invalid-argument-type]
     "no length": (lambda: load_hand("human", hand_length=0.0), "hand_length"),
-    "breadth": (lambda: HumanLengths.from_hand_length(0.19, [0.1]), "hand_breadth"),  # type: ignore[arg-type]
-    "lengths": (lambda: load_hand("human", lengths=0.19), "lengths"),  # type: ignore[arg-type]
+    "breadth": (lambda: HumanLengths.from_hand_length(0.19, [0.1]), "hand_breadth"),  # ty: ignore[invalid-argument-type]
+    "lengths": (lambda: load_hand("human", lengths=0.19), "lengths"),  # ty: ignore[invalid-argument-type]
     "both": (lambda: load_hand("human", lengths=LENGTHS, hand_length=0.19), "lengths"),
     "of a robot": (lambda: load_hand("three_finger", hand_length=0.19), "hand_length"),
-    "spec": (lambda: Hand("human"), "spec"),  # type: ignore[arg-type]
-    "URDF": (lambda: Hand(HAND.spec, urdf_text=5), "urdf_text"),  # type: ignore[arg-type]
-    "scaling": (lambda: scaled_human_urdf(HAND.urdf_text, None), "lengths"),  # type: ignore[arg-type]
+    "spec": (lambda: Hand("human"), "spec"),  # ty: ignore[invalid-argument-type]
+    "URDF": (lambda: Hand(HAND.spec, urdf_text=5), "urdf_text"),  # ty: ignore[invalid-argument-type]
+    "scaling": (lambda: scaled_human_urdf(HAND.urdf_text, None), "lengths"),  # ty: ignore[invalid-argument-type]
     "vector": (
         lambda: HAND.write_configuration(np.zeros(3), HAND.rest, np.eye(4)),
         "vector, q and wrist_pose",
     ),
     "wrist": (
-        lambda: HAND.write_configuration(np.zeros(HAND.model.nq), HAND.rest, np.eye(3)),  # type: ignore[arg-type]
+        lambda: HAND.write_configuration(np.zeros(HAND.model.nq), HAND.rest, np.eye(3)),
         "vector, q and wrist_pose",
     ),
 }
@@ -209,13 +209,13 @@ SPECS = {
     "numbers as names": ({"joints": (1, 2)}, "joints[0]"),
     "text as a number": ({"rest": {**HAND.spec.rest, HAND.joint_names[0]: "0.1"}}, "rest"),
     "no palm": ({"palm": None}, "palm"),
-    "palm of text": ({"palm": PalmSpec("palm", "abc", (0.0, 0.0, 1.0))}, "palm.distal"),  # type: ignore[arg-type]
-    "complex weight": ({"points": (PointSpec("p", "palm", weight=1j),)}, None),  # type: ignore[arg-type]
+    "palm of text": ({"palm": PalmSpec("palm", "abc", (0.0, 0.0, 1.0))}, "palm.distal"),  # ty: ignore[invalid-argument-type]
+    "complex weight": ({"points": (PointSpec("p", "palm", weight=1j),)}, None),  # ty: ignore[invalid-argument-type]
     "points by name": ({"points": ("thumb",)}, "points[0]"),
     "a set of a number": ({"sets": {"fingertips": 5}}, "sets"),
     "side": ({"side": "both"}, "side"),
     "a set of numbers": ({"locked": {1, 2}}, "locked"),
-    "rule": ({"mimic": {"a": MimicSpec("b", multiplier=None)}}, "mimic"),  # type: ignore[arg-type]
+    "rule": ({"mimic": {"a": MimicSpec("b", multiplier=None)}}, "mimic"),  # ty: ignore[invalid-argument-type]
     "infinite arm": ({"rest": dict.fromkeys(HAND.joint_names, np.inf)}, "rest"),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -222,6 +223,6 @@ def test_holding_moves_nothing() -> None:
 @pytest.mark.parametrize(
     ("key", "value"), [("damping", -1.0), ("damping", np.nan), ("limits", "wish")]
 )
-def test_settings_are_checked(key: str, value: object) -> None:
+def test_settings_are_checked(key: str, value: Any) -> None:
     with pytest.raises(InvalidOptionsError, match=key):
-        PseudoinverseIk(load_hand("three_finger"), IkOptions(), **{key: value})  # type: ignore[arg-type]
+        PseudoinverseIk(load_hand("three_finger"), IkOptions(), **{key: value})

@@ -123,7 +123,7 @@ def test_an_infinite_acceleration_limit_limits_nothing() -> None:
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, [1.0, 2.0]])
 def test_acceleration_limits_are_checked(value: object) -> None:
     with pytest.raises(InvalidOptionsError, match="max_acceleration"):
-        BoxLimits(HAND, max_acceleration=value)  # type: ignore[arg-type]
+        BoxLimits(HAND, max_acceleration=value)  # ty: ignore[invalid-argument-type]
 
 
 # -- the step
@@ -256,7 +256,7 @@ def test_a_point_of_weight_4_counts_as_four_equal_points(name: str) -> None:
             ik = PointIk(one, IkOptions(max_iterations=1))
             ik.place(case.q)
             displacements.append(ik.solve(targets, case.wrist_target, case.dt).displacement)
-        np.testing.assert_allclose(*displacements, atol=1e-9)
+        np.testing.assert_allclose(*displacements, atol=1e-9)  # ty: ignore[no-matching-overload]
         assert np.abs(displacements[0]).max() > 1e-6
 
 
@@ -275,7 +275,7 @@ def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
     hand = load_hand("allegro_right", mount="floating")
     costs = []
     for value in (1.0, 3.0):
-        ik = PointIk(hand, IkOptions(**{weight: value}))  # type: ignore[arg-type]
+        ik = PointIk(hand, IkOptions(**{weight: value}))  # ty: ignore[invalid-argument-type]
         ik.place(hand.configuration_vector(hand.rest, np.eye(4)))
         H = ik.problem(ik.configuration.points, np.eye(4), 0.01)[0]
         costs.append(unit**2 * np.diag(H)[columns])

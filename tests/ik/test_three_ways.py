@@ -271,16 +271,16 @@ def test_the_configuration_is_all_that_mink_asks_for() -> None:
             super().__init__(cost=np.ones(1))
             self.row = np.eye(1, nv)
 
-        def compute_error(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        def compute_error(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
             return self.row @ np.ones(configuration.nv)
 
-        def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # type: ignore[override]
+        def compute_jacobian(self, configuration: Configuration) -> np.ndarray:  # ty: ignore[incompatible-method-override]
             return self.row
 
     hand = hand_of(HANDS[0])
     configuration = hand.configuration()
     problem = mink.build_ik(
-        configuration,  # type: ignore[arg-type]
+        configuration,  # ty: ignore[invalid-argument-type]
         [ThumbStill(hand.model.nv)],
         0.01,
         damping=1.0,

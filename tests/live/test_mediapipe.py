@@ -164,7 +164,7 @@ def test_the_process_ends_with_its_reader(stand_in: Path) -> None:
     stand_in.write_text(json.dumps([[seen_hand(hand, "Left")] for hand in camera_hands()]))
     source = iter(MediapipeSource(video=stand_in))
     assert len(list(itertools.islice(source, 3))) == 3
-    source.close()  # pyright: ignore[reportAttributeAccessIssue]
+    source.close()  # ty: ignore[missing-attribute]
 
 
 def test_the_command_records_a_video(stand_in: Path, tmp_path: Path) -> None:

@@ -78,11 +78,11 @@ def test_joints_are_independent_of_the_hands_place_in_the_world() -> None:
 
 def test_knuckle_vectors_name_their_missing_requirement() -> None:
     with pytest.raises(InvalidOptionsError) as unknown:
-        FingertipVectors(origin="wrist")  # type: ignore[arg-type]
+        FingertipVectors(origin="wrist")  # ty: ignore[invalid-argument-type]
     assert unknown.value.option == "origin"
     with pytest.raises(InvalidOptionsError, match="index_mcp") as missing:
         HandMapper(HUMAN.with_points("fingertips"), ALLEGRO, KNUCKLE)
     assert missing.value.option == "origin"
     with pytest.raises(InvalidOptionsError) as text:
-        FingertipVectors(scale="1")  # type: ignore[arg-type]
+        FingertipVectors(scale="1")  # ty: ignore[invalid-argument-type]
     assert text.value.option == "scale"

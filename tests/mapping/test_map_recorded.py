@@ -44,7 +44,7 @@ def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: str) -> N
         np.testing.assert_allclose(step.command.wrist, other.command.wrist, atol=1e-9)
         np.testing.assert_allclose(step.targets, other.targets, atol=1e-12)
         if step.asked.margins is not None:
-            np.testing.assert_allclose(step.asked.margins, other.asked.margins, atol=1e-12)
+            np.testing.assert_allclose(step.asked.margins, other.asked.margins, atol=1e-12)  # ty: ignore[no-matching-overload]
         if method == "teleoperation" and not step.is_held:
             for name in ("palm", "gaps", "pinching", "extensions"):
                 one, two = (getattr(s.asked.diagnostics, name) for s in (step, other))

@@ -182,11 +182,11 @@ def test_the_short_form_takes_every_option_and_no_other() -> None:
     both = HandMapper(HUMAN, THREE, MappingOptions(scale=2.0), ridge=0.4)
     assert both.method == Homogeneous(MappingOptions(scale=2.0, ridge=0.4))
     with pytest.raises(InvalidOptionsError) as raised:
-        HandMapper(HUMAN, THREE, gain=1.0)  # type: ignore[call-arg]
+        HandMapper(HUMAN, THREE, gain=1.0)
     assert raised.value.option == "gain"
     for wrong in (3.0, "paper?", FingertipVectors):
         with pytest.raises(InvalidOptionsError) as raised:
-            HandMapper(HUMAN, THREE, wrong, ridge=0.1)  # type: ignore[arg-type]
+            HandMapper(HUMAN, THREE, wrong, ridge=0.1)  # ty: ignore[invalid-argument-type]
         assert raised.value.option == "method"
 
 

@@ -199,7 +199,7 @@ def test_any_rotation_can_be_the_alignment(
     rotation: np.ndarray, generator: np.random.Generator
 ) -> None:
     rows = tuple(tuple(row) for row in rotation.tolist())
-    at, options = Situation(generator), MappingOptions(alignment=rows, pivot="palm")  # type: ignore[arg-type]
+    at, options = Situation(generator), MappingOptions(alignment=rows, pivot="palm")  # ty: ignore[invalid-argument-type]
     np.testing.assert_allclose(
         at.step(options).targets, definition(at, options)["targets"], atol=1e-9
     )
@@ -211,7 +211,7 @@ def test_palm_alignment_is_the_rotation_between_the_palms(generator: np.random.G
     human_palm, robot_palm = at.palms()
     rows = tuple(tuple(row) for row in (robot_palm[:3, :3] @ human_palm[:3, :3].T).tolist())
     by_name = at.step(MappingOptions(alignment="palm"))
-    by_rotation = at.step(MappingOptions(alignment=rows))  # type: ignore[arg-type]
+    by_rotation = at.step(MappingOptions(alignment=rows))  # ty: ignore[invalid-argument-type]
     np.testing.assert_allclose(by_name.targets, by_rotation.targets, atol=1e-12)
     np.testing.assert_allclose(by_name.wrist_target, by_rotation.wrist_target, atol=1e-12)
 

@@ -65,7 +65,7 @@ def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
     world: np.ndarray,
     generator: np.random.Generator,
 ) -> None:
-    choices = {
+    choices: dict[str, Any] = {
         "rigid_from": rigid_from,
         "reference": reference,
         "alignment": alignment,
@@ -101,7 +101,7 @@ def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
 def test_with_palm_alignment_the_robots_world_may_lie_anywhere(
     rigid_from: Any, pivot: Any, reference: Any, world: np.ndarray, generator: np.random.Generator
 ) -> None:
-    choices = {
+    choices: dict[str, Any] = {
         "rigid_from": rigid_from,
         "pivot": pivot,
         "reference": reference,
@@ -165,7 +165,7 @@ def test_a_still_human_leaves_the_robot_where_it_is(
     robot_start: np.ndarray,
     generator: np.random.Generator,
 ) -> None:
-    choices = {
+    choices: dict[str, Any] = {
         "rigid_from": rigid_from,
         "reference": reference,
         "pivot": pivot,

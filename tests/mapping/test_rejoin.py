@@ -157,5 +157,5 @@ def test_another_way_back_is_an_error() -> None:
     with pytest.raises(
         InvalidOptionsError, match="rejoin: expected one of glide, clutch"
     ) as caught:
-        HandMapper(HUMAN, ROBOT, rejoin="leap")  # type: ignore[arg-type]
+        HandMapper(HUMAN, ROBOT, rejoin="leap")  # ty: ignore[invalid-argument-type]
     assert caught.value.option == "rejoin"

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.offline.compared_methods import (
@@ -60,10 +61,12 @@ def robot() -> Hand:
     return load_hand("three_finger")
 
 
-def take_of(folder: Path, name: str = "closing", side: str = "right", onto: str = "right") -> Take:
+def take_of(
+    folder: Path, name: str = "closing", side: Side = "right", onto: Side = "right"
+) -> Take:
     file = write_closing(folder, name, side)
     recording = read_recording(file)
-    return prepare_take(recording, onto)  # type: ignore[arg-type]
+    return prepare_take(recording, onto)
 
 
 @pytest.fixture(scope="module")
@@ -279,7 +282,7 @@ def test_peers_that_are_not_built_are_one_line(
 @pytest.mark.slow
 def test_peers_run(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [str(PEERS.parent), *sys.path])
-    from peers import build  # type: ignore[import-not-found]
+    from peers import build
 
     if missing := build.missing_peers():
         pytest.skip(f"{', '.join(missing)} not built in {build.peers_folder()}: make peers")

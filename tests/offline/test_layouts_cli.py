@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ def write_hand(path: Path, name: str = "webxr25", *, count: int = 30, side: str 
         layout.write_posture(human, (0.4 + share) * human.rest, affine(np.eye(3), np.zeros(3)))
         for share in np.linspace(0.0, 0.8, count)
     ]
-    arrays = {"time": np.arange(count) / 60.0, layout.table.arrays[0]: np.array(values)}
+    arrays: dict[str, Any] = {"time": np.arange(count) / 60.0}
+    arrays[layout.table.arrays[0]] = np.array(values)
     np.savez(path, handedness=np.array(side), **arrays)
     return path
 

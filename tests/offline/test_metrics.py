@@ -9,14 +9,21 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.offline.fidelity import assess_fidelity
 from handmap_qp.offline.finger_traces import trace_human
-from handmap_qp.offline.metrics import GROUPS, METRICS, Metric, mean_values, metric_values
+from handmap_qp.offline.metrics import (
+    GROUPS,
+    METRICS,
+    Better,
+    Metric,
+    mean_values,
+    metric_values,
+)
 from handmap_qp.transform import transform_points
 
 NAN = float("nan")
 
 
-def metric(better: str, digits: int = 2) -> Metric:
-    return Metric("key", "title", "", better, "about", digits)  # type: ignore[arg-type]
+def metric(better: Better, digits: int = 2) -> Metric:
+    return Metric("key", "title", "", better, "about", digits)
 
 
 def test_every_metric_is_one_of_fidelity() -> None:
@@ -57,7 +64,7 @@ def test_keys_and_labels_are_different() -> None:
         ("high", [0.5, NAN], set()),
     ],
 )
-def test_best_values(better: str, values: list[float], best: set[int]) -> None:
+def test_best_values(better: Better, values: list[float], best: set[int]) -> None:
     assert metric(better).best(values) == best
 
 

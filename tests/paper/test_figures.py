@@ -41,7 +41,8 @@ def quick() -> Iterator[None]:
     draw = paper_drawings.draw_hands
 
     def draw_coarsely(*arguments: Any, **named: Any) -> None:
-        draw(*arguments, **{**named, "supersampling": 1})
+        named["supersampling"] = 1
+        draw(*arguments, **named)
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (paper_figures, beyond_figures):

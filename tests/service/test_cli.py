@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -133,15 +134,16 @@ def test_keys_are_made_and_reported(tmp_path: Path, capsys: pytest.CaptureFixtur
     ids=str,
 )
 def test_mistakes_are_reported_before_anything_listens(
-    choices: dict[str, object],
+    choices: dict[str, Any],
     error: type[Exception],
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    anywhere: dict[str, Any] = {"port": 0, "stream_port": 0, "health_port": -1}
     with pytest.raises(error, match=message):
-        Serve(**{"port": 0, "stream_port": 0, "health_port": -1, **choices}).run()  # type: ignore[arg-type]
+        Serve(**{**anywhere, **choices}).run()
 
 
 def test_without_its_packages_the_extra_is_named(

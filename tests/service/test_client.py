@@ -206,7 +206,7 @@ def test_after_a_restart_the_robot_goes_on_from_its_last_command(
         client.step(q=human_q(), wrist=WRIST)
     client.timeout = PATIENCE
     with serving(LOCAL, port=free_port), client:
-        sample = {"q": human_q(1.0), "wrist": WRIST, "time": 1e3}
+        sample: dict[str, Any] = {"q": human_q(1.0), "wrist": WRIST, "time": 1e3}
         if streams:
             send_until_reopened(client, **sample)
             command = heard(client, 1e3)
@@ -256,7 +256,7 @@ def test_both_clients_have_the_same_documented_methods_and_signatures() -> None:
         coroutine = coroutines[name]
         assert method.__doc__
         assert coroutine.__doc__
-        assert method.__name__ == coroutine.__name__ == name
+        assert method.__name__ == coroutine.__name__ == name  # ty: ignore[missing-attribute]
         assert inspect.iscoroutinefunction(coroutine)
         assert not inspect.iscoroutinefunction(method)
         assert inspect.signature(method) == inspect.signature(coroutine)

@@ -133,6 +133,13 @@ def test_deep_nesting_is_refused() -> None:
     assert isinstance(decode_request(b"[" * 100_000, is_json=True), Error)
 
 
+def test_text_is_no_msgpack() -> None:
+    assert isinstance(decode_request("\ud800 text"), Error)
+    assert decode_request(json.dumps(STEP), is_json=True) == decode_request(
+        msgspec.msgpack.encode(STEP)
+    )
+
+
 def test_the_schema_names_every_message_and_field() -> None:
     text = schema_text()
     for kind in (*get_args(AnyRequest), *get_args(AnyReply)):

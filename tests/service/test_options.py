@@ -20,7 +20,7 @@ from handmap_qp.service.messages import Pose
 PERIOD = 1.0 / 60.0
 
 
-def numbers_of(kind: type) -> st.SearchStrategy[dict[str, float]]:
+def numbers_of(kind: type[Any]) -> st.SearchStrategy[dict[str, float]]:
     """Draw some of the numeric options, each with any value."""
     names = [field.name for field in fields(kind) if field.type == "float"]
     return st.dictionaries(st.sampled_from(names), st.floats(min_value=0.0), max_size=4)

@@ -128,15 +128,16 @@ def pose_stamped(position: list[float], quat_xyzw: list[float]) -> Any:
 
 def command(**changes: Any) -> Command:
     pose = Pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8))
-    fields = {
+    fields: dict[str, Any] = {
         "name": "s",
         "time": 0.0,
         "server_time": 0.0,
         "joint_names": ("b", "a"),
         "q": (0.25, -0.5),
         "status": "converged",
+        "wrist": pose,
     }
-    return Command(**{**fields, "wrist": pose, **changes})
+    return Command(**{**fields, **changes})
 
 
 def test_it_is_as_short_as_the_readme_says_and_runs_on_the_python_of_ros(code: str) -> None:

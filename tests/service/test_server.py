@@ -51,7 +51,7 @@ def server() -> Iterator[Server]:
         yield running
 
 
-def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER) -> list[dict[str, object]]:
+def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER) -> list[dict[str, Any]]:
     """Send payloads unchanged; return their answers."""
     with zmq.Context() as context, context.socket(kind) as socket:
         socket.linger, socket.rcvtimeo = 0, int(1e3 * PATIENCE)
@@ -109,7 +109,7 @@ def test_the_same_request_twice_is_carried_out_once(server: Server) -> None:
         encoded(Status(protocol=PROTOCOL, seq=3, session=SECRET)),
     )
     assert answers[1] == answers[2]
-    assert answers[3]["counts"]["steps"] == 1  # type: ignore[index]
+    assert answers[3]["counts"]["steps"] == 1
     # Another request with an old number is not a repetition.
     assert ask(server, encoded(Sampler()(q=human_q(1.0))))[0]["code"] == "stale"
 
@@ -117,7 +117,7 @@ def test_the_same_request_twice_is_carried_out_once(server: Server) -> None:
 def test_a_req_socket_will_do(server: Server) -> None:
     (answer,) = ask(server, encoded(Status(protocol=PROTOCOL, seq=1)), kind=zmq.REQ)
     assert answer["type"] == "state"
-    assert "three_finger" in answer["robots"]  # type: ignore[operator]
+    assert "three_finger" in answer["robots"]
 
 
 @pytest.mark.parametrize(

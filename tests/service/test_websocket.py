@@ -278,7 +278,7 @@ def test_a_handshake_that_stays_away_does_not_hold_up_the_stop() -> None:
 def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
     names = ["lab", *(f"session-{i}" for i in range(3 * MOST_SESSIONS))]
     sessions = types.SimpleNamespace(names=("lab", "other"))
-    outbox = _Outbox(None, sessions)  # type: ignore[arg-type]
+    outbox = _Outbox(None, sessions)  # ty: ignore[invalid-argument-type]
     for name in names:
         outbox.subscribe(name, is_json=True)
         assert len(outbox._streams) <= MOST_SESSIONS

@@ -311,7 +311,7 @@ def test_impossible_bodies_and_starts_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="mass"):
         Body(CUBE, 0.0)
     with pytest.raises(InvalidInputError, match="shape"):
-        Body("cube", 1.0)  # type: ignore[arg-type]
+        Body("cube", 1.0)  # ty: ignore[invalid-argument-type]
     with pytest.raises(InvalidInputError, match="points"):
         MeshShape(np.zeros((4, 3)))
     grasp = cube_grasp()

@@ -23,7 +23,7 @@ ARRAYS = {
 
 def packed(compressed: bool = True) -> bytes:
     stream = io.BytesIO()
-    (np.savez_compressed if compressed else np.savez)(stream, **ARRAYS)
+    (np.savez_compressed if compressed else np.savez)(stream, **ARRAYS)  # ty: ignore[invalid-argument-type]
     return stream.getvalue()
 
 

@@ -83,7 +83,8 @@ def assert_same(found: Recording, given: Recording) -> None:
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 @pytest.mark.parametrize("is_plain", [False, True], ids=["all", "plain"])
 def test_a_hand_survives(form: RecordingFormat, is_plain: bool, tmp_path: Path) -> None:
-    given = hand(**({"wrist": None, "confidence": None, "source": ""} if is_plain else {}))
+    without: dict[str, Any] = {"wrist": None, "confidence": None, "source": ""}
+    given = hand(**(without if is_plain else {}))
     path = path_of(tmp_path, form)
     losses = write_recordings([given], path, form)
     found = read_recording(path)
@@ -265,7 +266,7 @@ def write_mano_model(path: Path, seed: int = 0) -> None:
     """Write a model of MANO's layout with numbers of our own: the real one is licensed."""
     rng = np.random.default_rng(seed)
     parents = np.array([0, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14])
-    model = {
+    model: dict[str, Any] = {
         "v_template": rng.normal(0.0, 0.05, (778, 3)),
         "shapedirs": rng.normal(0.0, 1e-3, (778, 3, 10)),
         "posedirs": rng.normal(0.0, 1e-4, (778, 3, 135)),

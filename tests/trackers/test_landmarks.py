@@ -211,9 +211,9 @@ def test_bad_landmarks_are_rejected_and_change_nothing(fitters: Fitters, bad: An
 
 def test_other_arguments_are_named() -> None:
     calls: dict[str, Callable[[], Any]] = {
-        "side": lambda: LandmarkFitter("up"),  # type: ignore[arg-type]
-        "lengths": lambda: LandmarkFitter("right", 0.19),  # type: ignore[arg-type]
-        "recording": lambda: measure_hand("x"),  # type: ignore[arg-type]
+        "side": lambda: LandmarkFitter("up"),  # ty: ignore[invalid-argument-type]
+        "lengths": lambda: LandmarkFitter("right", 0.19),  # ty: ignore[invalid-argument-type]
+        "recording": lambda: measure_hand("x"),  # ty: ignore[invalid-argument-type]
         "landmarks": lambda: PalmShape(load_hand("human")).fits(np.zeros((3, 3))),
     }
     for argument, call in calls.items():
@@ -221,7 +221,7 @@ def test_other_arguments_are_named() -> None:
             call()
         assert caught.value.argument == argument
     with pytest.raises(InvalidInputError, match="recording: expected a Recording"):
-        fit_recording(None)  # type: ignore[arg-type]
+        fit_recording(None)  # ty: ignore[invalid-argument-type]
 
 
 @pytest.mark.slow

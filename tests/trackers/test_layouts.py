@@ -148,7 +148,7 @@ def test_shape_errors_name_the_layouts_of_that_shape() -> None:
         load_layout("manus").read(np.zeros((19,)), time=0.0, side="right")
     for values in ("points", None, 3.0, [[1.0, "x"]]):
         with pytest.raises(InvalidInputError):
-            load_layout("mediapipe21").read(values, time=0.0, side="right")  # type: ignore[arg-type]
+            load_layout("mediapipe21").read(values, time=0.0, side="right")  # ty: ignore[invalid-argument-type]
 
 
 def test_degrees_radians_and_signs_of_angles_are_found() -> None:
@@ -235,7 +235,7 @@ def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
         **changes,
     }
     path = folder / "hand.npz"
-    np.savez(path, **{name: array for name, array in content.items() if array is not None})
+    np.savez(path, **{name: array for name, array in content.items() if array is not None})  # ty: ignore[invalid-argument-type]
     return path
 
 

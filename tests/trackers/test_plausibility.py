@@ -150,7 +150,7 @@ def test_a_session_can_start_again(take: Any) -> None:
     check.reset()
     assert check.finding is None
     with pytest.raises(InvalidInputError):
-        InputCheck("both")  # type: ignore[arg-type]
+        InputCheck("both")
 
 
 def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:

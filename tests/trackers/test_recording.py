@@ -28,7 +28,7 @@ def write(folder: Path, **changes: np.ndarray | None) -> Path:
     path = folder / "hand.npz"
     np.savez(
         path,
-        **{name: value for name, value in {**arrays(), **changes}.items() if value is not None},
+        **{name: value for name, value in {**arrays(), **changes}.items() if value is not None},  # ty: ignore[invalid-argument-type]
     )
     return path
 
@@ -149,7 +149,7 @@ def test_what_is_not_a_path_is_named(path: Any) -> None:
 
 def recording(**changes: Any) -> Recording:
     """Return the small recording, built in code."""
-    values = {**arrays(), "name": "hand", "side": "right", **changes}
+    values: dict[str, Any] = {**arrays(), "name": "hand", "side": "right", **changes}
     values.pop("handedness")
     return Recording(**values)
 

@@ -247,7 +247,7 @@ def test_a_preset_that_the_source_refuses_is_explained(server: Any, source: Sour
     def refuse(changes: dict[str, Any]) -> None:
         source.last_error = InvalidInputError(f"the service refuses {changes}")
 
-    source.configure = refuse  # type: ignore[method-assign]
+    source.configure = refuse
     steering.preset.value = "object"
     viewer.tick()
     viewer.tick()

@@ -341,7 +341,7 @@ OTHER_HANDS: dict[str, dict[str, Any]] = {
 def test_a_session_that_comes_back_with_other_hands_ends_the_view_of_the_old_ones(
     service: Server, changes: dict[str, Any]
 ) -> None:
-    usual = {"robot": "allegro_right", "name": "lab", "is_shared": True}
+    usual: dict[str, Any] = {"robot": "allegro_right", "name": "lab", "is_shared": True}
     with watching_after(service, usual) as (session, samples):
         with connected(service, **(usual | changes)) as client, moving(client):
             for sample in samples:

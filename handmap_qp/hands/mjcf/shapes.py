@@ -125,7 +125,9 @@ def binary_stl(triangles: np.ndarray) -> bytes:
     Args:
         triangles: Corners [m], shape (k, 3, 3).
     """
-    kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    kind: np.dtype[np.void] = np.dtype(
+        [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    )  # ty: ignore[invalid-assignment]
     rows = np.zeros(len(triangles), kind)
     rows["corners"] = triangles
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).astype(
