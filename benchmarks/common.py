@@ -78,11 +78,12 @@ STYLE: dict[Any, Any] = {
 """matplotlib settings of every picture."""
 
 
-def make_parser(description: str) -> argparse.ArgumentParser:
+def make_parser(description: str, draws: bool = True) -> argparse.ArgumentParser:
     """Return a parser with the common arguments; a benchmark may add its own.
 
     Args:
         description: What the benchmark measures, in one sentence.
+        draws: Whether it can draw its results, with `--picture`.
 
     Returns:
         The parser.
@@ -91,9 +92,13 @@ def make_parser(description: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -"
     )
-    parser.add_argument(
-        "--picture", metavar="FILE", type=Path, help="draw the results into FILE (.png, .svg, .pdf)"
-    )
+    if draws:
+        parser.add_argument(
+            "--picture",
+            metavar="FILE",
+            type=Path,
+            help="draw the results into FILE (.png, .svg, .pdf)",
+        )
     parser.add_argument(
         "--recordings",
         metavar="DIR",
@@ -123,9 +128,10 @@ def parse_arguments(
         The arguments.
     """
     arguments = parser.parse_args(words)
-    for option, file in (("--json", arguments.json), ("--picture", arguments.picture)):
+    for option in ("json", "picture"):
+        file = getattr(arguments, option, None)
         if file not in (None, "-") and not Path(file).absolute().parent.is_dir():
-            stop(f"{option} {file}: the folder does not exist")
+            stop(f"--{option} {file}: the folder does not exist")
     return arguments
 
 

@@ -235,7 +235,7 @@ def _read(kind: Kind, folder: Path) -> str:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Fuzz all kinds, print the table."""
-    parser = common.make_parser("Damaged files of every kind that the package reads.")
+    parser = common.make_parser("Damaged files of every kind that the package reads.", draws=False)
     names = [kind.name for kind in KINDS]
     parser.add_argument("--only", nargs="+", choices=names, default=names, help="kinds to read")
     parser.add_argument("--count", type=int, default=10_000, help="files of each kind")

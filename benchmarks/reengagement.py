@@ -227,7 +227,7 @@ def measure(robot: str, recording: Recording, limit: float | None, places: int) 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run all events, print the table."""
-    parser = common.make_parser("Commands of a session at re-engagement.")
+    parser = common.make_parser("Commands of a session at re-engagement.", draws=False)
     parser.add_argument("--robots", nargs="+", default=["allegro_right", "three_finger"])
     arguments = common.parse_arguments(parser, words)
     file = arguments.recordings / "leap_hmd_right.npz"

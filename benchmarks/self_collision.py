@@ -197,7 +197,7 @@ def load(name: str) -> Hand:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run both, print the table."""
-    parser = common.make_parser("Overlaps of links under self-collision avoidance.")
+    parser = common.make_parser("Overlaps of links under self-collision avoidance.", draws=False)
     parser.add_argument("--hands", nargs="+", choices=HANDS, default=list(HANDS))
     parser.add_argument("--steps", type=int, default=100_000, help="wild steps in total")
     parser.add_argument("--seed", type=int, default=0)

@@ -561,7 +561,7 @@ def _run(name: str, duration: float) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the scenarios."""
-    parser = common.make_parser("Faults of and around the mapping service.")
+    parser = common.make_parser("Faults of and around the mapping service.", draws=False)
     parser.add_argument(
         "--duration",
         type=float,

@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import common
 import numpy as np
@@ -107,8 +107,24 @@ class Disturber(threading.Thread):
             client.clear(client.status().stop)
 
 
-def soak(duration: float) -> dict[str, Any]:
-    """Run for a time [s]; return the figures."""
+class Course(NamedTuple):
+    """What a soak measured over time.
+
+    Attributes:
+        minutes: Times of memory and files [min].
+        memory: Memory of the service [MB].
+        files: Files that it had open.
+        waits: Times of the calls of each client, in their order [ms].
+    """
+
+    minutes: np.ndarray
+    memory: np.ndarray
+    files: np.ndarray
+    waits: list[np.ndarray]
+
+
+def soak(duration: float) -> tuple[dict[str, Any], Course]:
+    """Run for a time [s]; return the figures, and their course."""
     with tempfile.TemporaryDirectory() as folder:
         files = {"state": Path(folder) / "state", "audit": Path(folder) / "audit.jsonl"}
         with (
@@ -126,7 +142,8 @@ def soak(duration: float) -> dict[str, Any]:
                 memory.append(service.memory())
                 opened.append(service.files())
             disturber.end()
-            times = 1e3 * np.concatenate([client.times for client in clients])
+            waits = [1e3 * np.array(client.times) for client in clients]
+    times = np.concatenate(waits)
     quarter = len(memory) // 4
     later = np.array(memory[quarter:])
     hours = np.arange(len(later)) * duration / len(memory) / 3600.0
@@ -153,7 +170,30 @@ def soak(duration: float) -> dict[str, Any]:
         # A client that timed out has missed a command, which is not a jump.
         if found["timeouts"]:
             found["wrong"].remove("a robot jumped")
-    return found
+    minutes = np.linspace(0.0, duration / 60.0, len(memory))
+    return found, Course(minutes, np.array(memory), np.array(opened), waits)
+
+
+def draw(course: Course) -> Any:
+    """Draw memory, open files and the times of calls over the time of a soak."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    above, middle, below = figure.subplots(3, sharex=True)
+    above.plot(course.minutes, course.memory, color=common.PALETTE[0])
+    above.set(ylabel="memory [MB]", ylim=(0.0, 1.15 * course.memory.max()))
+    middle.plot(course.minutes, course.files, color=common.PALETTE[1])
+    middle.set(ylabel="open files", ylim=(0.0, 1.15 * course.files.max()))
+    for share, colour in ((50.0, 0), (99.0, 1), (100.0, 3)):
+        parts = [np.array_split(waits, 60) for waits in course.waits]
+        together = [np.concatenate(part) for part in zip(*parts, strict=True)]
+        values = [np.percentile(part, share) for part in together if len(part)]
+        places = (np.arange(len(values)) + 0.5) * course.minutes[-1] / len(values)
+        label = "largest" if share == 100.0 else f"p{share:g}"
+        below.plot(places, values, color=common.PALETTE[colour], label=label)
+    below.set(xlabel="time [min]", ylabel="time of a call [ms]", yscale="log")
+    below.legend()
+    return figure
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -161,7 +201,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = common.make_parser("An hour of everything at once.")
     parser.add_argument("--duration", type=float, default=3600.0, metavar="S", help="time [s]")
     arguments = common.parse_arguments(parser, words)
-    found = soak(20.0 if arguments.quick else arguments.duration)
+    found, course = soak(20.0 if arguments.quick else arguments.duration)
     rows = [
         {"what": key, "value": ", ".join(map(str, value)) if isinstance(value, list) else value}
         for key, value in found.items()
@@ -171,6 +211,7 @@ def main(words: Sequence[str] | None = None) -> None:
     title = ", ".join(found["wrong"]) or "all well"
     common.print_table(f"soak, {TIMEOUT:g} s timeout: {title}", rows)
     common.write_json(arguments.json, "service_soak", found)
+    common.save_picture(arguments.picture, lambda: draw(course))
     if found["wrong"]:
         raise SystemExit(1)
 

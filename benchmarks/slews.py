@@ -115,7 +115,7 @@ class Slews:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Take all ways, print the table."""
-    parser = common.make_parser("Overlaps on ways that no mapper leads.")
+    parser = common.make_parser("Overlaps on ways that no mapper leads.", draws=False)
     parser.add_argument("--hands", nargs="+", choices=HANDS, default=list(HANDS))
     parser.add_argument("--slews", type=int, default=100, help="ways of each hand and kind")
     parser.add_argument("--seed", type=int, default=0)
