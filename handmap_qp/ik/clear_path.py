@@ -19,11 +19,13 @@ Where that does not suffice, the way is halved, until it does or a point of it i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.distances import Gaps, NearPairs, ShapeDistances
+from handmap_qp.ik.distances import NearPairs, ShapeDistances
 from handmap_qp.transform import lengths
 
 _KEPT = 2e-4
@@ -31,6 +33,29 @@ _KEPT = 2e-4
 not nearer than half of it between [m]."""
 _MOST_POINTS = 32
 """Points of a way that are measured, at most; a way that needs more counts as not clear."""
+
+
+class End(NamedTuple):
+    """Where a way ends.
+
+    Attributes:
+        near: The pairs of shapes there.
+        open_below: Below which distance there the way is not clear by travel alone [m], shape (k,);
+            pairs that may be nearer are measured.
+    """
+
+    near: NearPairs
+    open_below: np.ndarray
+
+
+def open_below(start: NearPairs, travel: np.ndarray) -> np.ndarray:
+    """Return `End.open_below`.
+
+    Args:
+        start: The pairs where the way begins.
+        travel: By how much each distance changes on it at most [m], shape (k,).
+    """
+    return travel - start.bounds + _KEPT
 
 
 class ClearPath:
@@ -62,7 +87,7 @@ class ClearPath:
         q: np.ndarray,
         start: NearPairs,
         displacement: np.ndarray,
-        end: NearPairs | None = None,
+        end: End | None = None,
     ) -> bool:
         """Return whether no pair of shapes touches on a way.
 
@@ -70,45 +95,50 @@ class ClearPath:
 
         Args:
             q: Pinocchio configuration where it begins, shape (nq,).
-            start: The pairs there.
+            start: The pairs there; those that matter are measured.
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
-            end: The pairs where it ends; measured where they matter if omitted.
+            end: Where it ends; measured where it matters if omitted.
         """
         step = displacement if self._expansion is None else self._expansion.dot(displacement)
-        turns = np.abs(step)
-        travel = self._levers.dot(turns)
-        way = _Way(self._model, q, step)
-        if end is None:
-            end = self._distances.bound_at(way.at(1.0), start.bounds - travel)
-        # What travel leaves open, of pairs that are apart at the start.
-        open_ = ((start.bounds + end.bounds < travel + _KEPT) & (start.bounds > 0.0)).nonzero()[0]
-        if not len(open_):
+        way, turns = _Way(self._model, q, step), np.abs(step)
+        near, below = self._end(start, way, turns) if end is None else end
+        is_open = near.distances < below.take(near.pairs)
+        if not is_open.any():
             return True
-        after = self._gaps(end, way, 1.0, open_)
-        # A pair that was only bounded may be closed now that it is measured.
-        pairs = open_[start.bounds[open_] + after.distances < travel[open_] + _KEPT]
-        if not len(pairs):
-            return True
-        before, after = self._gaps(start, way, 0.0, pairs), end.gaps(pairs)
-        kept = np.minimum(before.distances, _KEPT)
-        if (after.distances < kept).any():
+        pairs, after = near.pairs.compress(is_open), near.found.compress(is_open, 0)
+        before = self._found_at_start(start, way, pairs)
+        is_apart = before[:, 0] > 0.0
+        if not is_apart.all():
+            pairs, after, before = pairs[is_apart], after[is_apart], before[is_apart]
+        kept = np.minimum(before[:, 0], _KEPT)
+        if (after[:, 0] < kept).any():
             return False
-        motion = self._motions[pairs].dot(turns)
+        motion = self._motions.take(pairs, 0).dot(turns)
         return self._is_clear_between(way, pairs, (0.0, 1.0), (before, after), motion, kept)
 
-    def _gaps(self, known: NearPairs, way: _Way, part: float, pairs: np.ndarray) -> Gaps:
-        """Return some pairs at a point of a way; measure those that are not known there."""
-        unknown = pairs[~known.is_measured[pairs]]
-        if len(unknown):
-            known.add(unknown, self._distances.results_at(way.at(part), unknown))
-        return known.gaps(pairs)
+    def _end(self, start: NearPairs, way: _Way, turns: np.ndarray) -> End:
+        """Measure the end of a way where it matters."""
+        travel = self._levers.dot(turns)
+        below = open_below(start, travel)
+        near = self._distances.measure_at(way.at(1.0), start.bounds - travel, below)
+        return End(near, below)
+
+    def _found_at_start(self, start: NearPairs, way: _Way, pairs: np.ndarray) -> np.ndarray:
+        """Return distance, normal and first nearest point where a way begins, shape (r, 7)."""
+        places, is_known = start.find(pairs)
+        if is_known.all():
+            return start.found.take(places, 0)
+        found = np.empty((len(pairs), 7))
+        found[is_known] = start.found[places[is_known]]
+        found[~is_known] = self._distances.found_at(way.at(0.0), pairs[~is_known])
+        return found
 
     def _is_clear_between(
         self,
         way: _Way,
         pairs: np.ndarray,
         ends: tuple[float, float],
-        gaps: tuple[Gaps, Gaps],
+        found: tuple[np.ndarray, np.ndarray],
         motion: np.ndarray,
         kept: np.ndarray,
     ) -> bool:
@@ -118,24 +148,24 @@ class ClearPath:
             way: The way.
             pairs: Indices of r pairs.
             ends: Where the part begins and ends, in [0, 1].
-            gaps: Of these pairs there.
+            found: Distance, normal and first nearest point there, shape (r, 7) each.
             motion: Along this part, travel [m] and turns S + 2 C of each pair [rad], shape (r, 2).
             kept: Distance that each pair keeps where it is measured [m], shape (r,).
         """
-        before, after = gaps
-        nearest = np.minimum(before.distances, after.distances)
-        bend = 2.0 * lengths(after.normals - before.normals) + motion[:, 1]
+        before, after = found
+        nearest = np.minimum(before[:, 0], after[:, 0])
+        bend = 2.0 * lengths(after[:, 1:4] - before[:, 1:4]) + motion[:, 1]
         is_open = nearest - 0.125 * bend * motion[:, 0] < 0.5 * kept
         if not is_open.any():
             return True
         if way.points_taken >= _MOST_POINTS:
             return False
         pairs, kept, motion = pairs[is_open], kept[is_open], 0.5 * motion[is_open]
-        before, after = (Gaps(*(values[is_open] for values in gap)) for gap in gaps)
+        before, after = before[is_open], after[is_open]
         low, high = ends
         middle = 0.5 * (low + high)
-        between = self._distances.gaps_at(way.at(middle), pairs)
-        if (between.distances < kept).any():
+        between = self._distances.found_at(way.at(middle), pairs)
+        if (between[:, 0] < kept).any():
             return False
         return self._is_clear_between(
             way, pairs, (low, middle), (before, between), motion, kept

@@ -25,13 +25,15 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.clear_path import ClearPath
+from handmap_qp.ik.clear_path import ClearPath, End, open_below
 from handmap_qp.ik.distances import NearPairs, ShapeDistances
 from handmap_qp.transform import shortest_solution
 
 # Where there is a horizon, pairs get rows if they are within their margin, this distance [m], and
 # what links approach each other by in the sample at this speed [m/s].
 _NEAR, _APPROACH = 0.001, 0.5
+# Nor do they come nearer to each other than this part of what the last step's turns bound.
+_EXPECTED = 0.5
 
 
 class CollisionLimit:
@@ -88,7 +90,12 @@ class CollisionLimit:
         supports = moved_by(hand.model, joints)
         first = [pair.first for pair in geometry.collisionPairs]
         second = [pair.second for pair in geometry.collisionPairs]
-        self._relative_support = supports[second] - supports[first]
+        self._opposing_support = supports[first] - supports[second]
+        levers, expansion = self._distances.levers, hand.expansion
+        active = levers if expansion is None else levers @ np.abs(expansion.matrix)
+        # A floating wrist comes first and changes no distance.
+        first = int(np.argmax(self.path.columns))
+        self._moving, self._levers = slice(first, None), np.ascontiguousarray(active[:, first:])
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -99,18 +106,53 @@ class CollisionLimit:
         return self._distances.measure_all(configuration)
 
     def measure(
-        self, configuration: Configuration, margins: np.ndarray | None = None, dt: float = np.inf
+        self,
+        configuration: Configuration,
+        margins: np.ndarray | None = None,
+        dt: float = np.inf,
+        *,
+        before: NearPairs | None = None,
     ) -> NearPairs:
-        """Measure the pairs that get rows, as `rows`; measured once in one posture.
+        """Measure the pairs that get rows.
 
         Args:
             configuration: Of the hand, placed.
             margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
             dt: Time of the sample [s], in which links approach each other.
+            before: What is known in another posture; nothing if omitted.
         """
-        kept = self.margin if margins is None else margins
-        reach = min(_NEAR + self._approach * dt, self._horizon)
-        return self._distances.measure(configuration, kept + reach)
+        bounds = self._distances.bounds_at(configuration.q, before)
+        horizon = (self.margin if margins is None else margins) + self._reach(dt)
+        return self._distances.measure(configuration, bounds, horizon)
+
+    def measure_end(
+        self,
+        configuration: Configuration,
+        margins: np.ndarray | None,
+        dt: float,
+        start: NearPairs,
+        displacement: np.ndarray,
+    ) -> End:
+        """Measure at the end of a sample: pairs that get rows in the next one, or may have touched.
+
+        Args:
+            configuration: Of the hand, placed there.
+            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
+            dt: Time of the sample [s].
+            start: What is known where the sample began.
+            displacement: Displacement from there, shape (n,).
+        """
+        travel = self._levers.dot(np.abs(displacement[self._moving]))
+        reach, below = self._reach(dt), open_below(start, travel)
+        if reach < np.inf:
+            reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
+        horizon = np.maximum((self.margin if margins is None else margins) + reach, below)
+        near = self._distances.measure(configuration, start.bounds - travel, horizon)
+        return End(near, below)
+
+    def _reach(self, dt: float) -> float:
+        """Return how far beyond their margin pairs get rows [m]."""
+        return min(_NEAR + self._approach * dt, self._horizon)
 
     def rows(
         self,
@@ -118,7 +160,7 @@ class CollisionLimit:
         margins: np.ndarray | None = None,
         near: NearPairs | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Linearise the distances of the pairs within the horizon as rows `G dq <= h`.
+        """Linearise the distances of the measured pairs as rows `G dq <= h`.
 
         Args:
             configuration: Of the hand, placed with Jacobians.
@@ -129,12 +171,11 @@ class CollisionLimit:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        measured = self.measure(configuration, margins) if near is None else near
-        pairs, wrenches = measured.pairs, measured.wrenches
-        kept = self.margin if margins is None else margins[pairs]
-        relative = self._relative_support.take(pairs, 0)
-        G = configuration.contracted(-wrenches.dot(configuration.joint_jacobian()) * relative)
-        return G, self._gain * (measured.distances - kept)
+        near = self.measure(configuration, margins) if near is None else near
+        G = near.wrenches.dot(configuration.joint_jacobian())
+        G *= self._opposing_support.take(near.pairs, 0)
+        kept = self.margin if margins is None else margins.take(near.pairs)
+        return configuration.contracted(G), self._gain * (near.distances - kept)
 
     def feasible_rows(
         self,
@@ -145,9 +186,21 @@ class CollisionLimit:
         *,
         near: NearPairs | None = None,
         stopping: float = 0.0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return `rows`, as `feasible` loosens them."""
+        rows = self.rows(configuration, margins, near)
+        return self.feasible(rows, lower, upper, stopping=stopping)
+
+    def feasible(
+        self,
+        rows: tuple[np.ndarray, np.ndarray],
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        stopping: float = 0.0,
         so_far: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The same rows, loosened where they contradict each other or a box.
+        """Loosen rows where they contradict each other or a box.
 
         The displacement nearest to none inside the box always satisfies them: where a pair is
         nearer than the margin already, it need not part at once, only not come closer than the
@@ -155,20 +208,20 @@ class CollisionLimit:
         others, that is what they are held to.
 
         Args:
-            configuration: Of the hand, placed with Jacobians.
-            lower: Lower bound of the displacement, shape (n,).
+            rows: G and h of `rows`, for the whole displacement of a sample.
+            lower: Lower bound of the rest of the displacement, shape (n,).
             upper: Upper bound, shape (n,).
-            margins: Distance that each pair keeps [m], shape (k,); `margin` for all if omitted.
-            near: What `measure` found there; measured if omitted.
             stopping: Part of the sample's displacement that the hand needs to stop behind it.
             so_far: Displacement of the sample up to here, shape (n,); none if omitted.
 
         Returns:
-            G, shape (k, n), and h, shape (k,).
+            G, shape (r, n), and h, shape (r,), for the rest of the displacement.
         """
-        G, h = self.rows(configuration, margins, near)
+        G, h = rows
         if stopping > 0.0:
-            h = (h if so_far is None else h - stopping * G.dot(so_far)) / (1.0 + stopping)
+            h = h / (1.0 + stopping)
+        if so_far is not None:
+            h = h - G.dot(so_far)
         witness = np.minimum(np.maximum(0.0, lower), upper)
         excess = G.dot(witness) - h
         nearer = (excess > 0.0).nonzero()[0]

@@ -18,73 +18,62 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.configuration import CROSS, Configuration
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
 from handmap_qp.transform import frozen, lengths
 
+_LEVI_CIVITA = np.zeros((9, 3))
+"""Takes the products `p_i n_j`, flattened, to `p x n`."""
+for _i in range(3):
+    _j, _k = (_i + 1) % 3, (_i + 2) % 3
+    _LEVI_CIVITA[[3 * _j + _k, 3 * _k + _j], _i] = 1.0, -1.0
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
 _TOLERANCE = 1e-9
-
-
-class Gaps(NamedTuple):
-    """Some pairs of shapes in one posture, r of them.
-
-    Attributes:
-        distances: Signed distances, negative where shapes overlap [m], shape (r,).
-        normals: Unit normals from the first to the second shape, in the world, shape (r, 3).
-    """
-
-    distances: np.ndarray
-    normals: np.ndarray
+# Balls are quicker than distances where more pairs than this are due.
+_FEW = 20
 
 
 class NearPairs(NamedTuple):
-    """All pairs of shapes in one posture, k of them, and which are near.
+    """What is known of all pairs of shapes in one posture, k of them.
 
     Attributes:
-        pairs: Indices of the pairs within the horizon, increasing, shape (r,).
+        q: Pinocchio configuration of the posture, shape (nq,).
         bounds: Lower bounds of the distances of all pairs [m], shape (k,).
-        is_measured: Where the bound is the distance, near pairs among them, shape (k,).
-        found: Distance, normal and first nearest point, where they were measured, shape (k, 7).
+        pairs: Indices of the measured pairs, increasing, shape (r,).
+        found: Distance, normal and first nearest point of each, shape (r, 7). Normals go from the
+            first to the second shape; distances are negative where shapes overlap.
     """
 
-    pairs: np.ndarray
+    q: np.ndarray
     bounds: np.ndarray
-    is_measured: np.ndarray
+    pairs: np.ndarray
     found: np.ndarray
 
     @property
     def distances(self) -> np.ndarray:
-        """Signed distances of the near pairs [m], shape (r,)."""
-        return self.bounds[self.pairs]
+        """Signed distances of the measured pairs [m], shape (r,)."""
+        return self.found[:, 0]
 
     @property
     def wrenches(self) -> np.ndarray:
-        """Of each near pair `(n, p x n)`, shape (r, 6).
+        """Of each measured pair `(n, p x n)`, shape (r, 6).
 
         The unit force along the normal from the first to the second shape, and its moment about the
         world's origin.
         """
-        found = self.found[self.pairs]
-        wrenches, normals = found[:, 1:].copy(), found[:, 1:4]
-        # Rows of -[p]x: np.cross takes three times as long.
-        crosses = found[:, 4:].dot(CROSS).reshape(-1, 3, 3)
-        wrenches[:, 3:] = np.matmul(normals[:, None], crosses)[:, 0]
+        wrenches, normals = np.empty((len(self.pairs), 6)), self.found[:, 1:4]
+        wrenches[:, :3] = normals
+        # np.cross takes three times as long.
+        products = np.matmul(self.found[:, 4:, None], normals[:, None])
+        wrenches[:, 3:] = products.reshape(-1, 9).dot(_LEVI_CIVITA)
         return wrenches
 
-    def gaps(self, pairs: np.ndarray) -> Gaps:
-        """Return pairs that were measured."""
-        return Gaps(self.bounds[pairs], self.found[pairs, 1:4])
-
-    def add(self, pairs: np.ndarray, results: np.ndarray) -> None:
-        """Note what was measured of further pairs.
-
-        Args:
-            pairs: Indices of the pairs, shape (r,).
-            results: Distance, normal and first nearest point of each, shape (r, 7).
-        """
-        self.found[pairs], self.bounds[pairs] = results, results[:, 0]
-        self.is_measured[pairs] = True
+    def find(self, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where pairs are among the measured ones, and which are, shape (r,) each."""
+        if not len(self.pairs):
+            return np.zeros(len(pairs), dtype=int), np.zeros(len(pairs), dtype=bool)
+        places = np.minimum(self.pairs.searchsorted(pairs), len(self.pairs) - 1)
+        return places, self.pairs.take(places) == pairs
 
 
 class ShapeDistances:
@@ -125,57 +114,61 @@ class ShapeDistances:
         self._placed = placement_views(self._data.oMg)
         _check_results(model, geometry)
         self._results = _view_results(self._data)
-        self._distances = self._results[:, 0]
-        self._is_active = np.ones(len(pairs), dtype=bool)
-        # What is known in the last posture.
-        self._q = pin.neutral(model)
-        self._posture = b""
-        self._bounds = np.full(len(pairs), -np.inf)
-        self._is_measured = np.zeros(len(pairs), dtype=bool)
-        self._found = np.empty((len(pairs), 7))
+        self._active = set(range(len(pairs)))
         # A posture of its own, for ways between samples.
         self._elsewhere = model.createData()
 
-    def measure(self, configuration: Configuration, horizon: np.ndarray | float) -> NearPairs:
-        """Measure the pairs within a horizon.
+    def bounds_at(self, q: np.ndarray, before: NearPairs | None) -> np.ndarray:
+        """Return lower bounds of the distances of all pairs in a posture [m], shape (k,).
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            before: What is known in another posture; None for nothing.
+        """
+        if before is None:
+            return np.full(len(self._radii), -np.inf)
+        turns = np.abs(q[self._joints] - before.q[self._joints])
+        return before.bounds - self._joint_levers.dot(turns)
+
+    def measure(
+        self, configuration: Configuration, bounds: np.ndarray, horizon: np.ndarray | float
+    ) -> NearPairs:
+        """Measure the pairs that may be within a horizon.
 
         Args:
             configuration: Of the hand, placed.
+            bounds: Lower bounds of the distances of all pairs there [m], shape (k,); written to.
             horizon: Distance up to which pairs are measured [m], of each pair, shape (k,), or one
                 for all.
         """
-        self._go_to(configuration.q)
-        due = ((self._bounds <= horizon) & ~self._is_measured).nonzero()[0]
-        if len(due):
-            self._refresh(configuration, due, horizon)
-        pairs = (self._bounds <= horizon).nonzero()[0]
-        return NearPairs(pairs, self._bounds, self._is_measured, self._found)
+        return self._measure(configuration.data, configuration.q.copy(), bounds, horizon)
 
-    def _go_to(self, q: np.ndarray) -> None:
-        """Bound all distances in another posture."""
-        posture = q.tobytes()
-        if posture == self._posture:
-            return
-        turns = np.abs(q[self._joints] - self._q[self._joints])
-        # New arrays: those of the last posture may be in use.
-        self._bounds = self._bounds - self._joint_levers.dot(turns)
-        count = len(self._bounds)
-        self._is_measured = np.zeros(count, dtype=bool)
-        self._found = np.empty((count, 7))
-        self._q, self._posture = q.copy(), posture
+    def measure_at(
+        self, q: np.ndarray, bounds: np.ndarray, horizon: np.ndarray | float
+    ) -> NearPairs:
+        """As `measure`, in any posture.
 
-    def _refresh(
-        self, configuration: Configuration, due: np.ndarray, horizon: np.ndarray | float
-    ) -> None:
-        """Bound the distances of some pairs by their balls, and measure those that may be near."""
-        data = configuration.data
-        pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
-        gaps = self._ball_gaps(due)
-        is_near = gaps <= (horizon[due] if isinstance(horizon, np.ndarray) else horizon)
-        self._bounds[due] = np.maximum(self._bounds[due], gaps)
-        near = due[is_near]
-        self._found[near] = results = self._compute(near)
-        self._bounds[near], self._is_measured[near] = results[:, 0], True
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            bounds: Lower bounds of the distances of all pairs there [m], shape (k,); written to.
+            horizon: Distance up to which pairs are measured [m], as of `measure`.
+        """
+        pin.forwardKinematics(self._model, self._elsewhere, q)
+        return self._measure(self._elsewhere, q, bounds, horizon)
+
+    def _measure(
+        self, data: pin.Data, q: np.ndarray, bounds: np.ndarray, horizon: np.ndarray | float
+    ) -> NearPairs:
+        due = (bounds <= horizon).nonzero()[0]
+        self._place(data)
+        if len(due) > _FEW:
+            gaps = self._ball_gaps(due)
+            bounds[due] = np.maximum(bounds.take(due), gaps)
+            within = horizon.take(due) if isinstance(horizon, np.ndarray) else horizon
+            due = due.compress(gaps <= within)
+        found = self._compute(due)
+        bounds[due] = found[:, 0]
+        return NearPairs(q, bounds, due, found)
 
     def measure_all(self, configuration: Configuration) -> np.ndarray:
         """Return the signed distances of all pairs [m], shape (k,).
@@ -183,17 +176,11 @@ class ShapeDistances:
         Args:
             configuration: Of the hand, placed.
         """
-        data = configuration.data
-        pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
-        return self._compute(np.arange(len(self._is_active)))[:, 0]
+        self._place(configuration.data)
+        return self._compute(np.arange(len(self._radii)))[:, 0]
 
-    def gaps_at(self, q: np.ndarray, pairs: np.ndarray) -> Gaps:
-        """Measure some pairs in any posture, as `results_at`."""
-        results = self.results_at(q, pairs)
-        return Gaps(results[:, 0], results[:, 1:4])
-
-    def results_at(self, q: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-        """Measure some pairs in any posture, without changing what is known of the last one.
+    def found_at(self, q: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """Measure some pairs in any posture.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
@@ -202,45 +189,29 @@ class ShapeDistances:
         Returns:
             Distance, normal and first nearest point of each, shape (r, 7).
         """
-        self._place_elsewhere(q)
+        pin.forwardKinematics(self._model, self._elsewhere, q)
+        self._place(self._elsewhere)
         return self._compute(pairs)
 
-    def bound_at(self, q: np.ndarray, bounds: np.ndarray) -> NearPairs:
-        """Bound all pairs in any posture by their balls; none is measured.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-            bounds: Lower bounds that are known there [m], shape (k,).
-        """
-        self._place_elsewhere(q)
-        count = len(bounds)
-        gaps = self._ball_gaps(np.arange(count))
-        nothing = np.zeros(0, dtype=int)
-        is_measured, found = np.zeros(count, dtype=bool), np.empty((count, 7))
-        return NearPairs(nothing, np.maximum(bounds, gaps), is_measured, found)
-
-    def _place_elsewhere(self, q: np.ndarray) -> None:
-        pin.forwardKinematics(self._model, self._elsewhere, q)
-        pin.updateGeometryPlacements(self._model, self._elsewhere, self._geometry, self._data)
+    def _place(self, data: pin.Data) -> None:
+        pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
 
     def _ball_gaps(self, pairs: np.ndarray) -> np.ndarray:
         """Return the distances of the bounding balls of some pairs [m], shape (r,)."""
         centres = self._placed.points(self._centres)
-        first, second = centres.take(self._first[pairs], 0), centres.take(self._second[pairs], 0)
-        return lengths(first - second) - self._radii[pairs]
+        first, second = (centres.take(ends.take(pairs), 0) for ends in (self._first, self._second))
+        return lengths(first - second) - self._radii.take(pairs)
 
     def _compute(self, pairs: np.ndarray) -> np.ndarray:
         """Return distance, normal and first nearest point of some placed pairs, shape (r, 7)."""
-        wanted = np.zeros(len(self._is_active), dtype=bool)
-        wanted[pairs] = True
-        changed = (wanted != self._is_active).nonzero()[0]
-        for k in changed.tolist():
-            if wanted[k]:
-                self._data.activateCollisionPair(k)
-            else:
-                self._data.deactivateCollisionPair(k)
-        self._is_active = wanted
-        pin.computeDistances(self._geometry, self._data)
+        wanted = set(pairs.tolist())
+        for k in self._active - wanted:
+            self._data.deactivateCollisionPair(k)
+        for k in wanted - self._active:
+            self._data.activateCollisionPair(k)
+        self._active = wanted
+        if wanted:
+            pin.computeDistances(self._geometry, self._data)
         return self._results[pairs]
 
 

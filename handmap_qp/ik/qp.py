@@ -162,7 +162,7 @@ class IkState:
         velocity: Displacement of the last sample divided by its time, shape (nv,).
         stop_time: Time in which the hand can stop without an overlap [s]; 0 if at once, or if
             overlaps are not avoided.
-        near: The pairs of shapes in the present posture, if the last sample measured them.
+        near: What is known of the pairs of shapes, in this posture or one before.
     """
 
     __slots__ = ("configuration", "near", "stop_time", "velocity")
@@ -324,7 +324,7 @@ class PointIk:
         target = self._pose_of(wrist_target)
         resting = (self.hand.rest if rest is None else rest)[self._order]
         first = total = self._zero_step
-        before = rows = None
+        before = linear = rows = None
         last_step, iterations, end = np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target, resting, tasks)
@@ -333,18 +333,14 @@ class PointIk:
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
             least, most = (lower - total, upper - total) if iterations else (lower, upper)
             if collisions is not None:
-                near = None if iterations else state.near
-                near = near or collisions.measure(configuration, margins, dt)
-                rows = collisions.feasible_rows(
-                    configuration,
-                    least,
-                    most,
-                    margins,
-                    near=near,
-                    stopping=stopping,
-                    so_far=total,
-                )
-                before = before or Start(start, near)
+                if before is None or linear is None:
+                    near = state.near
+                    if near is None or not np.array_equal(near.q, start):
+                        near = collisions.measure(configuration, margins, dt, before=near)
+                    before = Start(start, near)
+                    linear = collisions.rows(configuration, margins, near)
+                so_far = total if iterations else None
+                rows = collisions.feasible(linear, least, most, stopping=stopping, so_far=so_far)
             step = self._solver.solve(self._H, self._c, least, most, rows)
             iterations += 1
             length = math.nan if step is None else math.sqrt(step.dot(step))
@@ -366,10 +362,11 @@ class PointIk:
             state.stop_time = 0.0
         else:
             # Keep the measurement: the next sample starts from it.
-            state.near = collisions.measure(configuration, margins, dt)
-            admitted = guard.admit(before, total, first, dt, state, state.near)
+            reached = collisions.measure_end(configuration, margins, dt, before.near, total)
+            state.near = reached.near
+            admitted = guard.admit(before, total, first, dt, state, reached)
             if admitted is not total:
-                total, state.near = admitted, None
+                total = admitted
                 configuration.displace(start, total)
         state.velocity = total / dt
         return IkResult(

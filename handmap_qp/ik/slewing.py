@@ -15,6 +15,7 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.distances import NearPairs
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.solvers import DaqpSolver
 from handmap_qp.ik.stopping import Start, StopGuard
@@ -45,6 +46,7 @@ class ClearSlew:
         self._configuration = hand.configuration()
         self._solver = DaqpSolver(self._limits.size)
         self._identity = np.eye(self._limits.size)
+        self._near: NearPairs | None = None
         self.columns = np.zeros(hand.model.nv, dtype=bool)
         self.columns[hand.active_columns] = collisions.path.columns
 
@@ -70,7 +72,7 @@ class ClearSlew:
         configuration.place_with_jacobians(q)
         lower, upper = self._guard.bounds(q, state.velocity, dt)
         stopping = 0.5 * self._guard.longest_stop(state.velocity, dt) / dt
-        near = self._collisions.measure(configuration, dt=dt)
+        near = self._near = self._collisions.measure(configuration, dt=dt, before=self._near)
         G, h = self._collisions.feasible_rows(
             configuration, lower, upper, near=near, stopping=stopping
         )

@@ -26,7 +26,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from handmap_qp.ik.clear_path import ClearPath
+from handmap_qp.ik.clear_path import ClearPath, End
 from handmap_qp.ik.distances import NearPairs
 from handmap_qp.ik.limits import BoxLimits
 
@@ -106,7 +106,7 @@ class StopGuard:
         first: np.ndarray,
         dt: float,
         state: Moving,
-        end: NearPairs | None = None,
+        end: End | None = None,
     ) -> np.ndarray:
         """Return the displacement of a sample that is admitted, and note its stop.
 
@@ -118,7 +118,7 @@ class StopGuard:
             first: Displacement of the first iteration, likewise.
             dt: Time for it [s].
             state: The hand; its `stop_time` is set.
-            end: The pairs of shapes behind `displacement`; measured where they matter if omitted.
+            end: Where `displacement` ends; measured where it matters if omitted.
 
         Returns:
             `displacement` itself if it is admitted, or another one, shape (nv,).
@@ -142,7 +142,7 @@ class StopGuard:
         displacement: np.ndarray,
         dt: float,
         state: Moving,
-        end: NearPairs | None = None,
+        end: End | None = None,
     ) -> bool:
         """Return whether a sample and its stop are inside the limits and clear; note the stop."""
         limits, columns = self._limits, self._path.columns

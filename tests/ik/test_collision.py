@@ -296,18 +296,20 @@ def test_the_block_is_optional(tmp_path: Path) -> None:
     assert read_hand_spec(file).collision is None
 
 
-def test_pairs_beyond_the_horizon_get_no_row_and_the_others_the_same() -> None:
+def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     hand, rng = load_hand("allegro_right"), np.random.default_rng(8)
-    every, near = CollisionLimit(hand), CollisionLimit(hand, horizon=0.012)
+    every, limit = CollisionLimit(hand), CollisionLimit(hand, horizon=0.012)
     configuration = hand.configuration()
     margins = rng.uniform(0.0, 0.003, size=len(every.pairs))
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place_with_jacobians(hand.configuration_vector(q))
-        within = every.distances(configuration) <= margins + 0.012
+        within = np.flatnonzero(every.distances(configuration) <= margins + 0.012)
+        near = limit.measure(configuration, margins)
+        assert set(within) <= set(near.pairs)
+        assert len(near.pairs) < len(every.pairs)
         G, h = every.rows(configuration, margins)
-        some_G, some_h = near.rows(configuration, margins)
-        assert len(some_h) == within.sum()
+        some_G, some_h = limit.rows(configuration, margins, near)
         # GJK is warm-started, so both agree to its tolerance only.
-        np.testing.assert_allclose(some_h, h[within], atol=1e-6)
-        np.testing.assert_allclose(some_G, G[within], atol=1e-4)
+        np.testing.assert_allclose(some_h, h[near.pairs], atol=1e-6)
+        np.testing.assert_allclose(some_G, G[near.pairs], atol=1e-4)

@@ -25,19 +25,21 @@ def test_distances_and_wrenches_are_those_of_each_pair_measured_alone(hand: Hand
     alone, configuration = geometry.createData(), hand.configuration()
     for request in alone.distanceRequests:
         request.gjk_tolerance = request.epa_tolerance = 1e-9
-    rng, seen, q = np.random.default_rng(0), set(), hand.rest
+    rng, seen, q, near = np.random.default_rng(0), set(), hand.rest, None
     for i in range(100):
         # Leaps, and a small step behind each, where bounds take the place of most distances.
         step = rng.normal(scale=0.03, size=len(hand.rest))
         q = q + step if i % 2 else rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place_frames(hand.configuration_vector(q, np.eye(4)))
-        near = measured.measure(configuration, HORIZON)
+        bounds = measured.bounds_at(configuration.q, near)
+        near = measured.measure(configuration, bounds, HORIZON)
         pin.updateGeometryPlacements(hand.model, configuration.data, geometry, alone)
         results = [
             pin.computeDistance(geometry, alone, k) for k in range(len(geometry.collisionPairs))
         ]
         distances = np.array([result.min_distance for result in results])
-        np.testing.assert_array_equal(near.pairs, np.flatnonzero(distances <= HORIZON))
+        assert set(np.flatnonzero(distances <= HORIZON)) <= set(near.pairs)
+        assert (near.bounds <= distances + 1e-8).all()
         np.testing.assert_allclose(near.distances, distances[near.pairs], atol=1e-8)
         for wrench, distance, k in zip(near.wrenches, near.distances, near.pairs, strict=True):
             if distance > 1e-4:
@@ -55,7 +57,7 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: 
     configuration = hand.configuration()
     for q in (hand.rest, hand.lower_limits, hand.upper_limits):
         configuration.place_frames(hand.configuration_vector(q, np.eye(4)))
-        used.measure(configuration, HORIZON)
+        used.measure(configuration, used.bounds_at(configuration.q, None), HORIZON)
     np.testing.assert_allclose(
         used.measure_all(configuration), fresh.measure_all(configuration), atol=1e-8
     )
@@ -64,6 +66,6 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: 
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
     geometry.removeAllCollisionPairs()
-    near = ShapeDistances(hand.model, geometry).measure(hand.configuration(), HORIZON)
+    near = ShapeDistances(hand.model, geometry).measure(hand.configuration(), np.zeros(0), HORIZON)
     assert near.distances.shape == (0,)
     assert near.wrenches.shape == (0, 6)

@@ -69,7 +69,8 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
         before = limit.measure(configuration)
         end = start + (step if hand.expansion is None else hand.expansion.matrix @ step)
         configuration.place_frames(end)
-        after = limit.measure(configuration) if rng.integers(2) else None
+        reached = (configuration, None, np.inf, before, step)
+        after = limit.measure_end(*reached) if rng.integers(2) else None
         is_clear = limit.path.is_clear(start, before, step, after)
         nearest = min(case.nearest_between(start, end), case.nearest(end))
         found[is_clear] += 1
