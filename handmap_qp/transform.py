@@ -507,15 +507,16 @@ def check_pose(
         raise InvalidInputError(
             argument=name, expected=expected, value=value, got=got, advice=advice
         )
-    # Nine scalar products in plain floats are quicker than numpy's calls on so small an array.
+    # Plain floats are quicker than numpy's calls on so small an array. Two orthogonal unit columns
+    # and their cross product are a proper rotation.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), bottom = pose.tolist()
     defect = max(
         abs(a * a + d * d + g * g - 1.0),
         abs(b * b + e * e + h * h - 1.0),
-        abs(c * c + f * f + i * i - 1.0),
         abs(a * b + d * e + g * h),
-        abs(a * c + d * f + g * i),
-        abs(b * c + e * f + h * i),
+        abs(d * h - e * g - c),
+        abs(b * g - a * h - f),
+        abs(a * e - b * d - i),
     )
     # `not ... <= FARTHEST` also rejects NaN; adding zero times the sum makes the maximum NaN where
     # any coordinate is NaN or infinite.
@@ -525,10 +526,10 @@ def check_pose(
         raise InvalidInputError(
             argument=name, expected=expected, value=value, got=str(pose.tolist())
         )
-    turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
     # `not ... <= tolerance` also rejects NaN.
-    if not (defect <= _ROTATION_TOLERANCE and turn > 0.0):
-        got = f"a matrix with orthogonality off by {defect:.3g} and determinant {turn:.3g}"
+    if not defect <= _ROTATION_TOLERANCE:
+        turn = determinant(pose[:3, :3])
+        got = f"a matrix off a rotation by {defect:.3g}, with determinant {turn:.3g}"
         raise InvalidInputError(
             argument=name, expected="a rotation as its 3x3 part", value=value, got=got
         )

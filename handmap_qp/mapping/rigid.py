@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, get_args
+from typing import Protocol, get_args
 
+import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
@@ -13,7 +14,7 @@ _IDENTITY = np.eye(3)
 _IDENTITY.setflags(write=False)
 
 
-class Displacement(NamedTuple):
+class Displacement(msgspec.Struct, frozen=True, eq=False):
     """A rigid motion, by its rotation and the image of one point.
 
     Attributes:

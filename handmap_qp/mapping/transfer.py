@@ -85,10 +85,11 @@ def transfer_motion(
             min(max(stretch, low), high) ** gain for stretch in (largest, middle, smallest)
         ]
         linear = factors.stretch(np.array(stretches)).dot(factors.rotation)
-    rotation, rigid_image = RIGID_PARTS[options.rigid_from].part(
+    rigid = RIGID_PARTS[options.rigid_from].part(
         Displacement(factors.rotation, image), pivot, reference.human_wrist, sample.wrist
     )
     centre = _in_robot_world(reference, image)
+    rotation, rigid_image = rigid.rotation, rigid.image
     points = moved_rows(reference.robot_rows, _in_robot_axes(reference, linear), centre)
     if reference.residual_share is not None:
         # The residual refers to the imposed motion, so it makes up for clamping and gain.
