@@ -159,19 +159,25 @@ class IkState:
 
     Attributes:
         configuration: The present posture.
-        velocity: Displacement of the last sample divided by its time, shape (nv,).
+        displacement: Of the last sample, shape (nv,).
+        dt: Time of the last sample [s].
         stop_time: Time in which the hand can stop without an overlap [s]; 0 if at once, or if
             overlaps are not avoided.
         near: What is known of the pairs of shapes, in this posture or one before.
     """
 
-    __slots__ = ("configuration", "near", "stop_time", "velocity")
+    __slots__ = ("configuration", "displacement", "dt", "near", "stop_time")
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
-        self.velocity = np.zeros(configuration.nv)
+        self.displacement, self.dt = np.zeros(configuration.nv), 1.0
         self.stop_time = 0.0
         self.near: NearPairs | None = None
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Displacement of the last sample divided by its time, shape (nv,)."""
+        return self.displacement / self.dt
 
 
 class PointIk:
@@ -277,7 +283,8 @@ class PointIk:
             return PointIk(hand, self.options, self.state, contacts=contacts)
         state = IkState(hand.configuration())
         state.configuration.place_with_jacobians(self.configuration.q)
-        state.velocity, state.stop_time = self.state.velocity, self.state.stop_time
+        state.displacement, state.dt = self.state.displacement, self.state.dt
+        state.stop_time = self.state.stop_time
         return PointIk(hand, self.options, state, contacts=contacts)
 
     def place(self, q: np.ndarray) -> None:
@@ -287,7 +294,7 @@ class PointIk:
             q: Pinocchio configuration, shape (nq,).
         """
         self.configuration.place_with_jacobians(q)
-        self.state.velocity, self.state.stop_time = self._zero_step, 0.0
+        self.state.displacement, self.state.stop_time = self._zero_step, 0.0
         self.state.near = None
 
     def solve(
@@ -368,7 +375,7 @@ class PointIk:
             if admitted is not total:
                 total = admitted
                 configuration.displace(start, total)
-        state.velocity = total / dt
+        state.displacement, state.dt = frozen(total), dt
         return IkResult(
             end,
             configuration.points.copy(),
@@ -431,10 +438,12 @@ class PointIk:
 
     def _box(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next sample's displacement, shape (nv,) each."""
-        q, velocity = self.configuration.q, self.state.velocity
+        q = self.configuration.q
+        if not self._limits.has_acceleration:
+            return self._limits.bounds(q, dt)
         if self._guard is None:
-            return self._limits.bounds(q, dt, velocity)
-        return self._guard.bounds(q, velocity, dt)
+            return self._limits.bounds(q, dt, self.state.velocity)
+        return self._guard.bounds(q, self.state.velocity, dt)
 
     def _smooth(self, total: np.ndarray, dt: float) -> None:
         """Add the costs of speed and acceleration, given the displacement so far."""

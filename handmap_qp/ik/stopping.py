@@ -50,13 +50,16 @@ class Moving(Protocol):
     """State of a hand that moves.
 
     Attributes:
-        velocity: Displacement of the last sample divided by its time, shape (nv,).
         stop_time: Time of the stop that was found clear at the last sample [s]; 0 if it may stop
             at once.
     """
 
-    velocity: np.ndarray
     stop_time: float
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Displacement of the last sample divided by its time, shape (nv,)."""
+        ...
 
 
 class StopGuard:
