@@ -22,6 +22,7 @@ CROSS[0, [5, 7]] = 1.0, -1.0
 CROSS[1, [2, 6]] = -1.0, 1.0
 CROSS[2, [1, 3]] = 1.0, -1.0
 _IDENTITY_6 = np.eye(6)
+_WRIST, _FIRST_POINT = 1, 2
 
 
 class Configuration:
@@ -31,9 +32,8 @@ class Configuration:
     after the second one; after the first one they raise `StaleJacobianError`.
 
     Args:
-        model: Pinocchio model whose last frames are the reference points.
-        wrist_frame: Index of the wrist frame.
-        first_point: Index of the first reference point's frame.
+        model: Pinocchio model. Behind the universe's, its first frame is the wrist, and the others
+            are the reference points.
         expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
             None if all are active.
 
@@ -50,8 +50,6 @@ class Configuration:
         self,
         model: pin.Model,
         *,
-        wrist_frame: int,
-        first_point: int,
         expansion: np.ndarray | None = None,
     ) -> None:
         self.model = model
@@ -60,13 +58,12 @@ class Configuration:
         self._q = pin.neutral(model)
         self.q = self._q.view()
         self.q.setflags(write=False)
-        self._placed_points = placement_views(self.data.oMf, first_point).translations
+        self._placed_points = placement_views(self.data.oMf, _FIRST_POINT).translations
         # Numpy takes three times as long to subtract points that lie apart in memory.
         self._points = self._placed_points.copy()
         self.points = self._points.view()
         self.points.setflags(write=False)
-        self.wrist = self.data.oMf[wrist_frame]
-        self._frames = (*range(first_point, len(model.frames)), wrist_frame)
+        self.wrist = self.data.oMf[_WRIST]
         self._has_jacobians = False
         self.place_frames(self._q)
 
@@ -81,7 +78,8 @@ class Configuration:
 
         Shape (3 m + 6, model.nv): rows of the points, and those of the wrist.
         """
-        joints = [self.model.frames[frame].parentJoint for frame in self._frames]
+        frames = (*range(_FIRST_POINT, len(self.model.frames)), _WRIST)
+        joints = [self.model.frames[frame].parentJoint for frame in frames]
         counts = [3] * len(self.points) + [6]
         return frozen(np.repeat(moved_by(self.model, joints), counts, axis=0))
 
@@ -128,6 +126,10 @@ class Configuration:
         self._has_jacobians = True
         self._q[:] = q
         self._points[:] = self._placed_points
+
+    def frame_pose(self, frame: pin.Frame) -> np.ndarray:
+        """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""
+        return (self.data.oMi[frame.parentJoint] * frame.placement).homogeneous
 
     def displace(self, start: np.ndarray, displacement: np.ndarray) -> None:
         """Go from a configuration by a displacement; Jacobians become valid.

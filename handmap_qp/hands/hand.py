@@ -31,6 +31,7 @@ from handmap_qp.hands.model import (
     move_joint,
     palm_in_link,
     tangent_expansion,
+    with_frames,
 )
 from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point
 from handmap_qp.hands.urdf.compose import compose_urdf
@@ -224,9 +225,7 @@ class Hand:
     def configuration(self) -> Configuration:
         """Return a new workspace for this hand, for one user at a time."""
         return Configuration(
-            self.model,
-            wrist_frame=self.wrist_frame_id,
-            first_point=self.first_point_frame,
+            self._placed_model,
             expansion=None if self.expansion is None else self.expansion.matrix,
         )
 
@@ -365,7 +364,7 @@ class Hand:
         """
         frame_id = self._find_frame(frame)
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        return self._scratch.data.oMf[frame_id].homogeneous
+        return self._scratch.frame_pose(self.model.frames[frame_id])
 
     def link_poses(
         self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
@@ -390,7 +389,7 @@ class Hand:
             raise InvalidInputError(argument="links", expected="names of links", value=links)
         frames = [self._find_link(link, f"links[{i}]") for i, link in enumerate(links)]
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        poses = [self._scratch.data.oMf[frame].homogeneous for frame in frames]
+        poses = [self._scratch.frame_pose(self.model.frames[frame]) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
     def _index_joints(self, followers: Sequence[str]) -> None:
@@ -439,6 +438,13 @@ class Hand:
             self._frame_ids.setdefault(point.name, frame)
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
+        self.__dict__.pop("_placed_model", None)
+
+    @cached_property
+    def _placed_model(self) -> pin.Model:
+        """The model without the frames that no sample needs: the wrist first, then the points."""
+        points = range(self.first_point_frame, len(self.model.frames))
+        return with_frames(self.model, [self.wrist_frame_id, *points])
 
     @cached_property
     def _scratch(self) -> Configuration:

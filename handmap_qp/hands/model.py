@@ -164,6 +164,24 @@ def add_frame(
     return model.addFrame(frame)
 
 
+def with_frames(model: pin.Model, frames: Sequence[int]) -> pin.Model:
+    """Return a model with the same joints and some of the frames: the others take time to place.
+
+    Args:
+        model: The model, such as that of a URDF with a link for every part.
+        frames: Indices of the frames to keep.
+    """
+    few = pin.Model()
+    for joint in range(1, model.njoints):
+        place = model.jointPlacements[joint]
+        few.addJoint(model.parents[joint], model.joints[joint], place, model.names[joint])
+    for index in frames:
+        frame = model.frames[index]
+        kind = pin.FrameType.OP_FRAME
+        few.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, kind))
+    return few
+
+
 def palm_in_link(spec: HandSpec) -> np.ndarray:
     """Return the pose of the palm frame in its link, shape (4, 4)."""
     distal, dorsal = np.array(spec.palm.distal), np.array(spec.palm.dorsal)

@@ -354,7 +354,7 @@ def _placed(hand: Hand, q: np.ndarray) -> Configuration:
 
 
 def _palm_pose(hand: Hand, placed: Configuration) -> np.ndarray:
-    return placed.data.oMf[hand.palm_frame_id].homogeneous
+    return placed.frame_pose(hand.model.frames[hand.palm_frame_id])
 
 
 def points_in_palm_at(
