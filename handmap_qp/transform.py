@@ -508,7 +508,8 @@ def check_pose(
             argument=name, expected=expected, value=value, got=got, advice=advice
         )
     # Plain floats are quicker than numpy's calls on so small an array. Two orthogonal unit columns
-    # and their cross product are a proper rotation.
+    # and their cross product are a proper rotation. `max` may pass over NaN; zero times the sum
+    # makes the result NaN where any number is NaN or infinite.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), bottom = pose.tolist()
     defect = max(
         abs(a * a + d * d + g * g - 1.0),
@@ -517,9 +518,8 @@ def check_pose(
         abs(d * h - e * g - c),
         abs(b * g - a * h - f),
         abs(a * e - b * d - i),
-    )
-    # `not ... <= FARTHEST` also rejects NaN; adding zero times the sum makes the maximum NaN where
-    # any coordinate is NaN or infinite.
+    ) + 0.0 * (a + b + c + d + e + f + g + h + i)
+    # `not ... <= FARTHEST` also rejects NaN.
     reach = max(abs(x), abs(y), abs(z)) + 0.0 * (x + y + z)
     if bottom != [0.0, 0.0, 0.0, 1.0] or not reach <= FARTHEST:
         expected = f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"

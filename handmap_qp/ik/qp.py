@@ -97,6 +97,8 @@ class IkResult(msgspec.Struct, frozen=True, eq=False, dict=True):
         `unreachable`: no limit does and the hand does not move any more; `unsettled`: it is still
         on its way; `failed` and `released` as in `end`.
         """
+        if self.end != "solved":
+            return self.end
         is_near = np.linalg.norm(self.errors, axis=1).max() <= self.point_tolerance
         return self._status(bool(is_near), bool(self.active.any()))
 
