@@ -43,8 +43,10 @@ def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: str) -> N
         np.testing.assert_allclose(step.command.q, other.command.q, atol=1e-9)
         np.testing.assert_allclose(step.command.wrist, other.command.wrist, atol=1e-9)
         np.testing.assert_allclose(step.targets, other.targets, atol=1e-12)
-        if step.asked.margins is not None:
-            np.testing.assert_allclose(step.asked.margins, other.asked.margins, atol=1e-12)  # ty: ignore[no-matching-overload]
+        margins, others = step.asked.margins, other.asked.margins
+        assert (margins is None) == (others is None)
+        if margins is not None and others is not None:
+            np.testing.assert_allclose(margins, others, atol=1e-12)
         if method == "teleoperation" and not step.is_held:
             for name in ("palm", "gaps", "pinching", "extensions"):
                 one, two = (getattr(s.asked.diagnostics, name) for s in (step, other))
