@@ -18,6 +18,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from hashlib import sha256
+from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
@@ -28,7 +29,10 @@ from handmap_qp.output_files import remove_torn
 from handmap_qp.trackers.formats.isolation import read_in_this_process
 
 IN_FLIGHT = 3
-"""Jobs given to each worker in advance, so that it never waits."""
+"""Groups of jobs given to each worker in advance, so that it never waits."""
+GROUP_FRAMES = 1024
+"""Short recordings are given to a worker in groups of up to so many frames, some 0.3 s of work: a
+message to another process takes 3 ms of CPU time of both."""
 RUNNING = ".running"
 """Folder of a file for each job that a worker is busy with."""
 _MOST_STARTS = 10
@@ -106,47 +110,62 @@ class PoolEngine:
         is_stopped: Callable[[], bool],
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies."""
-        flying: dict[Future[Line], Job] = {}
+        flying: dict[Future[list[Line]], tuple[Job, ...]] = {}
         with _pool(self._workers) as pool:
             try:
                 while (waiting and not is_stopped()) or flying:
                     if is_stopped():
                         # Cancelled ones are given up: a next run begins with them.
                         flying = {
-                            future: job for future, job in flying.items() if not future.cancel()
+                            future: jobs for future, jobs in flying.items() if not future.cancel()
                         }
                     while waiting and not is_stopped() and len(flying) < IN_FLIGHT * self._workers:
-                        flying[pool.submit(run_in_worker, waiting[0], False)] = waiting[0]
-                        waiting.popleft()
+                        jobs = self._next_group(waiting)
+                        flying[pool.submit(run_group, jobs)] = jobs
+                        for _ in jobs:
+                            waiting.popleft()
                     for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                        line = future.result()
+                        lines = future.result()
                         del flying[future]
                         self._failed_starts = 0
-                        yield line
+                        yield from lines
             except BrokenProcessPool:
                 self._failed_starts += 1
                 yield from self._sorted_out(flying, waiting, suspects, kills)
                 self._check_starts()
 
+    def _next_group(self, waiting: Sequence[Job]) -> tuple[Job, ...]:
+        """Return the next jobs for one worker; towards the end fewer, so that all have some."""
+        most, frames, group = max(1, len(waiting) // (2 * self._workers)), 0, []
+        for job in islice(waiting, most):
+            frames += job.task.frames
+            if group and frames > GROUP_FRAMES:
+                break
+            group.append(job)
+        return tuple(group)
+
     def _sorted_out(
         self,
-        flying: dict[Future[Line], Job],
+        flying: dict[Future[list[Line]], tuple[Job, ...]],
         waiting: deque[Job],
         suspects: deque[Job],
         kills: dict[str, int],
     ) -> Iterator[Line]:
         """Sort the jobs of a broken pool: ended, under way when it broke, or not begun."""
-        for future, job in flying.items():
+        for future, jobs in flying.items():
             if future.done() and future.exception() is None:
                 self._failed_starts = 0
-                yield future.result()
-            elif _took_marker(job):
-                self._failed_starts = 0
-                yield _killed(job, kills)
-                if kills[job.task.key] < MOST_KILLS:
-                    suspects.append(job)
-            else:
-                waiting.appendleft(job)
+                yield from future.result()
+                continue
+            for job in reversed(jobs):
+                if _took_marker(job):
+                    self._failed_starts = 0
+                    yield _killed(job, kills)
+                    if kills[job.task.key] < MOST_KILLS:
+                        suspects.append(job)
+                else:
+                    # Mapped again, if it had ended when a later one of its group died.
+                    waiting.appendleft(job)
 
     def _alone(
         self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
@@ -183,6 +202,11 @@ class PoolEngine:
                 advice="take fewer if memory is short, or 0 to map in this process; in a script, "
                 "call it below `if __name__ == '__main__':`",
             )
+
+
+def run_group(jobs: tuple[Job, ...]) -> list[Line]:
+    """Run jobs of one group, one after the other; see `run_in_worker`."""
+    return [run_in_worker(job, False) for job in jobs]
 
 
 def run_in_worker(job: Job, is_alone: bool) -> Line:

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.trackers.landmarks import PALM
@@ -110,6 +109,9 @@ def whittaker(
     Returns:
         The smoothed columns, shape (T, n).
     """
+    # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
+    from scipy.linalg import solveh_banded
+
     count = len(time)
     before, after = np.diff(time)[:-1], np.diff(time)[1:]
     # Second derivative by divided differences: rows (a, -(a + b), b) over three samples.

@@ -176,6 +176,19 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
     assert [line.key for line in again.left_alone] == [poison]
 
 
+def test_short_recordings_go_to_a_worker_together(tmp_path: Path) -> None:
+    write_pieces(tmp_path / "in", 9, frames=12)
+    jobs = list(plan_batch([tmp_path / "in"], tmp_path / "out", OPTIONS).jobs)
+    engine = PoolEngine(2)
+    # At most a quarter of what is left, and at least one.
+    assert engine._next_group(jobs) == tuple(jobs[:2])
+    assert engine._next_group(jobs[:3]) == tuple(jobs[:1])
+    long = [replace(job, task=replace(job.task, frames=engines.GROUP_FRAMES)) for job in jobs]
+    assert engine._next_group(long) == tuple(long[:1])
+    many = [replace(job, task=replace(job.task, frames=100)) for job in jobs * 20]
+    assert len(engine._next_group(many)) == engines.GROUP_FRAMES // 100
+
+
 @pytest.mark.slow
 def test_workers_that_never_start_end_the_batch_with_one_line(
     inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
@@ -236,7 +249,7 @@ def is_alive(pid: int) -> bool:
 def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
     tmp_path: Path,
 ) -> None:
-    write_pieces(tmp_path / "in", 6, frames=40)
+    count = len(write_pieces(tmp_path / "in", 24, frames=40))
     out, manifest = tmp_path / "out", tmp_path / "out" / "manifest.jsonl"
     process = start(tmp_path / "in", out)
     wait_until(lambda: manifest.exists() and manifest.read_bytes().count(b"\n"), "begins", LONG)
@@ -246,7 +259,7 @@ def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
     process.communicate()
     wait_until(lambda: not any(map(is_alive, workers)), "workers end with their parent", LONG)
     done = manifest.read_bytes().count(b"\n")
-    assert done < 6
+    assert done < count
     # Interrupted by Ctrl-C, it finishes what is under way, and says how to go on.
     process = start(tmp_path / "in", out)
     wait_until(lambda: manifest.read_bytes().count(b"\n") > done, "goes on", LONG)
@@ -256,7 +269,7 @@ def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
         assert process.returncode == 130
         assert "run the same command to go on" in error
     batch(tmp_path / "in", out)
-    assert len(batch(tmp_path / "in", tmp_path / "whole").done) == 6
+    assert len(batch(tmp_path / "in", tmp_path / "whole").done) == count
     assert episodes(out) == episodes(tmp_path / "whole")
 
 
