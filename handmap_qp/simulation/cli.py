@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,10 +20,13 @@ if TYPE_CHECKING:
     from handmap_qp.hands.hand import Hand
     from handmap_qp.simulation.actuators import Actuators
     from handmap_qp.simulation.episode import Episode
+    from handmap_qp.simulation.grip import GripForce
     from handmap_qp.simulation.physics import Body, Physics
+    from handmap_qp.simulation.pinch import PinchScene, PinchTrial
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _FILMS = (".gif", ".webp", ".png")
+_FRICTION = 0.8
 
 
 def _optional(metavar: str, default: str) -> Any:
@@ -62,7 +66,7 @@ class Simulate:
             stiffness; on the arc the human's synergy is then soft too, as in Sec. IV.
         up: World axis against gravity.
         trials: Random objects and places, for every mapping; for a recording.
-        objects: Random objects (varied), or the same cube at random places (nominal).
+        objects: Random objects (varied), or the same object at random places (nominal).
         seed: Seed of the random numbers.
         grip: Force between the pads [N] that a squeeze term keeps while they press on the object,
             for a recording.
@@ -71,7 +75,7 @@ class Simulate:
         fingers: Inverse kinematics of the robot's fingers, for the arc.
         squeeze: Planned normal force of every contact [N], for the arc.
         out: File of the robot's simulation, .npz.
-        picture: Picture of four instants, .png.
+        picture: Picture of four instants, or of the success of trials, .png.
         film: Moving picture, .gif or .webp.
         html: Page that plays in a browser without a server, .html: every mapping, or both hands.
         serve: Name of a session of the mapping service to follow as a stand-in for its robot,
@@ -89,7 +93,7 @@ class Simulate:
     peers: Annotated[Path | None, _optional("FOLDER", "none")] = None
     object: Annotated[str | None, _optional("OBJECT", "box:0.03, or box:0.05 on the arc")] = None
     mass: Annotated[float | None, _optional("KG", "0.05, or 0.1 on the arc")] = None
-    friction: float = 0.8
+    friction: float = _FRICTION
     stiffness: float = 3.0
     actuators: Literal["position", "torque"] = "position"
     up: Annotated[Up | None, _optional("AXIS", "y for a recording, z for the arc")] = None
@@ -120,26 +124,32 @@ class Simulate:
         ):
             if path is not None:
                 check_output(option, path, suffixes)
-        files = (self.out, self.picture, self.film, self.html)
-        if self.trials and (self.recording is None or any(files)):
+        if self.trials and (self.recording is None or any((self.out, self.film, self.html))):
             raise InvalidInputError(
                 argument="--trials",
-                problem="needs a recording, and writes no file",
+                problem="needs a recording, and writes no file but --picture",
                 value=self.trials,
+            )
+        is_given = self.object is not None or self.mass is not None or self.friction != _FRICTION
+        if self.trials and self.objects == "varied" and is_given:
+            raise InvalidInputError(
+                argument="--trials",
+                problem="draws object, mass and friction",
+                value=self.trials,
+                advice="add --objects nominal to draw places alone",
             )
         if self.serve is not None:
             self._stand_in(self.serve)
             return
-        if self.recording is None:
-            rows, episodes = self._arc()
-        else:
-            rows, episodes = self._pinches(self.recording)
+        if self.recording is not None and self.trials:
+            self._trials(self.recording)
+            return
+        rows, episodes = self._arc() if self.recording is None else self._pinches(self.recording)
         if self.json:
             print(json.dumps({"robot": self.robot, "seed": self.seed, "rows": rows}))
         else:
             print_rows(f"{self.robot}: simulated", rows)
-        if episodes:
-            self._write(episodes)
+        self._write(episodes)
 
     def _physics(self) -> Physics:
         from handmap_qp.simulation.physics import Physics
@@ -217,42 +227,76 @@ class Simulate:
         episodes = {"robot": outcome.robot.episode, "human": outcome.human.episode}
         return [arc_row(outcome)], episodes
 
-    def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
-        """Pinch one object, or many, by every mapping."""
+    def _scenes(self, recording: Path) -> Iterator[tuple[str, PinchScene]]:
+        """Map a pinch by every mapping."""
         from handmap_qp.offline.takes import prepare_take
-        from handmap_qp.simulation.grip import GripForce
         from handmap_qp.simulation.mapped import chosen_methods, map_commands
-        from handmap_qp.simulation.pinch import PinchScene, PinchTrial
+        from handmap_qp.simulation.pinch import PinchScene
         from handmap_qp.simulation.pinch_window import find_pinch
-        from handmap_qp.simulation.trials import outcome_row, random_trials, run_trials, trial_row
         from handmap_qp.trackers.recording import read_recording
 
-        read, robot, physics, body = (
-            read_recording(recording),
-            self._robot(),
-            self._physics(),
-            self._body(),
-        )
+        read, robot, physics = read_recording(recording), self._robot(), self._physics()
         methods = chosen_methods(self.methods, self.peers, self.robot)
-        window = find_pinch(read)
-        take = prepare_take(read, robot.spec.side)
-        grip = None if self.grip is None else GripForce(self.grip)
+        window, take = find_pinch(read), prepare_take(read, robot.spec.side)
         actuators = self._actuators()
-        rows: list[dict[str, Any]] = []
-        episodes: dict[str, Episode] = {}
         for method in methods:
-            scene = PinchScene(map_commands(method, take, robot), window, physics, actuators)
-            if self.trials:
-                drawn = random_trials(self.trials, self.seed, self.objects)
-                with progress(method.name, len(drawn)) as advance:
-                    outcomes = run_trials(scene, drawn, advance, grip)
-                rows.append(trial_row(method.name, outcomes))
-            else:
-                trial = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
-                outcome = scene.run(trial, grip)
-                rows.append(outcome_row(method.name, outcome))
-                episodes[method.name] = outcome.episode
-        return rows, episodes
+            commands = map_commands(method, take, robot)
+            yield method.name, PinchScene(commands, window, physics, actuators)
+
+    def _trial(self) -> PinchTrial:
+        from handmap_qp.simulation.pinch import PinchTrial
+
+        body = self._body()
+        return PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
+
+    def _regulator(self) -> GripForce | None:
+        from handmap_qp.simulation.grip import GripForce
+
+        return None if self.grip is None else GripForce(self.grip)
+
+    def _pinches(self, recording: Path) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
+        """Pinch one object by every mapping."""
+        from handmap_qp.simulation.trials import outcome_row
+
+        trial, grip = self._trial(), self._regulator()
+        outcomes = {name: scene.run(trial, grip) for name, scene in self._scenes(recording)}
+        rows = [outcome_row(name, outcome) for name, outcome in outcomes.items()]
+        return rows, {name: outcome.episode for name, outcome in outcomes.items()}
+
+    def _trials(self, recording: Path) -> None:
+        """Pinch many objects by every mapping; print and draw which are held."""
+        from handmap_qp.simulation.breakdown import draw_splits, split_rows
+        from handmap_qp.simulation.trials import (
+            describe_trial,
+            random_trials,
+            run_trials,
+            trial_row,
+        )
+
+        drawn = random_trials(self.trials, self.seed, self.objects, self._trial())
+        grip = self._regulator()
+        rows: list[dict[str, Any]] = []
+        held: dict[str, list[bool]] = {}
+        for name, scene in self._scenes(recording):
+            with progress(name, len(drawn)) as advance:
+                outcomes = run_trials(scene, drawn, advance, grip)
+            rows.append(trial_row(name, outcomes))
+            held[name] = [outcome.is_held for outcome in outcomes]
+        if self.json:
+            trials = [
+                {**describe_trial(trial), "held": [name for name in held if held[name][i]]}
+                for i, trial in enumerate(drawn)
+            ]
+            found = {"robot": self.robot, "seed": self.seed, "rows": rows, "trials": trials}
+            print(json.dumps(found))
+        else:
+            print_rows(f"{self.robot}: simulated, seed {self.seed}", rows)
+            print_rows("Which objects are held", split_rows(drawn, held))
+        if self.picture is not None:
+            title = f"{recording.stem} on {self.robot}: {len(drawn)} pinches, seed {self.seed}"
+            draw_splits(self.picture, title, drawn, held)
+            if not self.json:
+                print(f"wrote {self.picture}")
 
     def _write(self, episodes: dict[str, Episode]) -> None:
         """Write the files: of the robot, or of the first mapping; the page shows all."""

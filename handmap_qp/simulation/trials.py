@@ -1,9 +1,10 @@
-"""Many pinches with random objects: `random_trials`, `success_rate`."""
+"""Many pinches with random objects: `random_trials`, `run_trials`, `success_rate`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,14 +14,16 @@ from handmap_qp.simulation.pinch import PinchOutcome, PinchScene, PinchTrial, Re
 from handmap_qp.simulation.shapes import KINDS, named_shape
 
 Objects = Literal["nominal", "varied"]
-"""The cube of `PinchTrial` at random places, or random objects at random places."""
+"""One object at random places, or random objects at random places."""
 
 # Standard deviation of the place along each axis [m], and largest turn about the vertical [rad].
 _PLACE, _YAW = 0.004, math.radians(20.0)
 _SIZES, _MASSES, _FRICTIONS = (0.02, 0.045), (0.02, 0.2), (0.5, 1.0)
 
 
-def random_trials(count: int, seed: int, objects: Objects = "varied") -> list[PinchTrial]:
+def random_trials(
+    count: int, seed: int, objects: Objects = "varied", nominal: PinchTrial | None = None
+) -> list[PinchTrial]:
     """Draw objects and places.
 
     Every place is off by 4 mm (standard deviation) along each axis, and turned by up to 20 degrees.
@@ -31,7 +34,9 @@ def random_trials(count: int, seed: int, objects: Objects = "varied") -> list[Pi
         count: Number of trials.
         seed: Seed of the random numbers; the same seed gives the same trials.
         objects: Which objects.
+        nominal: The object of `nominal` trials; the cube of `PinchTrial` if omitted.
     """
+    fixed = nominal or PinchTrial()
     random = np.random.default_rng(whole_number(seed, "seed", least=0))
     trials = []
     for _ in range(whole_number(count, "trials", least=1)):
@@ -45,7 +50,7 @@ def random_trials(count: int, seed: int, objects: Objects = "varied") -> list[Pi
                 "mass": float(np.exp(random.uniform(*np.log(_MASSES)))),
                 "friction": float(random.uniform(*_FRICTIONS)),
             }
-        trials.append(PinchTrial(**place))
+        trials.append(replace(fixed, **place))
     return trials
 
 
@@ -101,6 +106,18 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
         "time held %": round(100.0 * float(np.mean(shares)), 1),
         "slip mm": round(float(np.median(kept)), 1) if kept else "-",
         "force N": round(float(np.median([o.force for o in held])), 1) if held else "-",
+    }
+
+
+def describe_trial(trial: PinchTrial) -> dict[str, Any]:
+    """Describe an object and its place by plain values, in metres, kilograms and radians."""
+    return {
+        "shape": type(trial.shape).__name__.lower(),
+        "width": trial.size,
+        "mass": trial.mass,
+        "friction": trial.friction,
+        "offset": list(trial.offset),
+        "yaw": trial.yaw,
     }
 
 
