@@ -254,10 +254,11 @@ class PointIk:
         self._is_smooth = self._speed_cost + self._acceleration_cost > 0.0
         self._diagonal[first_joint:] += self._speed_cost + self._acceleration_cost
         self._first_joint = first_joint
-        self._turning = options.error_damping * (np.arange(nv) >= (3 if hand.is_floating else 0))
+        self._error_damping = options.error_damping
         self._weighted_all = np.empty((3 * count + 6, hand.model.nv))
         self._H = np.empty((nv, nv))
         self._H_diagonal = self._H.reshape(-1)[:: nv + 1]
+        self._H_turning = self._H_diagonal[3 if hand.is_floating else 0 :]
         self._c = np.empty(nv)
         self._c_joints = self._c[first_joint:]
         self._zero_step = frozen(np.zeros(nv))
@@ -478,11 +479,10 @@ class PointIk:
         weighted.T.dot(weighted, out=self._H)
         # Damp by error times lever, the curvature that the linearisation neglects. The root of the
         # diagonal is the lever.
-        damping = np.sqrt(self._H_diagonal)
-        damping *= self._turning
-        damping *= math.sqrt(weighted_error.dot(weighted_error))
-        damping += self._diagonal
-        self._H_diagonal += damping
+        damping = np.sqrt(self._H_turning)
+        damping *= self._error_damping * math.sqrt(weighted_error.dot(weighted_error))
+        self._H_turning += damping
+        self._H_diagonal += self._diagonal
         weighted_error.dot(weighted, out=self._c)
         away = configuration.q[self._joint_angles] - rest
         away *= self._rest_weights
