@@ -378,7 +378,9 @@ class PointIk:
             if admitted is not total:
                 total = admitted
                 configuration.displace(start, total)
-        state.displacement, state.dt = frozen(total), dt
+        # The result hands it out too.
+        total.setflags(write=False)
+        state.displacement, state.dt = total, dt
         return IkResult(
             end,
             configuration.points.copy(),

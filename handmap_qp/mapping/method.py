@@ -23,7 +23,7 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.tasks import Task
 
 
-class HumanPose(NamedTuple):
+class HumanPose(msgspec.Struct, frozen=True, eq=False):
     """A human hand at one instant, in the human's world W.
 
     Attributes:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
@@ -15,7 +14,7 @@ from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.transform import affine, frozen
 
 
-class Reference(NamedTuple):
+class Reference(msgspec.Struct, frozen=True, eq=False):
     """Both hands at the start of the motion.
 
     Attributes:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -249,7 +250,8 @@ def _in_unit(reference: Reference, options: MappingOptions, unit: float) -> Refe
     """Return the same reference measured in another unit of length."""
     human_wrist = np.eye(4) if reference.human_wrist is None else reference.human_wrist
     points = unit * HUMAN.points(HUMAN.rest, human_wrist)
-    return reference._replace(
+    return msgspec.structs.replace(
+        reference,
         estimator=MotionEstimator(
             points, ridge=options.ridge, has_prior=options.rigid_from == "wrist"
         ),
