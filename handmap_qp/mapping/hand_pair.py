@@ -36,6 +36,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
+from handmap_qp.trackers.landmarks import landmarks_at_rest
 from handmap_qp.transform import as_floats, frozen, inverse_pose, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
@@ -138,15 +139,18 @@ class HandPair:
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
         self.finger_ratio = float(self.reach_ratios[others or [0]].mean())
         self.matched = frozen(self._given_or_solved(matched))
-        self.robot_rest = frozen(_points_in_palm(self.robot, self.matched))
-        self._measure_centres()
+        self._measure_robot()
 
-    def _measure_centres(self) -> None:
-        """Find the centres of the knuckles, and of the robot's tips and middle joints."""
+    def _measure_robot(self) -> None:
+        """Find the robot's points in the matched posture, their centres and the knuckles'."""
+        placed = _placed(self.robot, self.matched)
+        to_palm = inverse_pose(_palm_pose(self.robot, placed))
+        self.robot_rest = frozen(transform_points(to_palm, placed.points))
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB] or [0]
         chains = [self.chains[finger] for finger in self.fingers]
         places = [place for chain in chains for place in (chain.knuckle, chain.tip, chain.middle)]
-        points = points_in_palm_at(self.robot, places, self.matched).reshape(-1, 3, 3)
+        points = AttachedPoints(self.robot, places).positions(placed)
+        points = transform_points(to_palm, points).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
         self.human_knuckles = frozen(self.human_rest[self.knuckles[others]].mean(axis=0))
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
@@ -198,7 +202,7 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        targets = transform_points(_palm_pose(robot, _placed(robot, robot.rest)), in_palm)
+        targets = transform_points(_palm_at_rest(self._given_robot), in_palm)
         costs = point_costs(robot, IkOptions())
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
@@ -270,6 +274,11 @@ def _with_finger_points(robot: Hand) -> tuple[bool, Hand]:
 def _knuckles_at_rest(robot: Hand) -> np.ndarray:
     chains = _fingers_and_pads(robot)[0]
     return frozen(points_in_palm_at(robot, [chains[f].knuckle for f in _common_fingers(robot)]))
+
+
+@lru_cache(maxsize=32)
+def _palm_at_rest(robot: Hand) -> np.ndarray:
+    return frozen(_palm_pose(robot, _placed(robot, robot.rest)))
 
 
 @lru_cache(maxsize=32)
@@ -389,11 +398,12 @@ def _named_points_at_rest(human: Hand) -> dict[str, np.ndarray]:
 
     Of a hand with all landmarks, these.
     """
-    wanted = human.spec.sets.get("landmarks", ())
-    if not wanted or not set(wanted) <= {point.name for point in human.reference_points}:
-        human = human.with_points(human.spec.points)
-    names = [point.name for point in human.reference_points]
-    return dict(zip(names, human.points(human.rest), strict=True))
+    names = human.spec.sets.get("landmarks")
+    if names is not None:
+        return dict(zip(names, landmarks_at_rest(human), strict=True))
+    points = human.with_points(human.spec.points)
+    names = [point.name for point in points.reference_points]
+    return dict(zip(names, points.points(human.rest), strict=True))
 
 
 def _human_pads(human: Hand, ends: Mapping[str, FingerEnd]) -> dict[str, Pad]:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import HandmapError, InvalidInputError, InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
@@ -123,7 +124,6 @@ class HandMapper:
         bound = chosen.bind(human, robot)
         solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self._plan = _Plan(chosen, bound, solver, tuple(tasks), smoothing)
-        self._human = human.configuration()
         # The wrist stays at the origin; points move with it afterwards.
         self._human_vector = human.configuration_vector(human.rest)
         # Points with a 1 behind each, which a pose moves in one product.
@@ -386,6 +386,11 @@ class HandMapper:
             verdict,
             confidence,
         )
+
+    @cached_property
+    def _human(self) -> Configuration:
+        """The workspace of `map_step`; streams of landmarks need none."""
+        return self.human.configuration()
 
     @cached_property
     def _guard(self) -> StreamGuard:

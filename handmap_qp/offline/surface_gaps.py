@@ -213,9 +213,10 @@ class _NearestPairs:
     def smallest(self, pairs: slice, most: float) -> float:
         """Smallest signed distance of some of the pairs, `most` at most [m]."""
         bounds, first = self._bounds[pairs], pairs.start or 0
-        for i in np.argsort(bounds):
+        near = (bounds < most).nonzero()[0]
+        for i in near[bounds[near].argsort()].tolist():
             if bounds[i] >= most:
                 break
-            result = pin.computeDistance(self._geometry, self._data, int(first + i))
+            result = pin.computeDistance(self._geometry, self._data, first + i)
             most = min(most, result.min_distance)
         return most
