@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from time import process_time
 
@@ -206,5 +207,8 @@ def save_episode(file: Path, trajectory: Trajectory, side: Side) -> None:
     """
     left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
     columns = {name: a for name, a in trajectory.columns.items() if name not in left_out}
+    # Written at once: the parts of an archive, one by one, take twice as long.
+    archive = BytesIO()
+    np.savez(archive, allow_pickle=False, **columns, side=np.array(side))
     with replaced_file(file, "--out") as stream:
-        np.savez(stream, allow_pickle=False, **columns, side=np.array(side))
+        stream.write(archive.getbuffer())

@@ -85,7 +85,7 @@ _LONG_SETTLING = 0.5
 """The same after a flip or an outlier, which can last [s]."""
 _BRIEF = 0.1
 """Holds up to this end at once when the hand is where it can have moved to meanwhile [s]."""
-_BONE_STEP, _BONE_USUAL = 0.008, 0.0015
+BONE_STEP, _BONE_USUAL = 0.008, 0.0015
 """Change of a length that is always believed, and the first guess of the usual one [m]."""
 _EXCESS = 12.0
 """A change of speed is a jump if it is this many times the tracker's usual one."""
@@ -190,13 +190,7 @@ class StreamGuard:
         Raises:
             InvalidInputError: If it is of the other hand.
         """
-        if sample.side != self._side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of a {self._side} hand",
-                value=sample.side,
-                got=f"one of a {sample.side} hand",
-            )
+        self.check_side(sample.side)
         state = self.state
         tick, clock = state.clock.advance(sample.time)
         now = state.now + tick.elapsed
@@ -220,6 +214,20 @@ class StreamGuard:
             self._input.alert()
         return verdict
 
+    def check_side(self, side: Side) -> None:
+        """Reject samples of the other hand.
+
+        Raises:
+            InvalidInputError: If the side is not the person's.
+        """
+        if side != self._side:
+            raise InvalidInputError(
+                argument="side",
+                expected=f"samples of a {self._side} hand",
+                value=side,
+                got=f"one of a {side} hand",
+            )
+
     def _seen(
         self, sample: HumanSample, sight: Sight | None, now: float
     ) -> tuple[Sight | None, Rule]:
@@ -231,11 +239,11 @@ class StreamGuard:
             sight = Sight(size, is_zero(size, landmarks), first_track(now, landmarks))
         if sight.is_zero:
             return sight, "zero"
-        return sight, "" if self.fits(sight) else "size"
+        return sight, "" if self.fits_size(sight.size) else "size"
 
-    def fits(self, sight: Sight) -> bool:
-        """Tell whether a palm is about as large as the person's."""
-        return self._palm.fits_size(sight.size)
+    def fits_size(self, size: float) -> bool:
+        """Tell whether a palm of an RMS radius [m] is about as large as the person's."""
+        return self._palm.fits_size(size)
 
     def consistency(self, sight: Sight) -> float:
         """Return the RMS difference of lengths that cannot change from the person's [m]."""
@@ -311,7 +319,7 @@ def _is_other(before: Track, sample: Track, usual: _Usual) -> bool:
 
 
 def _is_stretched(change: Change, usual: _Usual) -> bool:
-    return change.lengths > max(_BONE_STEP, _BONE_EXCESS * usual.lengths)
+    return change.lengths > max(BONE_STEP, _BONE_EXCESS * usual.lengths)
 
 
 def _named(change: Change, usual: _Usual) -> Rule:
@@ -332,7 +340,7 @@ def _named(change: Change, usual: _Usual) -> Rule:
 
 def _learnt(usual: _Usual, change: Change, before: Track) -> _Usual:
     """Move the running medians by a fixed share: a single fault hardly counts."""
-    lengths = _median(usual.lengths, change.lengths, _BONE_STEP / _BONE_EXCESS)
+    lengths = _median(usual.lengths, change.lengths, BONE_STEP / _BONE_EXCESS)
     if before.dt <= 0.0:
         return usual._replace(lengths=lengths)
     return _Usual(

@@ -181,13 +181,13 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    palm = _standard_palm()
+    palm, palms = _standard_palm(), landmarks[:, PALM]
     # Generalised Procrustes: lay every sample on the median shape, then take the median again.
     # Three rounds are enough to converge.
     for _ in range(3):
-        palm = np.median(_lay_on(landmarks, palm)[:, PALM], axis=0)
+        palm = np.median(_moved(palms, *rigid_fits(palms, palm)), axis=0)
         palm = palm - palm[0]
-    laid = _lay_on(landmarks, palm)
+    laid = _moved(landmarks, *rigid_fits(palms, palm))
     bases = np.median(laid[:, FIRST_JOINTS], axis=0)
     return HumanLengths(bases=bases, segments=segments, rolls=_rolls(laid))
 
@@ -249,7 +249,6 @@ def palm_sizes(palms: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
 
 
-def _lay_on(landmarks: np.ndarray, palm: np.ndarray) -> np.ndarray:
-    """Move each sample, shape (T, 21, 3), rigidly so that its palm lies on `palm` (5, 3)."""
-    rotations, translations = rigid_fits(landmarks[:, PALM], palm)
-    return landmarks @ rotations.transpose(0, 2, 1) + translations[:, None]
+def _moved(points: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
+    """Move the points of each sample rigidly, shape (T, n, 3)."""
+    return points @ rotations.transpose(0, 2, 1) + translations[:, None]

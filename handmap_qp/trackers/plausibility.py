@@ -79,6 +79,9 @@ class InputCheck:
     Args:
         side: The hand that the samples are said to be of.
 
+    Attributes:
+        has_doubts: Whether something seemed wrong in any batch so far.
+
     Raises:
         InvalidInputError: If the side is neither `right` nor `left`.
     """
@@ -103,6 +106,7 @@ class InputCheck:
         self._batches = 0
         self._calm = 0
         self._finding: Finding | None = None
+        self.has_doubts = False
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
 
@@ -192,6 +196,7 @@ class InputCheck:
         if is_same:
             self._finding = guess
         self._guess = guess
+        self.has_doubts = self.has_doubts or guess is not None
 
     def _examine(
         self,
@@ -291,6 +296,25 @@ def examine_recording(recording: Recording) -> Finding | None:
         What is wrong in a quarter of its valid samples or more; None if it is plausible. A tracker
         that confuses the hand for a moment is left to the guard (`trackers.guard`).
     """
+    return examine(recording).finding
+
+
+class Examination(NamedTuple):
+    """What `examine` found.
+
+    Attributes:
+        finding: As of `examine_recording`.
+        has_doubts: Whether something seemed wrong in any batch of samples.
+    """
+
+    finding: Finding | None
+    has_doubts: bool
+
+
+# A recording is examined as a whole, and then judged sample by sample.
+@lru_cache(maxsize=1)
+def examine(recording: Recording) -> Examination:
+    """Examine all valid samples of a recording; the answer about the last one is kept."""
     check = InputCheck(recording.side)
     indices = np.flatnonzero(recording.valid)
     landmarks, wrists, measures = recording.landmarks, recording.wrist, recorded_measures(recording)
@@ -303,9 +327,9 @@ def examine_recording(recording: Recording) -> Finding | None:
         if finding is not None:
             found += 1
             if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
-                return finding
+                return Examination(finding, True)
     last = check.finish()
-    return last if end - start <= 1.0 else None
+    return Examination(last if end - start <= 1.0 else None, check.has_doubts)
 
 
 # A recording is examined as a whole, and by the guard while its person is measured.

@@ -53,6 +53,8 @@ def test_the_guard_says_the_same_by_column(text: str, human: Hand) -> None:
     columns = [[v.rule, v.is_held, v.is_return, v.dt, v.finding] for v in live]
     assert [[v.rule, v.is_held, v.is_return, v.dt, v.finding] for v in found] == columns
     assert any(verdict.is_held for verdict in live) == bool(text)
+    # Recordings without any fault are judged as a whole.
+    assert recorded._is_calm == (not text)
     np.testing.assert_allclose(
         [v.consistency for v in found], [v.consistency for v in live], atol=1e-15
     )
