@@ -210,6 +210,8 @@ def shortest_solution(matrix: np.ndarray, values: np.ndarray, tolerance: float) 
     Returns:
         x, shape (n,).
     """
+    if len(values) == 1 and (square := matrix[0].dot(matrix[0])) > 0.0:
+        return matrix[0] * (values[0] / square)
     found = PivotedSvd(matrix, _THIN)
     found.setThreshold(tolerance)
     return found.solve(values)

@@ -200,7 +200,7 @@ class Configuration:
         Returns:
             Jacobian, shape (r, k); the same array if all coordinates are active.
         """
-        return jacobian if self.expansion is None else jacobian @ self.expansion
+        return jacobian if self.expansion is None else jacobian.dot(self.expansion)
 
     def stacked_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
         """Rows of all points and of the wrist as one product, to be masked by `support`.

@@ -19,43 +19,15 @@ Where that does not suffice, the way is halved, until it does or a point of it i
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.distances import NearPairs, ShapeDistances
+from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
 from handmap_qp.transform import lengths
 
-_KEPT = 2e-4
-"""Pairs do not come nearer than this, or than they are at the start, where a way is measured; and
-not nearer than half of it between [m]."""
 _MOST_POINTS = 32
 """Points of a way that are measured, at most; a way that needs more counts as not clear."""
-
-
-class End(NamedTuple):
-    """Where a way ends.
-
-    Attributes:
-        near: The pairs of shapes there.
-        open_below: Below which distance there the way is not clear by travel alone [m], shape (k,);
-            pairs that may be nearer are measured.
-    """
-
-    near: NearPairs
-    open_below: np.ndarray
-
-
-def open_below(start: NearPairs, travel: np.ndarray) -> np.ndarray:
-    """Return `End.open_below`.
-
-    Args:
-        start: The pairs where the way begins.
-        travel: By how much each distance changes on it at most [m], shape (k,).
-    """
-    return travel - start.bounds + _KEPT
 
 
 class ClearPath:
@@ -87,7 +59,7 @@ class ClearPath:
         q: np.ndarray,
         start: NearPairs,
         displacement: np.ndarray,
-        end: End | None = None,
+        end: NearPairs | None = None,
     ) -> bool:
         """Return whether no pair of shapes touches on a way.
 
@@ -97,41 +69,32 @@ class ClearPath:
             q: Pinocchio configuration where it begins, shape (nq,).
             start: The pairs there; those that matter are measured.
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
-            end: Where it ends; measured where it matters if omitted.
+            end: The pairs where it ends, as measured next; measured if omitted.
         """
         step = displacement if self._expansion is None else self._expansion.dot(displacement)
         way, turns = _Way(self._model, q, step), np.abs(step)
-        near, below = self._end(start, way, turns) if end is None else end
-        is_open = near.distances < below.take(near.pairs)
-        if not is_open.any():
+        if end is None:
+            end = self._distances.follow_to(way.at(1.0), start, self._levers.dot(turns))
+        pairs = end.pairs.compress(end.is_open)
+        if not len(pairs):
             return True
-        pairs, after = near.pairs.compress(is_open), near.found.compress(is_open, 0)
-        before = self._found_at_start(start, way, pairs)
-        is_apart = before[:, 0] > 0.0
-        if not is_apart.all():
-            pairs, after, before = pairs[is_apart], after[is_apart], before[is_apart]
-        kept = np.minimum(before[:, 0], _KEPT)
-        if (after[:, 0] < kept).any():
-            return False
-        motion = self._motions.take(pairs, 0).dot(turns)
+        before, after = self._found_at_start(start, way, pairs), end.found.compress(end.is_open, 0)
+        kept = np.minimum(before[:, 0], KEPT)
+        if np.count_nonzero(after[:, 0] < kept) or np.count_nonzero(kept <= 0.0):
+            is_apart = kept > 0.0
+            pairs, kept = pairs[is_apart], kept[is_apart]
+            before, after = before[is_apart], after[is_apart]
+            if (after[:, 0] < kept).any():
+                return False
+        motion = self._motions.take(pairs, 0).reshape(-1, len(turns)).dot(turns).reshape(-1, 2)
         return self._is_clear_between(way, pairs, (0.0, 1.0), (before, after), motion, kept)
-
-    def _end(self, start: NearPairs, way: _Way, turns: np.ndarray) -> End:
-        """Measure the end of a way where it matters."""
-        travel = self._levers.dot(turns)
-        below = open_below(start, travel)
-        near = self._distances.measure_at(way.at(1.0), start.bounds - travel, below)
-        return End(near, below)
 
     def _found_at_start(self, start: NearPairs, way: _Way, pairs: np.ndarray) -> np.ndarray:
         """Return distance, normal and first nearest point where a way begins, shape (r, 7)."""
-        places, is_known = start.find(pairs)
-        if is_known.all():
-            return start.found.take(places, 0)
-        found = np.empty((len(pairs), 7))
-        found[is_known] = start.found[places[is_known]]
-        found[~is_known] = self._distances.found_at(way.at(0.0), pairs[~is_known])
-        return found
+        places = start.places(pairs)
+        if places is None:
+            return self._distances.found_at(way.at(0.0), pairs)
+        return start.found.take(places, 0)
 
     def _is_clear_between(
         self,
@@ -156,7 +119,7 @@ class ClearPath:
         nearest = np.minimum(before[:, 0], after[:, 0])
         bend = 2.0 * lengths(after[:, 1:4] - before[:, 1:4]) + motion[:, 1]
         is_open = nearest - 0.125 * bend * motion[:, 0] < 0.5 * kept
-        if not is_open.any():
+        if not np.count_nonzero(is_open):
             return True
         if way.points_taken >= _MOST_POINTS:
             return False
@@ -165,7 +128,7 @@ class ClearPath:
         low, high = ends
         middle = 0.5 * (low + high)
         between = self._distances.found_at(way.at(middle), pairs)
-        if (between[:, 0] < kept).any():
+        if np.count_nonzero(between[:, 0] < kept):
             return False
         return self._is_clear_between(
             way, pairs, (low, middle), (before, between), motion, kept

@@ -25,15 +25,15 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.clear_path import ClearPath, End, open_below
-from handmap_qp.ik.distances import NearPairs, ShapeDistances
+from handmap_qp.ik.clear_path import ClearPath
+from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
 from handmap_qp.transform import shortest_solution
 
 # Where there is a horizon, pairs get rows if they are within their margin, this distance [m], and
 # what links approach each other by in the sample at this speed [m/s].
 _NEAR, _APPROACH = 0.001, 0.5
 # Nor do they come nearer to each other than this part of what the last step's turns bound.
-_EXPECTED = 0.5
+_EXPECTED = 0.25
 
 
 class CollisionLimit:
@@ -121,9 +121,8 @@ class CollisionLimit:
             dt: Time of the sample [s], in which links approach each other.
             before: What is known in another posture; nothing if omitted.
         """
-        bounds = self._distances.bounds_at(configuration.q, before)
         horizon = (self.margin if margins is None else margins) + self._reach(dt)
-        return self._distances.measure(configuration, bounds, horizon)
+        return self._distances.measure(configuration, horizon, before)
 
     def measure_end(
         self,
@@ -132,7 +131,7 @@ class CollisionLimit:
         dt: float,
         start: NearPairs,
         displacement: np.ndarray,
-    ) -> End:
+    ) -> NearPairs:
         """Measure at the end of a sample: pairs that get rows in the next one, or may have touched.
 
         Args:
@@ -143,16 +142,15 @@ class CollisionLimit:
             displacement: Displacement from there, shape (n,).
         """
         travel = self._levers.dot(np.abs(displacement[self._moving]))
-        reach, below = self._reach(dt), open_below(start, travel)
+        reach: np.ndarray | float = self._reach(dt)
         if reach < np.inf:
             reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
-        horizon = np.maximum((self.margin if margins is None else margins) + reach, below)
-        near = self._distances.measure(configuration, start.bounds - travel, horizon)
-        return End(near, below)
+        horizon = (self.margin if margins is None else margins) + reach
+        return self._distances.follow(configuration, horizon, start, travel)
 
     def _reach(self, dt: float) -> float:
         """Return how far beyond their margin pairs get rows [m]."""
-        return min(_NEAR + self._approach * dt, self._horizon)
+        return max(min(_NEAR + self._approach * dt, self._horizon), KEPT)
 
     def rows(
         self,
@@ -231,4 +229,4 @@ class CollisionLimit:
         parted = G.dot(np.minimum(np.maximum(witness + parting, lower), upper))
         does_harm = parted > h
         does_harm[nearer] = False
-        return G, np.maximum(h, G.dot(witness) if does_harm.any() else parted)
+        return G, np.maximum(h, G.dot(witness) if np.count_nonzero(does_harm) else parted)

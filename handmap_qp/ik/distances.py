@@ -22,11 +22,14 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
 from handmap_qp.transform import frozen, lengths
 
-_LEVI_CIVITA = np.zeros((9, 3))
-"""Takes the products `p_i n_j`, flattened, to `p x n`."""
-for _i in range(3):
-    _j, _k = (_i + 1) % 3, (_i + 2) % 3
-    _LEVI_CIVITA[[3 * _j + _k, 3 * _k + _j], _i] = 1.0, -1.0
+# Columns of `NearPairs.found` whose products make `(n, p x n)`: those of the first row, from the
+# fourth on times those of the second, summed by the matrix. np.cross takes three times as long.
+_FACTORS = np.array([1, 2, 3, 5, 6, 4, 6, 4, 5]), np.array([3, 1, 2, 2, 3, 1])
+_SUMS = np.zeros((9, 6))
+_SUMS[range(6), range(6)], _SUMS[range(6, 9), range(3, 6)] = 1.0, -1.0
+KEPT = 2e-4
+"""Pairs do not come nearer than this, or than they are at the start, where a way is measured; and
+not nearer than half of it between [m]."""
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
 _TOLERANCE = 1e-9
 # Balls are quicker than distances where more pairs than this are due.
@@ -42,12 +45,15 @@ class NearPairs(NamedTuple):
         pairs: Indices of the measured pairs, increasing, shape (r,).
         found: Distance, normal and first nearest point of each, shape (r, 7). Normals go from the
             first to the second shape; distances are negative where shapes overlap.
+        is_open: Which of them travel alone does not show to be apart on the whole way from the
+            posture before, shape (r,). All pairs that are not measured are.
     """
 
     q: np.ndarray
     bounds: np.ndarray
     pairs: np.ndarray
     found: np.ndarray
+    is_open: np.ndarray
 
     @property
     def distances(self) -> np.ndarray:
@@ -61,19 +67,18 @@ class NearPairs(NamedTuple):
         The unit force along the normal from the first to the second shape, and its moment about the
         world's origin.
         """
-        wrenches, normals = np.empty((len(self.pairs), 6)), self.found[:, 1:4]
-        wrenches[:, :3] = normals
-        # np.cross takes three times as long.
-        products = np.matmul(self.found[:, 4:, None], normals[:, None])
-        wrenches[:, 3:] = products.reshape(-1, 9).dot(_LEVI_CIVITA)
-        return wrenches
+        products = self.found.take(_FACTORS[0], 1)
+        products[:, 3:] *= self.found.take(_FACTORS[1], 1)
+        return products.dot(_SUMS)
 
-    def find(self, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where pairs are among the measured ones, and which are, shape (r,) each."""
+    def places(self, pairs: np.ndarray) -> np.ndarray | None:
+        """Return where pairs are among the measured ones, shape (r,); None if some are not."""
         if not len(self.pairs):
-            return np.zeros(len(pairs), dtype=int), np.zeros(len(pairs), dtype=bool)
-        places = np.minimum(self.pairs.searchsorted(pairs), len(self.pairs) - 1)
-        return places, self.pairs.take(places) == pairs
+            return None
+        places = self.pairs.searchsorted(pairs)
+        # Whole arrays compare fastest as bytes.
+        is_there = self.pairs.take(places, mode="clip").tobytes() == pairs.tobytes()
+        return places if is_there else None
 
 
 class ShapeDistances:
@@ -118,57 +123,81 @@ class ShapeDistances:
         # A posture of its own, for ways between samples.
         self._elsewhere = model.createData()
 
-    def bounds_at(self, q: np.ndarray, before: NearPairs | None) -> np.ndarray:
-        """Return lower bounds of the distances of all pairs in a posture [m], shape (k,).
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-            before: What is known in another posture; None for nothing.
-        """
-        if before is None:
-            return np.full(len(self._radii), -np.inf)
-        turns = np.abs(q[self._joints] - before.q[self._joints])
-        return before.bounds - self._joint_levers.dot(turns)
-
     def measure(
-        self, configuration: Configuration, bounds: np.ndarray, horizon: np.ndarray | float
+        self,
+        configuration: Configuration,
+        horizon: np.ndarray | float,
+        before: NearPairs | None = None,
     ) -> NearPairs:
         """Measure the pairs that may be within a horizon.
 
         Args:
             configuration: Of the hand, placed.
-            bounds: Lower bounds of the distances of all pairs there [m], shape (k,); written to.
             horizon: Distance up to which pairs are measured [m], of each pair, shape (k,), or one
                 for all.
+            before: What is known in another posture; nothing if omitted.
         """
-        return self._measure(configuration.data, configuration.q.copy(), bounds, horizon)
+        q = configuration.q.copy()
+        if before is None:
+            bounds = np.full(len(self._radii), -np.inf)
+        else:
+            turns = np.abs(q[self._joints] - before.q[self._joints])
+            bounds = before.bounds - self._joint_levers.dot(turns)
+        return self._measure(configuration.data, q, bounds, horizon, is_way=False)
 
-    def measure_at(
-        self, q: np.ndarray, bounds: np.ndarray, horizon: np.ndarray | float
+    def follow(
+        self,
+        configuration: Configuration,
+        horizon: np.ndarray | float,
+        start: NearPairs,
+        travel: np.ndarray,
     ) -> NearPairs:
-        """As `measure`, in any posture.
+        """Measure the pairs that may be within a horizon, or may have touched on a way.
 
         Args:
-            q: Pinocchio configuration, shape (nq,).
-            bounds: Lower bounds of the distances of all pairs there [m], shape (k,); written to.
-            horizon: Distance up to which pairs are measured [m], as of `measure`.
+            configuration: Of the hand, placed where the way ends.
+            horizon: As of `measure`, at least `KEPT`.
+            start: The pairs where it begins.
+            travel: By how much each distance changes on it at most [m], shape (k,).
+        """
+        q, bounds = configuration.q.copy(), start.bounds - travel
+        return self._measure(configuration.data, q, bounds, horizon, is_way=True)
+
+    def follow_to(self, q: np.ndarray, start: NearPairs, travel: np.ndarray) -> NearPairs:
+        """Measure the pairs that may have touched on a way to any posture.
+
+        Args:
+            q: Pinocchio configuration where the way ends, shape (nq,).
+            start: The pairs where it begins.
+            travel: By how much each distance changes on it at most [m], shape (k,).
         """
         pin.forwardKinematics(self._model, self._elsewhere, q)
-        return self._measure(self._elsewhere, q, bounds, horizon)
+        return self._measure(self._elsewhere, q, start.bounds - travel, KEPT, is_way=True)
 
     def _measure(
-        self, data: pin.Data, q: np.ndarray, bounds: np.ndarray, horizon: np.ndarray | float
+        self,
+        data: pin.Data,
+        q: np.ndarray,
+        bounds: np.ndarray,
+        horizon: np.ndarray | float,
+        *,
+        is_way: bool,
     ) -> NearPairs:
         due = (bounds <= horizon).nonzero()[0]
         self._place(data)
+        # The bound is a - t, with the distance a before and the travel t. On the way from a to b,
+        # it is never below (a + b - t) / 2.
+        open_below = KEPT - bounds.take(due) if is_way else np.full(len(due), -np.inf)
         if len(due) > _FEW:
             gaps = self._ball_gaps(due)
             bounds[due] = np.maximum(bounds.take(due), gaps)
             within = horizon.take(due) if isinstance(horizon, np.ndarray) else horizon
-            due = due.compress(gaps <= within)
+            is_near = gaps <= np.maximum(within, open_below)
+            due, open_below = due.compress(is_near), open_below.compress(is_near)
         found = self._compute(due)
-        bounds[due] = found[:, 0]
-        return NearPairs(q, bounds, due, found)
+        distances = found[:, 0]
+        bounds[due] = distances
+        return NearPairs(q, bounds, due, found, distances < open_below)
 
     def measure_all(self, configuration: Configuration) -> np.ndarray:
         """Return the signed distances of all pairs [m], shape (k,).
@@ -263,7 +292,8 @@ def _pair_motions(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return levers, relative turns and common turns of `ShapeDistances`, shape (k, nv) each."""
     shapes = geometry.geometryObjects
-    levers = np.array([_levers(model, shape) for shape in shapes]).reshape(-1, model.nv)
+    axes = _axes(model)
+    levers = np.array([_levers(model, axes, shape) for shape in shapes]).reshape(-1, model.nv)
     moved = moved_by(model, [shape.parentJoint for shape in shapes])
     first = [pair.first for pair in geometry.collisionPairs]
     second = [pair.second for pair in geometry.collisionPairs]
@@ -291,20 +321,66 @@ def _is_sliding(joint: pin.JointModel) -> bool:
     return joint.shortname().startswith("JointModelP")
 
 
-def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
-    """Bound the speed of a shape's points per speed of each coordinate, shape (nv,)."""
-    levers, joint = np.zeros(model.nv), shape.parentJoint
-    shape.geometry.computeLocalAABB()
-    centre = shape.placement.act(shape.geometry.aabb_center)
+def _levers(model: pin.Model, axes: np.ndarray, shape: pin.GeometryObject) -> np.ndarray:
+    """Bound the speed of a shape's points per speed of each coordinate, shape (nv,).
+
+    No lever is shorter than those of joints nearer to the shape. So times a turn of its joint, it
+    bounds what that turn changes in the velocities due to those joints, too.
+
+    Args:
+        model: The hand's model.
+        axes: Axis of each joint in its own frame, shape (njoints, 3); 0 if it has none or several.
+        shape: The shape.
+    """
+    levers, joint, longest = np.zeros(model.nv), shape.parentJoint, 0.0
+    points, radius = _extent(shape)
     # Largest distance of a point of the shape from the joint's origin.
-    reach = float(np.linalg.norm(centre)) + shape.geometry.aabb_radius
+    reach = float(np.linalg.norm(points, axis=1).max()) + radius
     while joint > 0:
-        found, v = model.joints[joint], model.joints[joint].idx_v
+        found, v, axis = model.joints[joint], model.joints[joint].idx_v, axes[joint]
         is_sliding = _is_sliding(found)
-        levers[v : v + found.nv] = 1.0 if is_sliding else reach
+        if axis.any():
+            # The part of an offset along an axis does not move when the joint turns.
+            across = float(np.linalg.norm(np.cross(points, axis), axis=1).max()) + radius
+            longest = max(longest, min(across, reach))
+        elif not is_sliding:
+            longest = max(longest, reach)
+        levers[v : v + found.nv] = 1.0 if is_sliding else longest
         if is_sliding:
             limits = model.lowerPositionLimit, model.upperPositionLimit
             reach += max(abs(float(limit[found.idx_q])) for limit in limits)
-        reach += float(np.linalg.norm(model.jointPlacements[joint].translation))
+        # From the parent's origin, the shape is within the joint's offset and that reach.
+        points, radius = model.jointPlacements[joint].translation[None], reach
+        reach += float(np.linalg.norm(points))
         joint = model.parents[joint]
     return levers
+
+
+def _extent(shape: pin.GeometryObject) -> tuple[np.ndarray, float]:
+    """Return points and a radius about them within which a shape is, in its joint's frame.
+
+    The corners of its bounding box, or the centre of its bounding ball if that is smaller.
+    """
+    geometry, place = shape.geometry, shape.placement
+    geometry.computeLocalAABB()
+    least, most = geometry.aabb_local.min_, geometry.aabb_local.max_
+    chosen = np.array(list(np.ndindex(2, 2, 2)))
+    corners = np.where(chosen, most, least)
+    if np.linalg.norm(most - least) / 2.0 > 1.001 * geometry.aabb_radius:
+        corners, radius = geometry.aabb_center[None], float(geometry.aabb_radius)
+    else:
+        radius = 0.0
+    return corners @ place.rotation.T + place.translation, radius
+
+
+def _axes(model: pin.Model) -> np.ndarray:
+    """Return the axis that each joint turns about, in its own frame, shape (njoints, 3).
+
+    0 for joints that slide or have several axes.
+    """
+    data, axes = model.createData(), np.zeros((model.njoints, 3))
+    jacobian = pin.computeJointJacobians(model, data, pin.neutral(model))
+    for joint in range(1, model.njoints):
+        if model.nvs[joint] == 1:
+            axes[joint] = data.oMi[joint].rotation.T @ jacobian[3:, model.idx_vs[joint]]
+    return axes

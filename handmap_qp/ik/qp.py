@@ -345,7 +345,7 @@ class PointIk:
             if collisions is not None:
                 if before is None or linear is None:
                     near = state.near
-                    if near is None or not np.array_equal(near.q, start):
+                    if near is None or near.q.tobytes() != start.tobytes():
                         near = collisions.measure(configuration, margins, dt, before=near)
                     before = Start(start, near)
                     linear = collisions.rows(configuration, margins, near)
@@ -372,9 +372,8 @@ class PointIk:
             state.stop_time = 0.0
         else:
             # Keep the measurement: the next sample starts from it.
-            reached = collisions.measure_end(configuration, margins, dt, before.near, total)
-            state.near = reached.near
-            admitted = guard.admit(before, total, first, dt, state, reached)
+            state.near = collisions.measure_end(configuration, margins, dt, before.near, total)
+            admitted = guard.admit(before, total, first, dt, state, state.near)
             if admitted is not total:
                 total = admitted
                 configuration.displace(start, total)

@@ -26,7 +26,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from handmap_qp.ik.clear_path import ClearPath, End
+from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.distances import NearPairs
 from handmap_qp.ik.limits import BoxLimits
 
@@ -109,7 +109,7 @@ class StopGuard:
         first: np.ndarray,
         dt: float,
         state: Moving,
-        end: End | None = None,
+        end: NearPairs | None = None,
     ) -> np.ndarray:
         """Return the displacement of a sample that is admitted, and note its stop.
 
@@ -145,11 +145,11 @@ class StopGuard:
         displacement: np.ndarray,
         dt: float,
         state: Moving,
-        end: End | None = None,
+        end: NearPairs | None = None,
     ) -> bool:
         """Return whether a sample and its stop are inside the limits and clear; note the stop."""
         limits, columns = self._limits, self._path.columns
-        time = limits.stop_time(displacement / dt, columns)
+        time = limits.stop_time(displacement / dt, columns) if limits.has_acceleration else 0.0
         if time == 0.0 and end is not None:
             # The QP's box keeps a displacement without a stop behind it inside the limits.
             is_clear = self._path.is_clear(*start, displacement, end)

@@ -31,8 +31,7 @@ def test_distances_and_wrenches_are_those_of_each_pair_measured_alone(hand: Hand
         step = rng.normal(scale=0.03, size=len(hand.rest))
         q = q + step if i % 2 else rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place_frames(hand.configuration_vector(q, np.eye(4)))
-        bounds = measured.bounds_at(configuration.q, near)
-        near = measured.measure(configuration, bounds, HORIZON)
+        near = measured.measure(configuration, HORIZON, near)
         pin.updateGeometryPlacements(hand.model, configuration.data, geometry, alone)
         results = [
             pin.computeDistance(geometry, alone, k) for k in range(len(geometry.collisionPairs))
@@ -57,7 +56,7 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: 
     configuration = hand.configuration()
     for q in (hand.rest, hand.lower_limits, hand.upper_limits):
         configuration.place_frames(hand.configuration_vector(q, np.eye(4)))
-        used.measure(configuration, used.bounds_at(configuration.q, None), HORIZON)
+        used.measure(configuration, HORIZON)
     np.testing.assert_allclose(
         used.measure_all(configuration), fresh.measure_all(configuration), atol=1e-8
     )
@@ -66,6 +65,6 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: 
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
     geometry.removeAllCollisionPairs()
-    near = ShapeDistances(hand.model, geometry).measure(hand.configuration(), np.zeros(0), HORIZON)
+    near = ShapeDistances(hand.model, geometry).measure(hand.configuration(), HORIZON)
     assert near.distances.shape == (0,)
     assert near.wrenches.shape == (0, 6)
