@@ -91,10 +91,13 @@ class ClearPath:
 
     def _found_at_start(self, start: NearPairs, way: _Way, pairs: np.ndarray) -> np.ndarray:
         """Return distance, normal and first nearest point where a way begins, shape (r, 7)."""
-        places = start.places(pairs)
-        if places is None:
-            return self._distances.found_at(way.at(0.0), pairs)
-        return start.found.take(places, 0)
+        places, is_known = start.places(pairs)
+        if is_known is None:
+            return start.found.take(places, 0)
+        found, unknown = np.empty((len(pairs), 7)), ~is_known
+        found[is_known] = start.found[places[is_known]]
+        found[unknown] = self._distances.found_at(way.at(0.0), pairs[unknown])
+        return found
 
     def _is_clear_between(
         self,

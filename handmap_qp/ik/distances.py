@@ -46,7 +46,7 @@ class NearPairs(NamedTuple):
         found: Distance, normal and first nearest point of each, shape (r, 7). Normals go from the
             first to the second shape; distances are negative where shapes overlap.
         is_open: Which of them travel alone does not show to be apart on the whole way from the
-            posture before, shape (r,). All pairs that are not measured are.
+            posture before, shape (r,). It shows so of all pairs that are not measured.
     """
 
     q: np.ndarray
@@ -71,14 +71,17 @@ class NearPairs(NamedTuple):
         products[:, 3:] *= self.found.take(_FACTORS[1], 1)
         return products.dot(_SUMS)
 
-    def places(self, pairs: np.ndarray) -> np.ndarray | None:
-        """Return where pairs are among the measured ones, shape (r,); None if some are not."""
+    def places(self, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return where pairs are among the measured ones, shape (r,).
+
+        And which of them are there, shape (r,); None for all.
+        """
         if not len(self.pairs):
-            return None
+            return np.zeros(len(pairs), dtype=int), np.zeros(len(pairs), dtype=bool)
         places = self.pairs.searchsorted(pairs)
+        there = self.pairs.take(places, mode="clip")
         # Whole arrays compare fastest as bytes.
-        is_there = self.pairs.take(places, mode="clip").tobytes() == pairs.tobytes()
-        return places if is_there else None
+        return places, None if there.tobytes() == pairs.tobytes() else there == pairs
 
 
 class ShapeDistances:

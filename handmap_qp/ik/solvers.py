@@ -69,8 +69,8 @@ class DaqpSolver:
     def __init__(self, size: int) -> None:
         self._size = size
         self._no_rows = np.zeros((0, size))
-        self._resize(0)
-        self._box_sense = self._sense
+        self._box_sense = np.zeros(size, dtype=np.int32)
+        self._grow(0)
 
     def solve(
         self,
@@ -86,10 +86,11 @@ class DaqpSolver:
         else:
             # DAQP takes the box first and the rows behind it.
             (G, h), size = rows, self._size
-            if len(h) != len(self._sense) - size:
-                self._resize(len(h))
-            self._lower[:size], self._upper[:size], self._upper[size:] = lower, upper, h
-            lower, upper, sense = self._lower, self._upper, self._sense
+            total = size + len(h)
+            if total > len(self._sense):
+                self._grow(2 * len(h))
+            self._lower[:size], self._upper[:size], self._upper[size:total] = lower, upper, h
+            lower, upper, sense = self._lower[:total], self._upper[:total], self._sense[:total]
         x, _, flag, _ = daqp.solve(H, c, G, upper, lower, sense, **_SETTINGS)
         if flag <= 0:
             # With a Hessian of 1e11 (targets 1000 km away) it reports feasible problems as
@@ -98,7 +99,7 @@ class DaqpSolver:
             x, _, flag, _ = daqp.solve(scale * H, scale * c, G, upper, lower, sense, **_SETTINGS)
         return x if flag > 0 else None
 
-    def _resize(self, row_count: int) -> None:
+    def _grow(self, row_count: int) -> None:
         total = self._size + row_count
         self._sense = np.zeros(total, dtype=np.int32)
         self._lower, self._upper = np.full(total, -np.inf), np.empty(total)
