@@ -34,6 +34,8 @@ from handmap_qp.transform import shortest_solution
 _NEAR, _APPROACH = 0.001, 0.5
 # Nor do they come nearer to each other than this part of what the last step's turns bound.
 _EXPECTED = 0.25
+# Pairs that are nearer than their margin by less than this need not part [m].
+_ROUGHLY = 2e-5
 
 
 class CollisionLimit:
@@ -203,7 +205,7 @@ class CollisionLimit:
         The displacement nearest to none inside the box always satisfies them: where a pair is
         nearer than the margin already, it need not part at once, only not come closer than the
         limits make it. Where a displacement is found that parts all those pairs without harm to the
-        others, that is what they are held to.
+        others, that is what they are held to. Pairs that are nearer by a few um are not parted.
 
         Args:
             rows: G and h of `rows`, for the whole displacement of a sample.
@@ -221,12 +223,13 @@ class CollisionLimit:
         if so_far is not None:
             h = h - G.dot(so_far)
         witness = np.minimum(np.maximum(0.0, lower), upper)
-        excess = G.dot(witness) - h
-        nearer = (excess > 0.0).nonzero()[0]
+        kept = G.dot(witness)
+        excess, loose = kept - h, np.maximum(h, kept)
+        nearer = (excess > _ROUGHLY).nonzero()[0]
         if not len(nearer):
-            return G, h
+            return G, loose
         parting = shortest_solution(G.take(nearer, 0), -excess.take(nearer), 1e-6)
         parted = G.dot(np.minimum(np.maximum(witness + parting, lower), upper))
-        does_harm = parted > h
+        does_harm = parted > loose
         does_harm[nearer] = False
-        return G, np.maximum(h, G.dot(witness) if np.count_nonzero(does_harm) else parted)
+        return G, loose if np.count_nonzero(does_harm) else np.maximum(h, parted)
