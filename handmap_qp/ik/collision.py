@@ -14,6 +14,11 @@ with J_a and J_b the Jacobians of the nearest points. Both lie on one line along
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
 angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
 `handmap_qp.ik.stopping` checks the whole displacement afterwards.
+
+Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
+the QP has what the ones before it left. So distances are measured once a sample, where it ends, for
+the check and for the rows of the next one. Where there is a horizon, a pair is measured if another
+step like the last one may bring it to its margin, or if its way is not clear by travel alone.
 """
 
 from __future__ import annotations
@@ -29,10 +34,10 @@ from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
 from handmap_qp.transform import shortest_solution
 
-# Where there is a horizon, pairs get rows if they are within their margin, this distance [m], and
-# what links approach each other by in the sample at this speed [m/s].
+# Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
+# what links approach each other by in a sample at this speed [m/s].
 _NEAR, _APPROACH = 0.001, 0.5
-# Nor do they come nearer to each other than this part of what the last step's turns bound.
+# They approach by no more than this part of their travel in the last sample.
 _EXPECTED = 0.25
 # Pairs that are nearer than their margin by less than this need not part [m].
 _ROUGHLY = 2e-5

@@ -2,8 +2,8 @@
 
 A point of a shape moves by at most its lever times the turn of a joint. So the distance of a pair
 changes by at most its `travel` from one posture to another, the sum of levers times turns, and what
-was known at the one bounds it at the other. A pair is measured again only if that bound and the gap
-between its bounding balls are both within a horizon.
+was known at the one bounds it at the other. A pair is measured again only if that bound and, where
+many are due, the gap between its bounding balls are within a horizon.
 
 All pairs are measured in one call of Pinocchio. Its results are read through views of its memory,
 because reading them one by one takes longer than the measurement.

@@ -15,9 +15,8 @@ ends on the line that was found clear, and needs the time T - dt. Another displa
 admitted is shortened towards x_brake. Both are inside the box of speed and acceleration, so all
 between are. A hand that starts without an overlap never has one.
 
-The displacement that is shortened is that of the first iteration of the QP, whose rows hold at the
-start. The sum of all iterations may begin with a way into another link: it goes round an edge, and
-the straight line cuts it.
+The displacement that is shortened is that of the first iteration of the QP. The sum of all
+iterations is longer, and farther from the start, where the rows of the QP are exact.
 """
 
 from __future__ import annotations
