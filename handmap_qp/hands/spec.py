@@ -8,16 +8,14 @@ Making a `Hand` checks it against its URDF.
 from __future__ import annotations
 
 import math
-import pickle
 import re
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
 import msgspec
 import numpy as np
-import yaml
 
 from handmap_qp.errors import HandError, InvalidInputError, without_errno
 from handmap_qp.hands.urdf.sources import is_named_source
@@ -431,35 +429,18 @@ def _set_typed_fields(spec: HandSpec) -> None:
         msgspec.structs.force_setattr(spec, name, getattr(typed, name))
 
 
-def _parse(text: str) -> Any:
-    """Parse YAML, once for every text: the hands of each recording are read again."""
-    return pickle.loads(_pickled(text))
-
-
-@lru_cache(maxsize=64)
-def _pickled(text: str) -> bytes:
-    """Parse YAML with libyaml, in a tenth of the time.
-
-    It crashes on some ten thousand levels, where plain Python raises `RecursionError`. Every level
-    takes one of these characters, and a description a few hundred of them.
-    """
-    is_deep = sum(map(text.count, "[{-?:")) > _MOST_LEVELS
-    return pickle.dumps(yaml.load(text, Loader=yaml.SafeLoader if is_deep else _LOADER))
-
-
-_MOST_LEVELS = 2000
-_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
 def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read a file's keys, with those of the file that it extends, and its folder."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
         raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
+    # PyYAML takes a tenth of the package's import.
+    from handmap_qp.hands.yaml_text import YamlError, parse
+
     try:
-        document = _parse(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: an impossible date
+        document = parse(text)
+    except (YamlError, ValueError, RecursionError) as error:  # ValueError: an impossible date
         message = f"is not valid YAML: {' '.join(str(error).split())}"
         raise HandError(message, file=path) from error
     if not isinstance(document, dict):
