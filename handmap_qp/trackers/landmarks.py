@@ -114,7 +114,11 @@ def landmarks_at_rest(human: Hand) -> np.ndarray:
     Raises:
         HandError: If the hand has no landmarks.
     """
-    return frozen(human.with_points("landmarks").points(human.rest))
+    hand = human.with_points("landmarks")
+    # A workspace for once: the hand's own would stay, a megabyte a person.
+    placed = hand.configuration()
+    placed.place_frames(hand.configuration_vector(hand.rest))
+    return frozen(placed.points.copy())
 
 
 def human_name(side: Side) -> str:
