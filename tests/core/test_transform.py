@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from strategies import (
     weights_for,
 )
 
+from handmap_qp import transform
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.transform import (
     QuatOrder,
@@ -136,6 +138,12 @@ def test_the_nearest_rotation_turns_with_its_matrix(matrix: np.ndarray, turn: np
 
 def test_the_nearest_rotation_to_a_reflection_is_proper() -> None:
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
+
+
+def test_threads_do_not_share_the_memory_of_a_decomposition() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(lambda: transform._WORKSPACE.svd).result()
+    assert other is not transform._WORKSPACE.svd
 
 
 # --- singular values and rigid fits
