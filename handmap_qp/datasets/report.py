@@ -94,9 +94,9 @@ def summary_rows(quality: Quality) -> list[dict[str, str]]:
         rows.append(
             {
                 "measure": measure.title,
-                "median": f"{np.median(known):.3g}",
-                "worst 5 %": f"{np.percentile(known, bad):.3g}",
-                "worst": f"{worst:.3g}",
+                "median": _text(float(np.median(known))),
+                "worst 5 %": _text(float(np.percentile(known, bad))),
+                "worst": _text(float(worst)),
                 "episodes": str(len(known)),
             }
         )
@@ -118,7 +118,7 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
                 "#": str(rank),
                 "episode": line.name,
                 "worst in": MEASURES[k].title,
-                "value": f"{values[k]:.3g}",
+                "value": _text(float(values[k])),
                 "samples": str(line.frames),
             }
         )
@@ -190,3 +190,8 @@ def _ranks(values: np.ndarray, measure: Measure) -> np.ndarray:
         better = np.searchsorted(np.sort(costs), costs, side="left")
         ranks[known] = better / (known.sum() - 1)
     return ranks
+
+
+def _text(value: float) -> str:
+    """Write a number with three digits, and one from 1000 on without a power of ten."""
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"

@@ -52,6 +52,8 @@ def draw_distributions(file: Path, quality: Quality) -> None:
         axes.set_title(MEASURES[k].title, fontsize=9)
         axes.tick_params(labelsize=7)
         axes.yaxis.get_major_locator().set_params(integer=True)
+        # Numbers that are nearly the same have long labels.
+        axes.xaxis.get_major_locator().set_params(nbins=4)
         axes.spines[["top", "right"]].set_visible(False)
     for row in grid:
         row[0].set_ylabel("episodes", fontsize=8)
