@@ -150,7 +150,8 @@ def moved_rows(rows: np.ndarray, linear: np.ndarray, translation: np.ndarray) ->
         The moved points [m], shape (n, 3); a new array.
     """
     columns = np.empty((4, 3))
-    columns[:3], columns[3] = linear.T, translation
+    columns[:3] = linear.T
+    columns[3] = translation
     return rows.dot(columns)
 
 

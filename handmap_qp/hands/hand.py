@@ -281,7 +281,7 @@ class Hand:
             if self.expansion is not None:
                 matrix, offset = self._expansion
                 vector[self._follower_q] = matrix[len(q) :] @ q + offset[len(q) :]
-            if self.is_floating and wrist_pose is not None:
+            if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:
             raise InvalidInputError(

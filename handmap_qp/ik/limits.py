@@ -40,6 +40,9 @@ class BoxLimits:
         max_acceleration: Limit of every velocity coordinate's acceleration, shape (nv,) or one
             number for all [rad/s^2, and m/s^2 for a floating wrist's translation]; none if omitted.
 
+    Attributes:
+        has_acceleration: Whether accelerations are limited.
+
     Raises:
         InvalidOptionsError: If an acceleration limit is not > 0 or has another shape.
     """
@@ -75,6 +78,7 @@ class BoxLimits:
         # Twice the same: numpy takes three times as long to spread a row over both limits.
         self._rows = np.array([coordinates, coordinates])
         self._speeds = np.array([speed, speed])
+        self.has_acceleration = max_acceleration is not None
         self._acceleration = (
             None if max_acceleration is None else _check_acceleration(max_acceleration, len(speed))
         )
@@ -113,11 +117,6 @@ class BoxLimits:
     def size(self) -> int:
         """Number of coordinates, nv."""
         return self._limits.shape[1]
-
-    @property
-    def has_acceleration(self) -> bool:
-        """Whether accelerations are limited."""
-        return self._acceleration is not None
 
     def stop_time(self, velocity: np.ndarray, columns: np.ndarray) -> float:
         """Return the time in which coordinates can stop together [s]; 0 without limits.

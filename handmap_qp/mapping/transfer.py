@@ -90,15 +90,18 @@ def transfer_motion(
     )
     centre = _in_robot_world(reference, image)
     rotation, rigid_image = rigid.rotation, rigid.image
-    points = moved_rows(reference.robot_rows, _in_robot_axes(reference, linear), centre)
+    placed, turned = linear, rotation
+    if (Q := reference.alignment) is not None:
+        placed, turned = Q @ linear @ Q.T, Q @ rotation @ Q.T
+    points = moved_rows(reference.robot_rows, placed, centre)
     if reference.residual_share is not None:
         # The residual refers to the imposed motion, so it makes up for clamping and gain.
         residual = sample.points - (reference.human_offsets.dot(linear.T) + image)
         share = reference.residual_share.dot(residual)
-        points += share if reference.alignment is None else share @ reference.alignment.T
+        points += share if Q is None else share @ Q.T
     if rigid_image is not image:
         centre = _in_robot_world(reference, rigid_image)
-    wrist = affine(_in_robot_axes(reference, rotation), centre).dot(reference.robot_wrist)
+    wrist = affine(turned, centre).dot(reference.robot_wrist)
     return Transfer(
         linear, rotation, pivot, rigid_image, image, factors.stretches, is_clamped, points, wrist
     )
@@ -108,9 +111,3 @@ def _in_robot_world(reference: Reference, image: np.ndarray) -> np.ndarray:
     """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
     scaled = reference.shift_map
     return reference.robot_origin + (image if scaled is None else scaled.dot(image))
-
-
-def _in_robot_axes(reference: Reference, linear: np.ndarray) -> np.ndarray:
-    """Return a linear map of W axes in V axes, shape (3, 3)."""
-    Q = reference.alignment
-    return linear if Q is None else Q @ linear @ Q.T
