@@ -215,7 +215,8 @@ def shortest_solution(matrix: np.ndarray, values: np.ndarray, tolerance: float) 
         return matrix[0] * (values[0] / square)
     found = PivotedSvd(matrix, _THIN)
     found.setThreshold(tolerance)
-    return found.solve(values)
+    # Of one column, eigenpy returns a matrix.
+    return found.solve(values).reshape(-1)
 
 
 def determinant(matrix: np.ndarray) -> float:
