@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 
 # Draw the same examples on every run, so that a failure is reproducible.
 # `--hypothesis-profile=explore` draws others.
-settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True, database=None)
+settings.register_profile("ci", deadline=None, max_examples=40, derandomize=True, database=None)
 settings.register_profile(
     "explore",
     deadline=None,
