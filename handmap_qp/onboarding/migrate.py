@@ -101,7 +101,8 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         raise HandError(f"expected {expected}", file=path, key="type", value=table.get("type"))
     links, indices = _names(table, field, path), table.get("target_link_human_indices")
     # A vector has two rows of indices: where it begins, and where it ends.
-    ends = indices[1] if kind == "vector" and isinstance(indices, list) and indices else indices
+    is_pair = isinstance(indices, list) and len(indices) == 2
+    ends = indices if kind != "vector" else indices[1] if is_pair else None
     is_index = [isinstance(i, int) and 0 <= i <= 20 for i in ends] if isinstance(ends, list) else []
     if not isinstance(ends, list) or not all(is_index) or len(is_index) != len(links):
         problem = f"expected {len(links)} indices of landmarks from 0 to 20 for {field}"

@@ -375,7 +375,7 @@ class Robot:
         if geometry is None:
             return None
         if geometry.box is not None:
-            points = _CORNERS * np.asarray(geometry.box.size, dtype=float)
+            points = _CORNERS * self._three(geometry.box.size, "size of a box")
         elif geometry.sphere is not None:
             points = np.array(
                 trimesh.creation.icosphere(subdivisions=2, radius=geometry.sphere.radius).vertices
@@ -398,12 +398,24 @@ class Robot:
             points = np.array(solid.vertices)
             points = points[:: max(1, len(points) // _MOST_POINTS)]
             if geometry.mesh.scale is not None:
-                points = points * np.asarray(geometry.mesh.scale, dtype=float)
+                points = points * self._three(geometry.mesh.scale, "scale of a mesh")
         else:
             return None
         if not len(points):
             return None
         return points if shape.origin is None else transform_points(shape.origin, points)
+
+    def _three(self, numbers: Any, what: str) -> np.ndarray:
+        """Return the numbers of a URDF's attribute as an array, shape (3,).
+
+        Raises:
+            HandError: If they are not three.
+        """
+        array = np.asarray(numbers, dtype=float)
+        if array.shape not in ((), (3,)):
+            found = " ".join(f"{number:g}" for number in array.ravel())
+            raise HandError(f"the {what} has three numbers, got {found}", file=self.file)
+        return np.broadcast_to(array, 3)
 
     # -- assumptions
 

@@ -10,9 +10,13 @@ import pytest
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.mjcf.convert import convert_mjcf
+from handmap_qp.onboarding.detect import detect
+from handmap_qp.onboarding.migrate import read_dex_configuration
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys
 from handmap_qp.trackers.formats import format_to_write, list_sources
 from handmap_qp.trackers.recording import Recording
+
+URDF = Path(__file__).parents[2] / "urdf"
 
 
 def bag(folder: Path) -> Path:
@@ -53,8 +57,38 @@ def name_of_other_encoding(folder: Path) -> None:
     convert_mjcf(file)
 
 
+def box_of_four_numbers(folder: Path) -> None:
+    file = folder / "hand.urdf"
+    content = (URDF / "three_finger" / "hand.urdf").read_text(encoding="utf-8")
+    sizes = 'size="0.026 0.03 0.024"', 'size="0.026 0.03 0. 24"'
+    assert sizes[0] in content
+    file.write_text(content.replace(*sizes), encoding="utf-8")
+    detect(file)
+
+
+def vectors_that_only_begin(folder: Path) -> None:
+    file = folder / "hand.yml"
+    lines = (
+        "retargeting:",
+        "  type: vector",
+        "  urdf_path: hand.urdf",
+        "  target_task_link_names: [a, b]",
+        "  target_link_human_indices: [[0, 8]]",
+    )
+    file.write_text("\n".join(lines), encoding="utf-8")
+    read_dex_configuration(file)
+
+
 @pytest.mark.parametrize(
-    "read", [broken_encapsulation, broken_text, key_without_value, name_of_other_encoding]
+    "read",
+    [
+        broken_encapsulation,
+        broken_text,
+        key_without_value,
+        name_of_other_encoding,
+        box_of_four_numbers,
+        vectors_that_only_begin,
+    ],
 )
 def test_it_ends_in_one_line(read: Callable[[Path], None], tmp_path: Path) -> None:
     with pytest.raises(HandmapError) as raised:
