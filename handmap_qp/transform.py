@@ -22,7 +22,6 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from eigenpy import ColPivHhJacobiSVD as PivotedSvd
 from eigenpy import DecompositionOptions
 from eigenpy import NoPrecondJacobiSVD as SquareSvd
 
@@ -44,7 +43,6 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 _IDENTITY = np.eye(4)
 _ONES = np.ones(3)
 
-_THIN = int(DecompositionOptions.ComputeThinU) | int(DecompositionOptions.ComputeThinV)
 _FULL = int(DecompositionOptions.ComputeFullU) | int(DecompositionOptions.ComputeFullV)
 
 # What numpy and Eigen raise on arrays of another shape or type.
@@ -196,27 +194,6 @@ def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     found = _WORKSPACE.svd
     found.compute(matrix)
     return found.matrixU(), found.singularValues(), found.matrixV().T
-
-
-def shortest_solution(matrix: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the shortest of the least-squares solutions of `matrix @ x = values`.
-
-    As `numpy.linalg.lstsq`, in a third of its time on a few rows; not checked.
-
-    Args:
-        matrix: Shape (m, n), m > 0.
-        values: Shape (m,).
-        tolerance: Singular values below this share of the largest one count as zero.
-
-    Returns:
-        x, shape (n,).
-    """
-    if len(values) == 1 and (square := matrix[0].dot(matrix[0])) > 0.0:
-        return matrix[0] * (values[0] / square)
-    found = PivotedSvd(matrix, _THIN)
-    found.setThreshold(tolerance)
-    # Of one column, eigenpy returns a matrix.
-    return found.solve(values).reshape(-1)
 
 
 def determinant(matrix: np.ndarray) -> float:

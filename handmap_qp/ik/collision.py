@@ -32,7 +32,6 @@ from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
-from handmap_qp.transform import shortest_solution
 
 # Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
 # what links approach each other by in a sample at this speed [m/s].
@@ -41,6 +40,12 @@ _NEAR, _APPROACH = 0.001, 0.5
 _EXPECTED = 0.25
 # Pairs that are nearer than their margin by less than this need not part [m].
 _ROUGHLY = 2e-5
+# Pairs part by this share of the box at most. All of it may leave nothing but its corner, which
+# DAQP reports as infeasible.
+_PARTED = 0.9
+# Pairs whose distance changes by less than this part slowly [m/rad]: all of the box would part them
+# by a few um, and the fingers would jump.
+_LEVER = 0.005
 
 
 class CollisionLimit:
@@ -210,7 +215,8 @@ class CollisionLimit:
         The displacement nearest to none inside the box always satisfies them: where a pair is
         nearer than the margin already, it need not part at once, only not come closer than the
         limits make it. Where a displacement is found that parts all those pairs without harm to the
-        others, that is what they are held to. Pairs that are nearer by a few um are not parted.
+        others, that is what they are held to; it is damped, so that pairs whose distance hardly
+        depends on the joints part slowly. Pairs that are nearer by a few um are not parted.
 
         Args:
             rows: G and h of `rows`, for the whole displacement of a sample.
@@ -233,8 +239,12 @@ class CollisionLimit:
         nearer = (excess > _ROUGHLY).nonzero()[0]
         if not len(nearer):
             return G, loose
-        parting = shortest_solution(G.take(nearer, 0), -excess.take(nearer), 1e-6)
-        parted = G.dot(np.minimum(np.maximum(witness + parting, lower), upper))
+        apart = G.take(nearer, 0)
+        gram = apart.dot(apart.T)
+        gram.flat[:: len(gram) + 1] += _LEVER**2
+        parting = -np.linalg.solve(gram, excess.take(nearer)).dot(apart)
+        least, most = _PARTED * (lower - witness), _PARTED * (upper - witness)
+        parted = kept + G.dot(np.minimum(np.maximum(parting, least), most))
         does_harm = parted > loose
         does_harm[nearer] = False
         return G, loose if np.count_nonzero(does_harm) else np.maximum(h, parted)

@@ -41,7 +41,6 @@ from handmap_qp.transform import (
     rotation_from_quat_wxyz,
     rotation_from_rpy,
     rpy_from_rotation,
-    shortest_solution,
     svd3,
     transform_points,
 )
@@ -148,18 +147,6 @@ def test_threads_do_not_share_the_memory_of_a_decomposition() -> None:
 
 
 # --- singular values and rigid fits
-
-
-@given(generators, st.integers(1, 5), st.integers(1, 5), st.integers(1, 5))
-def test_the_shortest_solution_is_that_of_numpy(
-    generator: np.random.Generator, rows: int, columns: int, rank: int
-) -> None:
-    matrix = generator.normal(size=(rows, rank)) @ generator.normal(size=(rank, columns))
-    values = generator.normal(size=rows)
-    found = shortest_solution(matrix, values, 1e-6)
-    expected = np.linalg.lstsq(matrix, values, rcond=1e-6)[0]
-    assert found.shape == (columns,)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
 @given(generators, st.integers(0, 3), st.floats(-100.0, 100.0))

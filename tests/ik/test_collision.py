@@ -14,6 +14,8 @@ import pinocchio as pin
 import pytest
 import trimesh
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from ik_cases import random_cases
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
@@ -24,6 +26,7 @@ from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.mink_problem import build_problem, make_limits, solve_problem
 from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.solvers import DaqpSolver
 
 DT = 1.0 / 60.0
 AVOIDING = IkOptions(avoids_self_collision=True)
@@ -142,6 +145,23 @@ def test_rows_never_contradict_the_box(name: str) -> None:
         )
         assert solve_problem(problem) is not None
     assert overlaps > 5
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40, deadline=None)
+def test_parting_leaves_room_and_does_not_jump(seed: int) -> None:
+    """Where a distance hardly depends on the joints, all of the box parts by a few um."""
+    rng, limit = np.random.default_rng(seed), CollisionLimit(load_hand("three_finger"))
+    count, size = int(rng.integers(1, 5)), 6
+    G = rng.normal(size=(count, size)) * 10.0 ** rng.uniform(-5.0, -1.0, (count, 1))
+    h = -(10.0 ** rng.uniform(-6.0, -2.0, count))
+    lower, upper = -rng.uniform(0.01, 0.2, size), rng.uniform(0.01, 0.2, size)
+    rows = limit.feasible((G, h), lower, upper)
+    pull, solver = rng.normal(size=size) * 10.0 ** rng.uniform(-3.0, 3.0), DaqpSolver(size)
+    for share in (1.0, min(0.9, 1e3 * -h.min()) + 1e-6):
+        step = solver.solve(np.eye(size), pull, share * lower, share * upper, rows)
+        assert step is not None
+        np.testing.assert_array_less(G @ step, rows[1] + 1e-8)
 
 
 def test_overlapping_links_part() -> None:
