@@ -40,12 +40,15 @@ _NEAR, _APPROACH = 0.001, 0.5
 _EXPECTED = 0.25
 # Pairs that are nearer than their margin by less than this need not part [m].
 _ROUGHLY = 2e-5
-# Pairs part by this share of the box at most. All of it may leave nothing but its corner, which
-# DAQP reports as infeasible.
-_PARTED = 0.9
+# Share of their excess by which pairs part in a sample. All of it makes links oscillate that are
+# pressed together.
+_PARTED = 0.3
 # Pairs whose distance changes by less than this part slowly [m/rad]: all of the box would part them
 # by a few um, and the fingers would jump.
-_LEVER = 0.005
+_LEVER = 0.015
+# Parting takes this share of the box at most. All of it may leave nothing but its corner, which
+# DAQP reports as infeasible.
+_INSIDE = 0.9
 
 
 class CollisionLimit:
@@ -242,8 +245,8 @@ class CollisionLimit:
         apart = G.take(nearer, 0)
         gram = apart.dot(apart.T)
         gram.flat[:: len(gram) + 1] += _LEVER**2
-        parting = -np.linalg.solve(gram, excess.take(nearer)).dot(apart)
-        least, most = _PARTED * (lower - witness), _PARTED * (upper - witness)
+        parting = -_PARTED * np.linalg.solve(gram, excess.take(nearer)).dot(apart)
+        least, most = _INSIDE * (lower - witness), _INSIDE * (upper - witness)
         parted = kept + G.dot(np.minimum(np.maximum(parting, least), most))
         does_harm = parted > loose
         does_harm[nearer] = False
