@@ -39,15 +39,17 @@ class ClearPath:
 
     Attributes:
         columns: Which active coordinates move the shapes of any pair against each other, shape
-            (k,). The others, such as those of a floating wrist, change no distance.
+            (n,). The others, such as those of a floating wrist, change no distance.
+        levers: Bound of the change of each pair's distance per change of each active coordinate
+            [m/rad, or 1 for sliding joints], shape (k, n).
     """
 
     def __init__(self, hand: Hand, distances: ShapeDistances) -> None:
         self._model = hand.model
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self._distances, levers = distances, distances.levers
-        active = levers if self._expansion is None else levers @ np.abs(self._expansion)
-        self.columns: np.ndarray = np.any(active > 0.0, axis=0)
+        self.levers = levers if self._expansion is None else levers @ np.abs(self._expansion)
+        self.columns: np.ndarray = np.any(self.levers > 0.0, axis=0)
         self._levers = levers
         # By pair: levers, and factors of turns in S + 2 C.
         self._motions = np.stack(

@@ -106,11 +106,9 @@ class CollisionLimit:
         first = [pair.first for pair in geometry.collisionPairs]
         second = [pair.second for pair in geometry.collisionPairs]
         self._opposing_support = supports[first] - supports[second]
-        levers, expansion = self._distances.levers, hand.expansion
-        active = levers if expansion is None else levers @ np.abs(expansion.matrix)
         # A floating wrist comes first and changes no distance.
-        first = int(np.argmax(self.path.columns))
-        self._moving, self._levers = slice(first, None), np.ascontiguousarray(active[:, first:])
+        self._moving = slice(int(np.argmax(self.path.columns)), None)
+        self._levers = np.ascontiguousarray(self.path.levers[:, self._moving])
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).

@@ -4,35 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from faulty_recordings import DEMO, faulty
 from marks import slow
 
 from handmap_qp import HandMapper, InvalidInputError, load_hand
-from handmap_qp.trackers.injection import inject, parse_faults
 from handmap_qp.trackers.recorded_motion import RecordedSamples
-from handmap_qp.trackers.recording import Recording, read_recording, recording_samples
+from handmap_qp.trackers.recording import Recording
 
-DEMO = read_recording("demo", "right")
 HUMAN = load_hand("human", points="landmarks")
-
-
-def faulty() -> Recording:
-    """Two seconds of a real recording: lost, then elsewhere, then one landmark off."""
-    faults = parse_faults("dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05")
-    samples = list(inject(recording_samples(DEMO.part(slice(0, 120))), faults))
-    return Recording(
-        name="faulty",
-        time=np.array([sample.time for sample in samples]),
-        landmarks=np.array([sample.landmarks for sample in samples]),
-        valid=np.array([sample.valid for sample in samples]),
-        side=DEMO.side,
-        confidence=np.array([sample.confidence for sample in samples]),
-    )
+# Lost, then elsewhere, then one landmark off.
+FAULTS = "dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05"
 
 
 @pytest.mark.parametrize("robot", ["three_finger", *map(slow, ["allegro_right", "panda_gripper"])])
 @pytest.mark.parametrize("method", ["teleoperation", "paper"])
 def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: str) -> None:
-    recorded, hand = RecordedSamples(faulty()), load_hand(robot)
+    recorded, hand = RecordedSamples(faulty(FAULTS)), load_hand(robot)
     live = HandMapper(HUMAN, hand, method)
     expected = [live.map_sample(sample) for sample in recorded.samples]
     found = list(HandMapper(HUMAN, hand, method).map_recorded(recorded))

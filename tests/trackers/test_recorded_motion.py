@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from faulty_recordings import DEMO, faulty
 
 from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.trackers.guard import StreamGuard
-from handmap_qp.trackers.injection import inject, parse_faults
 from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.recorded_motion import RecordedSamples
-from handmap_qp.trackers.recording import Recording, read_recording, recording_samples
+from handmap_qp.trackers.recording import recording_samples
 
-DEMO = read_recording("demo", "right")
 FAULTS = (
     "",
     "dropout@0.3+0.2,jump@0.8+0.2,outlier@1.3+0.05",
@@ -26,19 +25,6 @@ FAULTS = (
 @pytest.fixture(scope="module")
 def human() -> Hand:
     return scaled_human(DEMO, points="landmarks")
-
-
-def faulty(text: str) -> Recording:
-    """Return two seconds of a real recording with faults."""
-    samples = list(inject(recording_samples(DEMO.part(slice(0, 120))), parse_faults(text)))
-    return Recording(
-        name="faulty",
-        time=np.array([sample.time for sample in samples]),
-        landmarks=np.array([sample.landmarks for sample in samples]),
-        valid=np.array([sample.valid for sample in samples]),
-        side=DEMO.side,
-        confidence=np.array([sample.confidence for sample in samples]),
-    )
 
 
 @pytest.mark.parametrize("text", FAULTS)

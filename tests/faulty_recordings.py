@@ -1,0 +1,23 @@
+"""Real recordings with faults of trackers: `DEMO`, `faulty`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handmap_qp.trackers.injection import inject, parse_faults
+from handmap_qp.trackers.recording import Recording, read_recording, recording_samples
+
+DEMO = read_recording("demo", "right")
+
+
+def faulty(text: str) -> Recording:
+    """Return two seconds of `DEMO` with faults, as `parse_faults` reads them."""
+    samples = list(inject(recording_samples(DEMO.part(slice(0, 120))), parse_faults(text)))
+    return Recording(
+        name="faulty",
+        time=np.array([sample.time for sample in samples]),
+        landmarks=np.array([sample.landmarks for sample in samples]),
+        valid=np.array([sample.valid for sample in samples]),
+        side=DEMO.side,
+        confidence=np.array([sample.confidence for sample in samples]),
+    )
