@@ -20,7 +20,6 @@ _QUANTITIES: dict[str, Callable[[PinchTrial], float]] = {
     "displaced by [mm]": lambda trial: 1e3 * math.hypot(*trial.offset),
     "turned by [deg]": lambda trial: math.degrees(abs(trial.yaw)),
 }
-_SHAPE = "shape"
 # Panels of the picture side by side.
 _COLUMNS = 3
 
@@ -59,10 +58,10 @@ def splits(trials: Sequence[PinchTrial], parts: int = 3) -> list[Split]:
             members[indices] = True
             ends = f"{values[indices[0]]:.3g} - {values[indices[-1]]:.3g}"
             found.append(Split(name, ends, members))
-    shapes = np.array([type(trial.shape).__name__.lower() for trial in trials])
+    shapes = np.array([trial.kind for trial in trials])
     names = np.unique(shapes)
     if len(names) > 1:
-        found += [Split(_SHAPE, str(name), shapes == name) for name in names]
+        found += [Split("shape", str(name), shapes == name) for name in names]
     return found
 
 

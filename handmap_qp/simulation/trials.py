@@ -112,7 +112,7 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
 def describe_trial(trial: PinchTrial) -> dict[str, Any]:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
     return {
-        "shape": type(trial.shape).__name__.lower(),
+        "shape": trial.kind,
         "width": trial.size,
         "mass": trial.mass,
         "friction": trial.friction,
