@@ -55,15 +55,14 @@ def main(words: Sequence[str] | None = None) -> float:
                     found[key] = np.hstack([motion.q, wrists])
                     advance()
     if arguments.save is not None:
-        np.savez_compressed(arguments.save, **found)
+        np.savez_compressed(arguments.save, allow_pickle=False, **found)
     before = found if arguments.against is None else np.load(arguments.against)
-    rows = [
-        {"motion": key, "largest difference": _apart(before[key], found.get(key))} for key in before
-    ]
-    worst = max(row["largest difference"] for row in rows)
+    apart = {key: _apart(before[key], found.get(key)) for key in before}
+    worst = max(apart.values())
     title = f"{len(found)} motions; largest difference {worst:.2g}"
-    farthest = sorted(rows, key=lambda row: -row["largest difference"])[:20]
-    common.print_table(title, farthest, to_stderr=arguments.json == "-", caption="\n".join(notes))
+    order = sorted(apart, key=lambda key: -apart[key])
+    rows = [{"motion": key, "largest difference": apart[key]} for key in order]
+    common.print_table(title, rows[:20], to_stderr=arguments.json == "-", caption="\n".join(notes))
     common.write_json(arguments.json, "joints", {"largest": worst, "motions": rows, "notes": notes})
     return worst
 
