@@ -271,9 +271,9 @@ class _Core:
     def _reopen_request(self) -> Request:
         """Return a request that opens the session again, at the robot's last known posture.
 
-        `restore` lets the server use its own record if it has one.
+        `restore` lets the server use its own record if it has one; it knows the owner's secret.
         """
-        start: Request = {"session": secrets.token_urlsafe(24)}
+        start: Request = {}
         if self.opened is not None:
             last = self._last_command
             start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
@@ -286,7 +286,8 @@ class _Core:
             address = f"{self.address.rpartition(':')[0]}:{self._stream_port}"
             return _Endpoint(address, zmq.SUB, self._stream_name)
         session = self._addressee.get("session", "") if use == "samples" else ""
-        return _Endpoint(self.address, zmq.DEALER, session)
+        # Answers to samples before a reopening would reopen the session again.
+        return _Endpoint(self.address, zmq.DEALER, f"{session}{self.reopened}" if session else "")
 
     def _attempt_ends(self, deadline: float) -> Iterator[float]:
         """Give each attempt an equal share of the time that is left [s, monotonic]."""
@@ -583,7 +584,7 @@ class Client(_Core):
             ik: Fields of `IkOptions`; others are the preset's.
             robot_q: Joint angles where the robot is now [rad], shape (n,).
             robot_wrist: Pose of its wrist: (4, 4), seven numbers, or a `Pose`.
-            restore: Continue where the last session of this name left the robot.
+            restore: Continue where the last session of this name, of this owner, left the robot.
             is_released: Start released, so that the robot holds until `clutch`.
             max_dt: Longest time that one command may account for [s].
             time_from: Clock for the speed limits.
@@ -592,7 +593,7 @@ class Client(_Core):
             return_speed: Share of the speed limits that it returns at.
             resume: What happens after a hold: follow the human, or take a new reference.
             has_detail: Whether commands carry every stage of the mapping.
-            is_shared: Whether others may release, clutch and configure the session.
+            is_shared: Whether others may release, clutch, configure and clear the session.
 
         Returns:
             The session, also kept as `opened`.

@@ -18,6 +18,7 @@ from typing import Any
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.service.caps import Bucket
 from handmap_qp.service.logs import report
+from handmap_qp.service.states import Caller
 
 _RATE, _BURST = 20.0, 400.0
 """Lines per second, and at once."""
@@ -44,7 +45,7 @@ class AuditLog:
                 problem = f"cannot be written: {error.strerror}"
                 raise InvalidInputError(argument=str(path), problem=problem) from error
 
-    def note(self, event: str, by: str, *, session: str = "", **data: Any) -> None:
+    def note(self, event: str, by: Caller | str, *, session: str = "", **data: Any) -> None:
         """Write one event.
 
         Without a file, nothing is written. An emergency stop is never left out.
@@ -64,7 +65,7 @@ class AuditLog:
         if self._omitted:
             omitted, self._omitted = self._omitted, 0
             self._write({"event": "omitted", "count": omitted})
-        self._write({"event": event, "session": session, "by": by, **data})
+        self._write({"event": event, "session": session, "by": str(by), **data})
 
     def close(self) -> None:
         """Close the file."""

@@ -25,6 +25,7 @@ class Caps:
             a change to teleoperation takes up to 10 ms on hands with many links.
         message_size: Length of a message [bytes].
         idle: Time without a request after which a session is closed [s].
+        supervisors: Names of the keys that may clear every emergency stop.
         allows_client_time: Whether sessions may use the client's time stamps for speed limits
             (simulations).
     """
@@ -35,6 +36,7 @@ class Caps:
     configures: float = 60.0
     message_size: int = 16384
     idle: float = 60.0
+    supervisors: tuple[str, ...] = ()
     allows_client_time: bool = False
 
     def __post_init__(self) -> None:

@@ -27,6 +27,7 @@ class Serve:
         health_port: Port of /metrics and /health, on loopback; -1 for none.
         keys: Folder that `handmap keys` made. Connections are encrypted, and only its clients are
             admitted.
+        supervisor: Clients of --keys that may clear every emergency stop.
         web: Listen on WebSocket too, and serve the page for a headset's browser at the same port.
             It streams hands to the service; browsers need https, or http://localhost.
         web_host: Its address; any but loopback requires --web-token-file, --web-certificate and
@@ -59,6 +60,7 @@ class Serve:
     stream_port: int = 5571
     health_port: int = 5573
     keys: Path | None = None
+    supervisor: tuple[str, ...] = ()
     web: bool = False
     web_host: str = "127.0.0.1"
     web_port: int = 5572
@@ -119,6 +121,7 @@ class Serve:
                 sessions=self.sessions,
                 rate=self.rate,
                 idle=self.idle,
+                supervisors=self.supervisor,
                 allows_client_time=self.simulated_time,
             ),
         )

@@ -47,16 +47,13 @@ from handmap_qp.service.messages import (
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Sessions
+from handmap_qp.service.states import Caller
 from handmap_qp.service.store import PostureStore
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
 
 _MOST_REPEATS = 8
-
-
-def _nobody() -> str:
-    return "unknown"
 
 
 class Dispatcher:
@@ -86,7 +83,7 @@ class Dispatcher:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._store = store or PostureStore(None)
-        self._audit, self._who = audit or AuditLog(), _nobody
+        self._audit, self._who = audit or AuditLog(), Caller
         self.sessions = Sessions(caps, cache, metrics, self._store, clock, self._audit)
         self.stream_port = 0
         self._caps, self._cache, self._metrics, self._clock = caps, cache, metrics, clock
@@ -109,7 +106,7 @@ class Dispatcher:
         *,
         is_json: bool = False,
         subscribe: Callable[[str], None] | None = None,
-        who: Callable[[], str] = _nobody,
+        who: Callable[[], Caller] = Caller,
     ) -> bool:
         """Handle one message; call it from the event loop.
 
@@ -121,7 +118,7 @@ class Dispatcher:
             is_json: Whether message and answer are JSON.
             subscribe: Subscribes the connection to a stream; None if the transport has no such
                 streams.
-            who: Returns the client's name and address for the audit log.
+            who: Returns who the client is.
 
         Returns:
             False if the rate limit rejected the message unread.
@@ -160,7 +157,7 @@ class Dispatcher:
             if sample.seq <= entry.seq:
                 entry.session.counts["stale"] += 1
                 continue
-            entry.seq, entry.payload, entry.session.last_request = sample.seq, b"", self._clock()
+            entry.seq, entry.payload = sample.seq, b""
             reply = self._carry_out(entry.session, sample, self._clock())
             if isinstance(reply, Error):
                 self.sessions.send(entry.session.name, encode_reply(reply))
@@ -225,7 +222,7 @@ class Dispatcher:
                 "stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq"
             )
             return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
-        entry.seq, entry.payload, entry.session.last_request = request.seq, payload, now
+        entry.seq, entry.payload = request.seq, payload
         reply = self._carry_out(entry.session, request, now)
         # The stream's command is encoded already.
         written = None if is_json or not isinstance(reply, Command) else self._written
@@ -235,16 +232,20 @@ class Dispatcher:
     def _answer_anyone(self, request: Named, name: str, now: float) -> AnyReply:
         """Answer a request by a session's public name.
 
-        Everyone may ask for the status, and stop the robot; other requests need `is_shared`.
+        Everyone may ask for the status, and stop the robot; other requests need `is_shared`. The
+        owner's key and supervisors may clear a stop too.
         """
         try:
             if request.session:
                 raise RefusedError("invalid", "give session or name, not both", field="name")
             session = self.sessions.named(name)
-            if not (session.request.is_shared or isinstance(request, Status | Stop)):
-                raise RefusedError(
-                    "denied", f"session {name!r} was not opened with is_shared", field="name"
-                )
+            is_allowed = session.request.is_shared or isinstance(request, Status | Stop)
+            if isinstance(request, Clear) and not is_allowed:
+                by = self._who()
+                is_allowed = by.key in self._caps.supervisors or by.owner("") == session.owner
+            if not is_allowed:
+                message = f"session {name!r} was not opened with is_shared: only its owner may"
+                raise RefusedError("denied", message, field="name")
         except RefusedError as error:
             return self._refusal(request.seq, error)
         return self._carry_out(session, request, now)
@@ -326,7 +327,7 @@ class Dispatcher:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _open(self, request: Open, payload: bytes, is_json: bool, by: str) -> None:
+    async def _open(self, request: Open, payload: bytes, is_json: bool, by: Caller) -> None:
         reply: AnyReply
         try:
             session = await self.sessions.open(request, payload, by)

@@ -149,8 +149,8 @@ class Open(Request, frozen=True):
     restore: Annotated[
         bool,
         _doc(
-            "Continue where the last session of this name left the robot. "
-            "A running session of this name ends if its client is silent."
+            "Continue where the last session of this name left the robot: its owner in the same "
+            "epoch, without keys others too, in a new one, when the owner is silent for 2 s."
         ),
     ] = False
     is_released: Annotated[bool, _doc("Start released: the robot holds still until `clutch`.")] = (
@@ -182,7 +182,7 @@ class Open(Request, frozen=True):
     ] = "follow"
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")] = False
     is_shared: Annotated[
-        bool, _doc("Whether others may release, clutch and configure the session by its name.")
+        bool, _doc("Whether others may release, clutch, configure and clear it by its name.")
     ] = False
 
 
@@ -256,6 +256,7 @@ class Stop(Named, frozen=True):
 
     Every client that is admitted may stop every session by its name. Without name and session, all
     sessions are stopped. The stop outlives the client, the session and, with `--state`, the server.
+    The session's owner and supervisors may clear it, and everyone if the session is shared.
     """
 
     reason: Annotated[str, _doc("Reason for the log.", max_length=200)] = ""
@@ -456,7 +457,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     ik: Annotated[dict[str, Any], _doc("All of IkOptions.")]
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")]
     is_shared: Annotated[
-        bool, _doc("Whether others may release, clutch and configure the session.")
+        bool, _doc("Whether others may release, clutch, configure and clear the session.")
     ]
 
 

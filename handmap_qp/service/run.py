@@ -46,9 +46,10 @@ async def _serve(settings: Settings) -> bool:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    server = Server(settings)
-    # The first hand with meshes would import it, which delays running sessions.
+    # The first hand with meshes would import it, which delays running sessions. Leases count from
+    # when the server is made.
     importlib.import_module("scipy.spatial")
+    server = Server(settings)
     try:
         await server.start()
         # Exclude the objects that exist now from garbage collection: they stay.

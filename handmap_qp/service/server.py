@@ -36,6 +36,7 @@ from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
 from handmap_qp.service.logs import Throttle, report
 from handmap_qp.service.messages import TOPIC_END
 from handmap_qp.service.metrics import Metrics, serve_metrics
+from handmap_qp.service.states import Caller
 from handmap_qp.service.store import PostureStore
 from handmap_qp.service.stream_gate import StreamGate
 from handmap_qp.service.websocket import WebSettings, WebSocketTransport
@@ -86,7 +87,7 @@ class Settings:
 
         Raises:
             InvalidInputError: If there is no such port.
-            InvalidOptionsError: If keys are missing.
+            InvalidOptionsError: If keys are missing, or that of a supervisor.
         """
         check_port("port", self.port)
         check_port("stream_port", self.stream_port)
@@ -98,6 +99,11 @@ class Settings:
                 problem=f"others could move the robot on {self.host}",
                 value=self.host,
                 advice="off loopback, give keys (handmap keys FOLDER makes them)",
+            )
+        files = () if self.keys is None else (self.keys / "clients").glob("*.key")
+        for name in set(self.caps.supervisors).difference(file.stem for file in files):
+            raise InvalidOptionsError(
+                option="supervisor", expected="the name of a client in keys", value=name
             )
 
 
@@ -276,12 +282,11 @@ class Server:
         except Exception as error:
             self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
 
-    def _who(self, frame: zmq.Frame) -> str:
+    def _who(self, frame: zmq.Frame) -> Caller:
         """Return name and address of the client that sent a frame."""
-        address = str(frame.get("Peer-Address"))
-        if self._clients is None:
-            return address
-        return f"{self._clients.name_of(str(frame.get('User-Id')))}@{address}"
+        keys = self._clients
+        key = "" if keys is None else keys.name_of(str(frame.get("User-Id")))
+        return Caller(str(frame.get("Peer-Address")), key)
 
     def _reply(self, envelope: list[bytes], payload: bytes) -> None:
         try:

@@ -64,13 +64,15 @@ class Session:
         now: The present on a monotonic clock [s].
         calibration: Measures the human hand, if `hands` needs that.
         former: Record of the session to continue; the request decides if omitted.
+        owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
 
     Attributes:
         request: The request that opened it.
         name: Public name.
         robot: The robot hand.
         counts: Counts of what happened.
-        last_request: Time of the last request of the session's client [s].
+        last_request: Time of the last request with the session's secret [s].
+        owner: Its owner.
 
     Raises:
         RefusedError: If the robot cannot be where the request says, or there is no such layout.
@@ -85,8 +87,9 @@ class Session:
         *,
         calibration: Calibration | None = None,
         former: Record | None = None,
+        owner: str = "",
     ) -> None:
-        self.request = request
+        self.request, self.owner = request, owner
         self.name = name
         self.robot = hands.mapper.robot
         self.counts: Counter[str] = Counter()
@@ -110,7 +113,7 @@ class Session:
         self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
         self._state = SessionState.WAITING
         self._mapper_state = MapperState.ALIGNED
-        self._epoch = _new_epoch() if former is None else former.epoch
+        self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
         self._opened_at = now
         self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
         self._reset_mapper()
@@ -118,8 +121,6 @@ class Session:
         if request.is_released if former is None else former.is_released:
             self.release()
         self._stop = 0
-        if former is not None and former.stop:
-            self._latch(former.stop)
 
     @property
     def posture(self) -> Posture:
@@ -134,22 +135,11 @@ class Session:
 
     @property
     def record(self) -> Record:
-        """Posture, epoch and release, for a session that continues from here."""
+        """Posture, epoch, release and owner, for a session that continues from here."""
         q, wrist = self.posture
         pose = None if wrist is None else tuple(wrist.ravel().tolist())
-        is_released = self._state.is_released
-        return Record(
-            self.name, self.robot.name, to_row(q), pose, self._epoch, is_released, self._stop
-        )
-
-    @property
-    def is_attended(self) -> bool:
-        """Whether its client sends samples.
-
-        A client that never sent one may have given up waiting for the session to open.
-        """
-        is_active = self._state in (SessionState.FOLLOWING, SessionState.RELEASED)
-        return is_active and self._watchdog.last_sample > self._opened_at
+        control = self._epoch, self._state.is_released, self._stop, self.owner
+        return Record(self.name, self.robot.name, to_row(q), pose, *control)
 
     @property
     def will_move(self) -> bool:
@@ -291,10 +281,10 @@ class Session:
         self._hands.mapper.release()
         self._handle(Event.RELEASE)
 
-    def stop(self) -> None:
-        """Stop the robot until `clear`, whatever comes; a second stop changes nothing."""
+    def stop(self, number: int = 0) -> None:
+        """Stop the robot until `clear`; 0 makes a new number. A second stop changes nothing."""
         if not self._state.is_stopped:
-            self._latch(_new_epoch())
+            self._latch(number or _new_epoch())
 
     def clear(self, number: int) -> None:
         """Clear an emergency stop; the robot is then released.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 from collections import OrderedDict
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from handmap_qp.service.messages import Error, Open, encode_reply
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.session import Session
+from handmap_qp.service.states import LEASE, Caller, refusal
 from handmap_qp.service.store import PostureStore, Record
 
 _SHORTEST_SECRET = 16
@@ -92,6 +94,8 @@ class Sessions:
         self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
         self._names_opening: set[str] = set()
         self._ended: OrderedDict[str, str] = OrderedDict()
+        # After a restart, owners are on their way back.
+        self._last_heard = dict.fromkeys(store.records, clock())
         self._last_name = 0
 
     @property
@@ -100,13 +104,14 @@ class Sessions:
         return tuple(entry.session.name for entry in self.entries.values())
 
     def find(self, secret: str) -> Entry:
-        """Return the session of a secret.
+        """Return the session of a secret, and renew its lease.
 
         Raises:
             RefusedError: `no_session` if there is none, `taken` if another client took it over.
         """
         entry = self.entries.get(secret)
         if entry is not None:
+            entry.session.last_request = self._clock()
             return entry
         if self._ended.get(secret) == "taken":
             raise RefusedError("taken", "another client took this session over", field="session")
@@ -123,36 +128,41 @@ class Sessions:
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
-    async def open(self, request: Open, payload: bytes, by: str = "") -> Session:
+    async def open(self, request: Open, payload: bytes, by: Caller) -> Session:
         """Open a session.
 
         Args:
             request: The request.
             payload: The request as received.
-            by: The client, for the audit log.
+            by: The client.
 
         Raises:
             RefusedError: With the field at fault, or `busy`, `rate`, `denied`.
         """
-        self._check(request)
+        self._check(request, by)
         name = request.name or self._new_name()
         self._names_opening.add(name)
         try:
             work = self._submit(lambda: self._prepare(request))
-            hands, calibration = await asyncio.wrap_future(work)
+            hands, meter = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
-            self._check_unattended(self._find_named(request.name))
+            self._check_owner(request, by)
             former = self._former(request, name, robot.name, len(robot.joint_names))
+            owner, now = by.owner(request.session), self._clock()
             session = Session(
-                request, hands, name, self._clock(), calibration=calibration, former=former
+                request, hands, name, now, calibration=meter, former=former, owner=owner
             )
         finally:
             self._names_opening.discard(name)
+        # A stop also outlives a session that is not restored.
+        if (last := self._store.records.get(name)) is not None and last.stop:
+            session.stop(last.stop)
         for secret in [
             secret for secret, entry in self.entries.items() if entry.session.name == name
         ]:
-            self.end(secret, "taken", "another client took this session over", by=by)
+            self.end(secret, "taken", "a client restored this session", by=by)
+        self._last_heard.pop(name, None)
         self.entries[request.session] = Entry(session, request.seq, payload)
         if self._store.is_persistent:
             self._store.note(session.record)
@@ -169,7 +179,7 @@ class Sessions:
         )
         return session
 
-    def end(self, secret: str, code: str, reason: str, *, by: str = "server") -> None:
+    def end(self, secret: str, code: str, reason: str, *, by: Caller | str = "server") -> None:
         """Close a session.
 
         Args:
@@ -217,7 +227,7 @@ class Sessions:
 
         return self._executor.submit(run)
 
-    def _check(self, request: Open) -> None:
+    def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         if len(request.session) < _SHORTEST_SECRET:
             raise RefusedError(
@@ -225,11 +235,13 @@ class Sessions:
                 f"expected at least {_SHORTEST_SECRET} random characters",
                 field="session",
             )
-        if request.session in self.entries:
+        last = self._find_named(request.name)
+        held = self.entries.get(request.session)
+        is_newer = held is not None and request.seq > held.seq
+        if held is not None and not (request.restore and held.session is last and is_newer):
             raise RefusedError(
                 "invalid", "a session with this secret exists: choose another one", field="session"
             )
-        last = self._find_named(request.name)
         is_replacing = last is not None and request.restore
         if len(self.entries) + len(self._names_opening) - is_replacing >= self._caps.sessions:
             raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
@@ -251,7 +263,7 @@ class Sessions:
                 f"session {request.name!r} exists: restore=true takes it over",
                 field="name",
             )
-        self._check_unattended(last)
+        self._check_owner(request, by)
         if request.restore and request.name is None:
             raise RefusedError(
                 "invalid", "missing: restore needs the name of the session", field="name"
@@ -263,14 +275,21 @@ class Sessions:
             (entry.session for entry in self.entries.values() if entry.session.name == name), None
         )
 
-    def _check_unattended(self, session: Session | None) -> None:
-        """Refuse to take over a session whose client sends samples."""
-        if session is not None and session.is_attended:
-            raise RefusedError(
-                "busy",
-                f"session {session.name!r} is in use: its client sends samples",
-                field="name",
-            )
+    def _check_owner(self, request: Open, by: Caller) -> None:
+        """Refuse a name to a client that must not have it, or must not yet."""
+        name, running = request.name or "", self._find_named(request.name)
+        held = running or self._store.records.get(name)
+        heard = running.last_request if running else self._last_heard.get(name, -math.inf)
+        is_attended = self._clock() - heard <= LEASE
+        # Without `restore`, a name is free after the lease.
+        if held is None or not (request.restore or is_attended):
+            return
+        is_rival = running is not None and request.session not in self.entries
+        client = by.owner(request.session)
+        if code := refusal(held.owner, client, is_attended=is_attended, is_rival=is_rival):
+            reasons = {"busy": f"is in use until {LEASE:g} s after its owner's last request"}
+            reason = reasons.get(code, "belongs to another key")
+            raise RefusedError(code, f"session {name!r} {reason}", field="name")
 
     def _former(self, request: Open, name: str, robot: str, joints: int) -> Record | None:
         """Return the record of the former session of this name, if the request asks for it."""

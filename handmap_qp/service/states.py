@@ -1,4 +1,4 @@
-"""The states of a session and their transitions.
+"""The states of a session, their transitions, and its owner.
 
 A client moves a session between waiting, following and released. While no samples arrive, the
 watchdog moves it to a hold, and by option on to a return to the rest posture. An emergency stop
@@ -7,9 +7,13 @@ outlasts everything but its clearing, which leaves the robot released.
 
 from __future__ import annotations
 
+import hashlib
+import hmac
 from enum import Enum, auto
-from typing import Literal
+from typing import Literal, NamedTuple
 
+LEASE = 2.0
+"""Time after a request of its owner in which nobody else may have a session [s]."""
 Mode = Literal["waiting", "following", "released", "hold", "returning", "stopped"]
 """A state as clients read it."""
 
@@ -142,3 +146,34 @@ class MapperState(Enum):
     """The robot is on its way to the mapper's posture, within its speed limits."""
     STALE = auto()
     """The mapper must be reset to the robot's posture before the next sample."""
+
+
+class Caller(NamedTuple):
+    """A client: its address, and the name of its key, empty without keys."""
+
+    address: str = "unknown"
+    key: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.key}@{self.address}" if self.key else self.address
+
+    def owner(self, secret: str) -> str:
+        """Return who owns a session of this client: a digest of its key, or else of the secret."""
+        kind, proof = ("key", self.key) if self.key else ("secret", secret)
+        return f"{kind}:{hashlib.sha256(proof.encode(errors='surrogatepass')).hexdigest()}"
+
+
+def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> str:
+    """Return why a client may not continue a session: `busy`, `denied`, or empty if it may.
+
+    Args:
+        owner: Owner of the session; empty if its record is older than owners.
+        client: Owner that the session would have.
+        is_attended: Whether the owner's lease runs.
+        is_rival: Whether the session runs under another secret than the client's.
+    """
+    if hmac.compare_digest(owner, client):
+        return "busy" if is_rival and is_attended else ""
+    if owner.startswith("key:"):
+        return "denied"
+    return "busy" if is_attended else ""

@@ -47,6 +47,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         epoch: Epoch of the last command.
         is_released: Whether a client had released the robot.
         stop: Number of the emergency stop in force; 0 for none.
+        owner: Its owner, see `Caller.owner`.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     epoch: int
     is_released: bool = False
     stop: int = 0
+    owner: str = ""
 
     @property
     def posture(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -64,7 +66,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PostureStore:
-    """Records by session name.
+    """Records by session name, in `records`.
 
     Args:
         path: The file, made if it does not exist, for one server at a time; None for memory alone.
@@ -74,7 +76,7 @@ class PostureStore:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._records: dict[str, Record] = {}
+        self.records: dict[str, Record] = {}
         self._memory: mmap.mmap | None = None
         if path is not None:
             self._open(path)
@@ -143,12 +145,12 @@ class PostureStore:
     def note(self, record: Record) -> None:
         """Keep a record in place of an earlier one of the same session."""
         # Least recently updated first: the one to evict.
-        self._records.pop(record.name, None)
-        self._records[record.name] = record
+        self.records.pop(record.name, None)
+        self.records[record.name] = record
         if self._memory is not None:
             self._write(self._memory, record)
-        elif len(self._records) > _SLOTS:
-            del self._records[next(iter(self._records))]
+        elif len(self.records) > _SLOTS:
+            del self.records[next(iter(self.records))]
 
     def _write(self, memory: mmap.mmap, record: Record) -> None:
         payload = self._encode(record)
@@ -171,7 +173,7 @@ class PostureStore:
         Raises:
             RefusedError: If it is of another robot.
         """
-        record = self._records.get(name)
+        record = self.records.get(name)
         if record is None:
             return None
         if record.robot != robot or len(record.q) != joints:
@@ -194,7 +196,7 @@ class PostureStore:
         slot = min(range(_SLOTS), key=lambda i: self._written[i])
         for name in [name for name, used in self._slots.items() if used == slot]:
             del self._slots[name]
-            self._records.pop(name, None)
+            self.records.pop(name, None)
         return slot
 
     def _load(self, memory: mmap.mmap) -> int:
@@ -207,7 +209,7 @@ class PostureStore:
         whole = [(*read, slot) for slot, read in found.items() if read is not None]
         for write, record, slot in sorted(whole, key=lambda each: each[0]):
             self._written[slot] = self._writes = write
-            self._slots[record.name], self._records[record.name] = slot, record
+            self._slots[record.name], self.records[record.name] = slot, record
         return sum(read is None for read in found.values())
 
     def _read(self, memory: mmap.mmap, slot: int) -> tuple[int, Record] | None:

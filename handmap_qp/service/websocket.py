@@ -37,6 +37,7 @@ from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log, report
 from handmap_qp.service.pages import page_response
 from handmap_qp.service.sessions import Sessions
+from handmap_qp.service.states import Caller
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """Subprotocol that a browser offers besides `bearer.TOKEN`, because it cannot set headers."""
@@ -315,10 +316,10 @@ def _has_token(request: Request, token: str) -> bool:
     return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
 
 
-def _who(connection: ServerConnection) -> str:
+def _who(connection: ServerConnection) -> Caller:
     """Return the address of a client."""
     address = connection.remote_address
-    return f"web@{address[0]}" if address else "web"
+    return Caller(f"web@{address[0]}" if address else "web")
 
 
 def _as_json(payload: bytes) -> str:

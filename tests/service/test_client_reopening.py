@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,7 @@ from service_tools import (
     address_of,
     assert_no_jump,
     client_of,
+    code_of,
     connected,
     heard,
     human_q,
@@ -28,8 +30,9 @@ from service_tools import (
     skip,
 )
 
-from handmap_qp.client import AsyncClient, Client, Command, ServiceError
+from handmap_qp.client import AsyncClient, Client, Command, Error, ServiceError
 from handmap_qp.service.server import Server
+from handmap_qp.service.states import LEASE
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -239,3 +242,72 @@ def test_a_command_of_an_earlier_sample_does_not_undo_a_release(server: Server) 
         after = msgspec.structs.replace(earlier, seq=earlier.seq + 2)
         tracker._read(b"lab\0" + msgspec.msgpack.encode(after), "stream")
         assert not tracker._reopen_request()["is_released"]
+
+
+def test_nobody_takes_a_session_whose_client_is_heard_from(server: Server) -> None:
+    with (
+        connected(server, name="lab", input="landmarks") as tracker,
+        client_of(server) as button,
+        client_of(server) as thief,
+    ):
+        wants: dict[str, Any] = {"name": "lab", "preset": "paper", "restore": True}
+
+        def is_busy() -> bool:
+            with pytest.raises(ServiceError) as raised:
+                thief.open("three_finger", **wants)
+            return code_of(raised) == ("busy", "name")
+
+        # The hand is lost, then the robot is stopped; the client only asks for the status.
+        for heartbeat in (
+            lambda: tracker.step(valid=False),
+            lambda: button.stop("lab") or tracker.status(),
+            tracker.status,
+        ):
+            skip(server, 0.9 * LEASE)
+            heartbeat()
+            assert is_busy()
+            skip(server, 0.9 * LEASE)
+            assert is_busy()
+            heartbeat()
+        stop, before = tracker.status().stop, tracker.latest(PATIENCE)
+        # Silent for longer than the lease: a new owner, a new epoch, and still stopped.
+        skip(server, 1.1 * LEASE)
+        thief.open("three_finger", **wants)
+        after = wait_until(lambda: thief.latest(0.1))
+        assert before is not None
+        assert thief.status().stop == stop
+        assert after.epoch > before.epoch
+
+
+def test_a_stop_outlives_a_session_that_is_not_restored(server: Server) -> None:
+    with connected(server, name="lab") as tracker:
+        tracker.step(q=human_q(), wrist=WRIST)
+        tracker.stop()
+        number = tracker.status().stop
+    with connected(server, name="lab") as again:
+        assert again.status().stop == number
+        again.clear(number)
+    with connected(server, name="lab") as third:
+        assert not third.status().stop
+
+
+def test_a_client_restores_its_running_session_with_its_secret(server: Server) -> None:
+    with connected(server, name="lab") as tracker:
+        before = tracker.step(q=human_q(), wrist=WRIST)
+        payload = tracker._reopen_request()
+        assert payload["session"] == tracker._addressee["session"]
+        tracker._reopen(clock.monotonic() + PATIENCE)
+        after = tracker.step(q=human_q(), wrist=WRIST)
+        assert (after.epoch, tracker.reopened) == (before.epoch, 1)
+        # Neither a repetition with an older number nor another name is its session.
+        for request in (payload | {"seq": 1}, payload | {"seq": 10**6, "name": "other"}):
+            reply = tracker._ask(request | {"protocol": 2}, clock.monotonic() + PATIENCE)
+            assert isinstance(reply, Error)
+            assert (reply.code, reply.field) == ("invalid", "session")
+
+
+def test_records_do_not_hold_secrets(tmp_path: Path) -> None:
+    with serving(state=tmp_path / "state") as server, connected(server, name="lab") as client:
+        secret = client._addressee["session"]
+        assert secret.encode() not in (tmp_path / "state").read_bytes()
+        assert b"secret:" in (tmp_path / "state").read_bytes()

@@ -23,6 +23,7 @@ from handmap_qp.service.messages import PROTOCOL, Command, Request, Status
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Entry
+from handmap_qp.service.states import LEASE, Caller
 from handmap_qp.service.store import PostureStore, Record
 
 
@@ -62,7 +63,7 @@ class Desk:
 def desk(caps: dict[str, Any], **choices: Any) -> Iterator[Desk]:
     """Make a dispatcher with an open session named `lab`."""
     made = Desk(**caps)
-    asyncio.run(made.sessions.open(opening(name="lab", **choices), b""))
+    asyncio.run(made.sessions.open(opening(name="lab", **choices), b"", Caller()))
     yield made
     made.sessions.close()
 
@@ -188,13 +189,13 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
     sample, secret = Sampler(), "another-secret-of-the-tests"
     with RecordingStore(tmp_path / file if file else None) as store:
         here = Desk(store)
-        asyncio.run(here.sessions.open(opening(name="lab"), b""))
+        asyncio.run(here.sessions.open(opening(name="lab"), b"", Caller()))
         last = [here.take(sample())[0] for _ in range(10)][-1]
         assert store.notes == (11 if file else 0)
         # The posture is known without a file too: at a takeover, and after the end.
-        here.wait(1.0)
+        here.wait(2.0 * LEASE)
         again = msgspec.structs.replace(opening(name="lab", restore=True), session=secret)
-        session = asyncio.run(here.sessions.open(again, b""))
+        session = asyncio.run(here.sessions.open(again, b"", Caller()))
         assert session.record.q == tuple(last["q"])
         here.sessions.end(secret, "no_session", "test")
         found = store.find("lab", "three_finger", 8)

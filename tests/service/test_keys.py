@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import zmq
 from patience import wait_until
-from service_tools import bare_connection, client_of, human_q, serving
+from service_tools import bare_connection, client_of, code_of, human_q, serving, skip
 from zmq.auth import load_certificate
 
-from handmap_qp.client import KeyFiles
-from handmap_qp.errors import InvalidInputError
+from handmap_qp import cli
+from handmap_qp.client import KeyFiles, ServiceError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.service.caps import Caps
 from handmap_qp.service.keys import ClientKeys, make_keys
-from handmap_qp.service.server import Server
+from handmap_qp.service.server import Server, Settings
+from handmap_qp.service.states import LEASE
 
 WRIST = np.eye(4)
 
@@ -136,3 +140,85 @@ def test_without_a_client_nothing_is_served(tmp_path: Path) -> None:
     (tmp_path / "clients" / "a.key").write_bytes(b"torn")
     with pytest.raises(InvalidInputError, match="expected a client's key"), serving(keys=tmp_path):
         pass
+
+
+def test_another_key_may_stop_a_robot_but_not_clear_or_lead_it(tmp_path: Path) -> None:
+    make_keys(tmp_path, ["alice", "bob", "chief"])
+    alice, bob, chief = (keys_of(tmp_path, name) for name in ("alice", "bob", "chief"))
+    with (
+        serving(keys=tmp_path, caps=Caps(supervisors=("chief",))) as server,
+        client_of(server, keys=alice) as tracker,
+        client_of(server, keys=bob) as other,
+        client_of(server, keys=chief) as supervisor,
+        client_of(server, keys=alice) as second,
+    ):
+        tracker.open("three_finger", name="lab", preset="paper")
+        tracker.step(q=human_q(), wrist=WRIST)
+        other.stop("lab")
+        number = tracker.status().stop
+        other.watch("lab")
+        # Neither now nor after the lease, whether the session is stopped or not.
+        for seconds in (0.0, 2.0 * LEASE):
+            skip(server, seconds)
+            with pytest.raises(ServiceError) as raised:
+                other.clear(number)
+            assert code_of(raised) == ("denied", "name")
+            with client_of(server, keys=bob) as taker, pytest.raises(ServiceError) as raised:
+                taker.open("three_finger", name="lab", preset="paper", restore=True)
+            assert code_of(raised) == ("denied", "name")
+        supervisor.watch("lab")
+        with pytest.raises(ServiceError, match="denied"):
+            supervisor.clutch()
+        supervisor.clear(number)
+        # Another process with the owner's key may clear too.
+        other.stop("lab")
+        second.watch("lab")
+        second.clear(second.status().stop)
+        tracker.clutch()
+        assert tracker.step(q=human_q(), wrist=WRIST).status == "converged"
+
+
+def test_a_key_is_the_owner_with_another_secret_too(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys", ["alice", "bob"])
+    alice, bob = (keys_of(tmp_path / "keys", name) for name in ("alice", "bob"))
+    choices: dict[str, Any] = {"keys": tmp_path / "keys", "state": tmp_path / "state"}
+    with serving(**choices) as server, client_of(server, keys=alice) as first:
+        first.open("three_finger", name="lab", preset="paper")
+        before = first.step(q=human_q(), wrist=WRIST)
+        with client_of(server, keys=alice) as second:
+            # Two processes with one key must not lead one robot.
+            with pytest.raises(ServiceError, match="busy"):
+                second.open("three_finger", name="lab", preset="paper", restore=True)
+            skip(server, 2.0 * LEASE)
+            second.open("three_finger", name="lab", preset="paper", restore=True)
+            assert second.step(q=human_q(), wrist=WRIST).epoch == before.epoch
+            with pytest.raises(ServiceError, match="taken"):
+                first.step(q=human_q(), wrist=WRIST)
+    with serving(**choices) as server:
+        for seconds in (0.0, 2.0 * LEASE):
+            skip(server, seconds)
+            with client_of(server, keys=bob) as other, pytest.raises(ServiceError, match="denied"):
+                other.open("three_finger", name="lab", preset="paper", restore=True)
+        with client_of(server, keys=alice) as third:
+            third.open("three_finger", name="lab", preset="paper", restore=True)
+            assert third.step(q=human_q(), wrist=WRIST).epoch == before.epoch
+
+
+@pytest.mark.parametrize("name", ["nobody", "", "../server"])
+def test_a_supervisor_must_have_a_key(tmp_path: Path, name: str) -> None:
+    make_keys(tmp_path, ["alice"])
+    assert Settings(keys=tmp_path, caps=Caps(supervisors=("alice",)))
+    for keys in (tmp_path, None):
+        with pytest.raises(
+            InvalidOptionsError, match="supervisor: expected the name of a client in keys"
+        ):
+            Settings(keys=keys, caps=Caps(supervisors=("alice", name)))
+
+
+def test_a_supervisor_without_a_key_is_one_line_at_the_command_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["serve", "--supervisor", "nobody"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "supervisor: expected the name of a client in keys" in line
+    assert "nobody" in line

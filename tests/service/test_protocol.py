@@ -7,14 +7,26 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
-from service_tools import PATIENCE, address_of, client_of, code_of, human_q, serving
+from service_tools import (
+    PATIENCE,
+    address_of,
+    client_of,
+    code_of,
+    human_q,
+    lose_sessions,
+    serving,
+    skip,
+)
 
 from handmap_qp import client as present
 from handmap_qp.client import ServiceError
 from handmap_qp.service import messages
+from handmap_qp.service.keys import make_keys
+from handmap_qp.service.states import LEASE
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "clients"
 
@@ -68,6 +80,48 @@ def test_it_learns_of_a_stop_although_it_does_not_know_one(yesterday: ModuleType
         with pytest.raises(yesterday.ServiceError) as raised:
             client.clutch()
         assert raised.value.error.code == "stopped"
+
+
+@pytest.mark.parametrize("has_keys", [False, True])
+def test_the_client_of_version_1_reopens_a_lost_session(
+    yesterday: ModuleType, tmp_path: Path, has_keys: bool
+) -> None:
+    # It reopens with another secret, so without keys it is a new owner.
+    make_keys(tmp_path, ["alice"])
+    keys = tmp_path if has_keys else None
+    files = (tmp_path / "alice.key_secret", tmp_path / "server.key") if has_keys else None
+    with (
+        serving(keys=keys) as server,
+        yesterday.Client(address_of(server), timeout=PATIENCE, keys=files) as client,
+    ):
+        client.open("three_finger", name="lab", preset="paper")
+        before = client.step(q=human_q(), wrist=np.eye(4))
+        lose_sessions(server)
+        after = client.step(q=human_q(), wrist=np.eye(4))
+        assert client.reopened == 1
+        assert (after.epoch == before.epoch) == has_keys
+        np.testing.assert_allclose(after.q, before.q, atol=0.02)
+
+
+@pytest.mark.parametrize("has_keys", [False, True])
+def test_after_a_restart_the_client_of_version_1_waits_for_the_lease_without_keys(
+    yesterday: ModuleType, free_port: int, tmp_path: Path, has_keys: bool
+) -> None:
+    make_keys(tmp_path, ["alice"])
+    keys = tmp_path if has_keys else None
+    files = (tmp_path / "alice.key_secret", tmp_path / "server.key") if has_keys else None
+    choices: dict[str, Any] = {"port": free_port, "keys": keys, "state": tmp_path / "state"}
+    client = yesterday.Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE, keys=files)
+    with serving(**choices):
+        client.open("three_finger", name="lab", preset="paper")
+        before = client.step(q=human_q(), wrist=np.eye(4))
+    with serving(**choices) as server, client:
+        if not has_keys:
+            with pytest.raises(yesterday.ServiceError, match="busy"):
+                client.step(q=human_q(), wrist=np.eye(4))
+            skip(server, 2.0 * LEASE)
+        after = client.step(q=human_q(), wrist=np.eye(4))
+        assert (after.epoch == before.epoch) == has_keys
 
 
 def test_a_client_of_today_speaks_version_1_with_a_server_of_yesterday(

@@ -37,6 +37,7 @@ from handmap_qp.service.caps import Caps
 from handmap_qp.service.logs import JsonLines
 from handmap_qp.service.messages import PROTOCOL, Request, Status
 from handmap_qp.service.server import Server, Settings
+from handmap_qp.service.states import LEASE
 from handmap_qp.service.websocket import WebSettings
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -200,12 +201,16 @@ def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
         assert code_of(taken)[0] == "taken"
 
 
-def test_a_session_that_never_had_a_sample_is_taken_over_at_once(server: Server) -> None:
-    # The client gave up waiting for the answer, and asks again.
+def test_a_session_whose_client_gave_up_waiting_is_taken_over_after_its_lease(
+    server: Server,
+) -> None:
     with (
         connected(server, name="mine", is_released=True, robot_q=np.zeros(8)),
         client_of(server) as again,
     ):
+        with pytest.raises(ServiceError, match="busy"):
+            again.open("three_finger", name="mine", restore=True)
+        skip(server, 2.0 * LEASE)
         assert again.open("three_finger", name="mine", restore=True).q == (0.0,) * 8
         assert again.step(q=human_q(), wrist=WRIST).status == "released"
 
@@ -226,6 +231,10 @@ def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_resto
     with serving(state=tmp_path / "state") as before, connected(before, name="mine") as client:
         last = [client.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
     with serving(state=tmp_path / "state") as after, client_of(after) as client:
+        # The owner may be on its way back.
+        with pytest.raises(ServiceError, match="busy"):
+            client.open("three_finger", name="mine", restore=wants_restore)
+        skip(after, 2.0 * LEASE)
         opened = client.open("three_finger", name="mine", restore=wants_restore)
         assert (opened.q == last.q) == wants_restore
 
@@ -234,6 +243,7 @@ def test_a_takeover_needs_no_room_of_its_own() -> None:
     # Lift the cap on openings per second, which is not tested here.
     caps = Caps(sessions=1, opens=1e6)
     with serving(caps=caps) as server, connected(server, name="mine"), client_of(server) as second:
+        skip(server, 2.0 * LEASE)
         second.open("three_finger", name="mine", restore=True, robot_q=np.zeros(8))
 
 

@@ -183,16 +183,6 @@ def test_a_robot_that_was_let_go_is_said_to_be_while_the_watchdog_holds_it() -> 
     assert command.flags == ("watchdog",)
 
 
-def test_a_session_that_was_only_reset_is_not_attended() -> None:
-    session, sample = make_session(), Sampler()
-    session.reset(RESET, 5.0)
-    assert not session.is_attended
-    session.step(sample(), 5.1)
-    assert session.is_attended
-    session.tick(6.0)
-    assert not session.is_attended
-
-
 def test_a_return_does_not_count_as_a_further_trip_of_the_watchdog() -> None:
     session, _, now = returning_session()
     session.tick(now + 1.0)

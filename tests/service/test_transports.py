@@ -27,6 +27,7 @@ from service_tools import (
     heard,
     human_q,
     serving,
+    skip,
 )
 from zmq.auth import load_certificate
 
@@ -40,6 +41,7 @@ from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, rea
 from handmap_qp.service.messages import PROTOCOL, Error, decode_request
 from handmap_qp.service.run import run_server
 from handmap_qp.service.schema import schema_text
+from handmap_qp.service.states import LEASE
 from handmap_qp.service.websocket import WebSettings
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -302,7 +304,6 @@ def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> Non
         "name": "lab",
         "restore": True,
         "robot_q": np.zeros(8),
-        "watchdog": 0.02,
     }
     assert 'name="lab", restore=True, robot_q=' in PAGE
     with (
@@ -312,12 +313,8 @@ def test_a_tracker_that_crashed_opens_with_the_words_of_its_first_start() -> Non
     ):
         assert crashed.open("three_finger", **choices).q == (0.0,) * 8
         last = [crashed.step(q=human_q(0.2 * i), wrist=np.eye(4)) for i in range(5)][-1]
-        # The client is silent from now on. The stream shows when the server has noticed.
-        while (held := crashed.latest(PATIENCE)) is not None and (held.status, held.seq) != (
-            "hold",
-            last.seq,
-        ):
-            pass
+        # The client is silent from now on.
+        skip(server, 2.0 * LEASE)
         assert again.open("three_finger", **choices).q == last.q != (0.0,) * 8
 
 

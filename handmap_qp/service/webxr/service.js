@@ -32,7 +32,7 @@ export class HandSession {
     this.heard = performance.now(); // time of the newest reply [ms]
     this.delay = null; // from the time stamp of a sample to its command [ms]
     this.error = "";
-    this.skipped = 0;
+    this.skipped = this.attempts = 0;
   }
 
   /** Open the session for a robot, or end it where there is none. */
@@ -44,7 +44,7 @@ export class HandSession {
 
   /** Open the session; with `restore`, go on where its robot is. */
   open(restore) {
-    this.secret = makeSecret();
+    if (!restore) this.secret = makeSecret(); // the server knows the owner by it
     this.isRestoring = restore;
     const start = restore ? {
       restore, is_released: this.isReleased, robot_q: this.last?.q, robot_wrist: this.last?.wrist,
@@ -94,6 +94,7 @@ export class HandSession {
     this.heard = performance.now();
     if (reply.type === "opened") {
       this.isOpen = true;
+      this.attempts = 0;
       this.error = "";
       this.last ??= { q: reply.q, wrist: null, status: "waiting", flags: [] };
       this.service.ask({ type: "subscribe", name: this.name }, this);
@@ -116,6 +117,9 @@ export class HandSession {
       this.open(true);
     } else if (field === "name" && !this.isOpen && !this.isRestoring && code === "invalid") {
       this.open(true); // the session of this page before it was loaded again
+    } else if (code === "busy" && field === "name" && (this.attempts += 1) < 4) {
+      const { secret } = this; // this page before it was loaded again owns the session for 2 s yet
+      setTimeout(() => { if (!this.isOpen && this.secret === secret) this.open(true); }, RETRY);
     } else {
       if (code === "taken") this.isOpen = false;
       this.error = [field, message].filter(Boolean).join(": ");
