@@ -39,6 +39,7 @@ from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.service.caps import Caps
+from handmap_qp.service.states import LEASE
 
 _LONGEST_GAP = 0.05
 """Time between two commands of a client at 60 Hz, at most [s]."""
@@ -75,10 +76,11 @@ def restarts(duration: float) -> dict[str, Any]:
                         break
                     time.sleep(0.01)
                 outages.append(time.monotonic() - killed)
-        # A new client that restores the session must get exactly the last posture.
+        # A new client that restores the session must get exactly the last posture, after the lease.
         last = asking[0].last
         service.kill()
         service.start()
+        time.sleep(LEASE + 0.5)
         with Client(service.address, timeout=TIMEOUT) as fresh:
             opened = fresh.open("three_finger", name="honest-0", restore=True)
             restored = int(last is not None and opened.q == last.q)
