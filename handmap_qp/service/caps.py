@@ -73,12 +73,21 @@ class Bucket:
 
     def take(self, now: float, count: float = 1.0) -> bool:
         """Count events; return whether they are allowed."""
-        self._left = min(self._burst, self._left + (now - self._then) * self._rate)
-        self._then = now
-        if self._left < count:
+        if self.charge(now, 0.0) < count:
             return False
         self._left -= count
         return True
+
+    def charge(self, now: float, count: float) -> float:
+        """Count events that have happened; return how many are left, negative for a debt.
+
+        Args:
+            now: The present [s].
+            count: Number of events; negative to take them back.
+        """
+        refilled = min(self._burst, self._left + (now - self._then) * self._rate)
+        self._left, self._then = min(self._burst, refilled - count), now
+        return self._left
 
     def may_report(self, now: float) -> bool:
         """Return whether to report a refusal: at most ten times per second."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -30,6 +29,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
+from handmap_qp.service.gate import Gate, cost_of
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.handshakes import report_handshakes
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
@@ -38,18 +38,20 @@ from handmap_qp.service.messages import TOPIC_END
 from handmap_qp.service.metrics import Metrics, serve_metrics
 from handmap_qp.service.states import Caller
 from handmap_qp.service.store import PostureStore
-from handmap_qp.service.stream_gate import StreamGate
 from handmap_qp.service.websocket import WebSettings, WebSocketTransport
 
 TICK = 0.005
 """Time between checks of the watchdogs [s]."""
-_BATCH = 64
-"""Messages read before other tasks get their turn."""
+_BATCH = 128
+"""Parts of messages read before other tasks get their turn; a message has two or three."""
+_MOST_PARTS = 3
 _MOST_WAITING = 200
 """High-water mark of received messages, above which a client has to wait."""
-_READERS_PER_SESSION = 4
-_TOPIC_SIZE = 1024
-"""Length of what a reader of the stream may send at once; handshakes take the most [bytes]."""
+_CONNECTIONS_PER_SESSION = 4
+_TOPICS = 12288.0
+"""Length of the topics of a reader of the stream: some hundred subscriptions [bytes]."""
+_ENVELOPE = 4096.0
+"""What the largest message and its handshake take beside the message [bytes]."""
 _MOST_UNREAD = 500
 """High-water mark of replies, above which a slow client loses the others."""
 
@@ -141,6 +143,8 @@ class Server:
         self._tasks: list[asyncio.Task[None]] = []
         self._bugs = Throttle()
         self._is_draining = False
+        self._parts: list[zmq.Frame] = []
+        self._cost = 0
         self._lag = self._worst_lag = 0.0
         self._busy = self._worst_busy = 0.0
         self.metrics.gauges["lag_seconds"] = lambda: max(self._lag, self._worst_lag)
@@ -160,13 +164,15 @@ class Server:
         # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
-        self.ports["requests"] = _bind(self._router, settings.host, settings.port)
-        most = _READERS_PER_SESSION * settings.caps.sessions
-        gate = StreamGate(_ip(settings.host), settings.stream_port, most, self.metrics)
-        self._stream.bind(gate.inner)
-        self.ports["stream"] = (
-            self.dispatcher.stream_port
-        ) = await self._closing.enter_async_context(gate)
+        host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.caps.sessions
+        credit = settings.caps.message_size + _ENVELOPE
+        self._gate = Gate("requests", host, settings.port, most, credit, self.metrics)
+        stream = Gate("stream", host, settings.stream_port, most, _TOPICS, self.metrics)
+        self._gate.bind(self._router)
+        stream.bind(self._stream)
+        self.ports["requests"] = await self._closing.enter_async_context(self._gate)
+        self.dispatcher.stream_port = await self._closing.enter_async_context(stream)
+        self.ports["stream"] = self.dispatcher.stream_port
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
         if settings.web is not None:
@@ -219,14 +225,12 @@ class Server:
         socket = context.socket(kind)
         # Linger [ms]: send queued messages when the server stops.
         self._closing.callback(socket.close, 100)
-        size = _TOPIC_SIZE if kind == zmq.PUB else self.settings.caps.message_size
-        socket.setsockopt(zmq.MAXMSGSIZE, size)
+        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.caps.message_size)
         socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
         socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
         socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
         socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
-        socket.setsockopt(zmq.IPV6, ":" in self.settings.host)
         # ROUTER reports replies that it cannot queue, so that they are counted. PUB keeps the
         # newest message per reader, whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
@@ -254,7 +258,7 @@ class Server:
         authenticator.configure_curve_callback("*", credentials_provider=clients)
 
     def _drain(self) -> None:
-        """Read waiting messages, up to a batch.
+        """Read waiting messages, up to a batch of parts.
 
         Then the waiting samples are mapped, and other tasks get their turn.
         """
@@ -263,30 +267,37 @@ class Server:
         self._is_draining = True
         try:
             for _ in range(_BATCH):
-                self._receive(self._router.recv_multipart(zmq.NOBLOCK, copy=False))
+                frame = self._router.recv(zmq.NOBLOCK, copy=False)
+                self._cost += cost_of(frame)
+                # Keep one part too many of a message that has too many.
+                if len(self._parts) <= _MOST_PARTS:
+                    self._parts.append(frame)
+                if not frame.more:
+                    parts, cost, self._parts, self._cost = self._parts, self._cost, [], 0
+                    self._receive(parts, cost)
             self._loop.call_soon(self._drain)
         except zmq.Again:
             pass
         finally:
             self._is_draining = False
 
-    def _receive(self, frames: Sequence[zmq.Frame]) -> None:
+    def _receive(self, parts: Sequence[zmq.Frame], cost: int) -> None:
         """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
-        *envelope, payload = (frame.bytes for frame in frames)
-        if len(envelope) > 2 or (len(envelope) == 2 and envelope[1]):
+        address = self._gate.took(parts, cost)
+        *envelope, payload = (part.bytes for part in parts)
+        if len(parts) > _MOST_PARTS or (len(parts) == _MOST_PARTS and envelope[1]):
             self.metrics.refusals["frames"] += 1
             return
+
+        def who() -> Caller:
+            keys = self._clients
+            key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
+            return Caller(address, key)
+
         try:
-            answer, who = partial(self._reply, envelope), partial(self._who, frames[-1])
-            self.dispatcher.receive(payload, envelope[0], answer, who=who)
+            self.dispatcher.receive(payload, envelope[0], partial(self._reply, envelope), who=who)
         except Exception as error:
             self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
-
-    def _who(self, frame: zmq.Frame) -> Caller:
-        """Return name and address of the client that sent a frame."""
-        keys = self._clients
-        key = "" if keys is None else keys.name_of(str(frame.get("User-Id")))
-        return Caller(str(frame.get("Peer-Address")), key)
 
     def _reply(self, envelope: list[bytes], payload: bytes) -> None:
         try:
@@ -325,21 +336,3 @@ class Server:
 
 def _ip(host: str) -> str:
     return "127.0.0.1" if host == "localhost" else host
-
-
-def _bind(socket: zmq.Socket, host: str, port: int) -> int:
-    """Listen on an address; return the port in use."""
-    host = _ip(host)
-    address = f"tcp://[{host}]" if ":" in host else f"tcp://{host}"
-    try:
-        socket.bind(f"{address}:{port or '*'}")
-    except zmq.ZMQError as error:
-        # ZeroMQ does not resolve names to listen on.
-        is_unknown = error.errno == errno.ENODEV
-        reason = (
-            "expected an IP address of this machine, or a network interface"
-            if is_unknown
-            else error.strerror
-        )
-        raise InvalidInputError(argument=f"{address}:{port}", problem=str(reason)) from error
-    return int(socket.getsockopt_string(zmq.LAST_ENDPOINT).rpartition(":")[2])

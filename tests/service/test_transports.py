@@ -7,8 +7,11 @@ import json
 import resource
 import signal
 import socket
+import subprocess
+import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import chain, count, repeat
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -16,12 +19,15 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
-from msgspec.msgpack import encode
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.msgpack import decode, encode
 from patience import wait_until
 from service_tools import (
     LOCAL,
     Sampler,
     address_of,
+    bare_connection,
     client_of,
     connected,
     heard,
@@ -36,11 +42,14 @@ from handmap_qp.addresses import bare_host
 from handmap_qp.client import Client
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.service import logs
+from handmap_qp.service import server as server_module
 from handmap_qp.service.caps import Caps
+from handmap_qp.service.gate import cost_of, count_frames
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
 from handmap_qp.service.messages import PROTOCOL, Error, decode_request
 from handmap_qp.service.run import run_server
 from handmap_qp.service.schema import schema_text
+from handmap_qp.service.server import Server
 from handmap_qp.service.states import LEASE
 from handmap_qp.service.websocket import WebSettings
 
@@ -160,7 +169,7 @@ def test_brackets_round_a_host_are_taken_off() -> None:
 
 def test_a_host_that_cannot_be_listened_on_is_reported(tmp_path: Path) -> None:
     make_keys(tmp_path, ["a"])
-    message = "^tcp://nosuch.invalid:0: expected an IP address of this machine"
+    message = "^nosuch.invalid:0: .*: give a free port at an IP address of this machine"
     with (
         pytest.raises(InvalidInputError, match=message),
         serving(host="nosuch.invalid", keys=tmp_path),
@@ -340,25 +349,152 @@ def test_a_flood_of_topics_ends_its_connection_and_disturbs_no_other() -> None:
         assert heard(listener, 5.0).time == 5.0
 
 
-def test_readers_are_capped_and_counted_out() -> None:
+def test_a_reader_beyond_the_cap_takes_the_place_of_the_oldest() -> None:
     with serving(caps=Caps(sessions=1)) as server, ExitStack() as sockets:
         address = ("127.0.0.1", server.ports["stream"])
-        readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(4)]
-        assert all(reader.recv(1) for reader in readers)
-        with socket.create_connection(address) as another:
-            assert not _reads(another)
-        readers[0].close()
-
-        def has_room() -> bool:
-            with socket.create_connection(address) as again:
-                return _reads(again)
-
-        assert wait_until(has_room)
+        readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(5)]
+        assert readers[4].recv(10)
+        # The server's greeting may still arrive before the end.
+        wait_until(lambda: _has_ended(readers[0]))
+        assert not any(_has_ended(reader) for reader in readers[1:])
 
 
-def _reads(connection: socket.socket) -> bool:
-    """Return whether the server greets a connection rather than ending it."""
+def _has_ended(connection: socket.socket) -> bool:
+    """Return whether the server has ended a connection, without waiting."""
     try:
-        return bool(connection.recv(1))
-    except ConnectionError:
+        return not connection.recv(64, socket.MSG_DONTWAIT)
+    except BlockingIOError:
         return False
+    except ConnectionError:
+        return True
+
+
+@pytest.mark.parametrize("has_keys", [False, True], ids=["open", "keys"])
+@pytest.mark.parametrize(("number", "size"), [(10**6, 0), (10**4, 10**4)])
+def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_keys: bool, number: int, size: int
+) -> None:
+    keys = None
+    if has_keys:
+        make_keys(tmp_path, ["a"])
+        keys = (tmp_path / "a.key_secret", tmp_path / "server.key")
+    parts = count()
+    monkeypatch.setattr(server_module, "cost_of", lambda frame: (next(parts), cost_of(frame))[1])
+    with (
+        serving(keys=tmp_path if has_keys else None) as server,
+        client_of(server, keys=keys) as client,
+        client_of(server, keys=keys) as operator,
+        bare_connection(server, keys) as (flood, next_event),
+    ):
+        client.open("three_finger", name="lab", watchdog=0.05)
+        client.step(q=human_q(), wrist=np.eye(4))
+        flood.send_multipart([bytes(size)] * number)
+        wait_until(lambda: client.status().mode == "hold", "the watchdog waits")
+        operator.stop("lab")
+        wait_until(lambda: next_event() == zmq.EVENT_DISCONNECTED)
+        wait_until(lambda: server.metrics.refusals["requests"], "the flood goes on")
+        assert client.status().mode == "stopped"
+        # A part is read when its message is complete, so none of the flood was.
+        assert next(parts) < 1000
+        assert not server.metrics.refusals["frames"]
+
+
+def test_a_turn_reads_a_bounded_number_of_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    turns: list[int] = []
+    monkeypatch.setattr(
+        server_module, "cost_of", lambda frame: (turns.append(turns.pop() + 1), cost_of(frame))[1]
+    )
+    drain = Server._drain
+    monkeypatch.setattr(Server, "_drain", lambda server: (turns.append(0), drain(server))[1])
+    with (
+        serving() as server,
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as bare,
+    ):
+        bare.rcvtimeo = int(1e3 * PATIENCE)
+        # This process may pass by the gate.
+        bare.connect(f"ipc://@{server._gate.inner}")
+        bare.send_multipart([b""] * 5000)
+        bare.send(encode({"type": "status", "protocol": PROTOCOL, "seq": 1}))
+        assert decode(bare.recv())["type"] == "state"
+        assert server.metrics.refusals["frames"] == 1
+    assert sum(turns) >= 5000
+    assert max(turns) <= 128
+
+
+def test_messages_within_the_limits_are_all_answered() -> None:
+    request = {"type": "status", "protocol": PROTOCOL, "seq": 1, "session": ""}
+    with serving(caps=Caps(rate=1e7)) as server, bare_connection(server) as (bare, _):
+        bare.rcvtimeo, bare.rcvhwm = int(1e3 * PATIENCE), 0
+        status, longest = encode(request), bytes(server.settings.caps.message_size)
+        for payload in (status, longest, status):
+            for _ in range(500):
+                bare.send_multipart([b"", payload])
+            assert all(bare.recv_multipart()[1] for _ in range(500))
+        assert not server.metrics.refusals["requests"]
+
+
+@given(
+    contents=st.lists(st.integers(0, 70_000), max_size=20),
+    cuts=st.lists(st.integers(1, 5000), min_size=1),
+    flags=st.sampled_from([0, 1, 4]),
+)
+def test_frames_are_counted_wherever_their_bytes_are_cut(
+    contents: list[int], cuts: list[int], flags: int
+) -> None:
+    data = b"\xff" + bytes(8) + b"\x7f\x03" + bytes(53)
+    for size in contents:
+        is_long = size > 255 or size % 2 == 1
+        length = size.to_bytes(8 if is_long else 1, "big")
+        data += bytes([flags | 2 * is_long]) + length + b"\xff" * size
+    frames, found, at = count_frames(), 0, 0
+    next(frames)
+    for cut in chain.from_iterable(repeat(cuts)):
+        found += frames.send(data[at : at + cut])
+        if (at := at + cut) >= len(data):
+            break
+    assert found == len(contents)
+
+
+@pytest.mark.parametrize(
+    "greeting",
+    [b"\x01\x00" * 40, b"\xff" + bytes(80), b"\xff" + bytes(8) + b"\x7f\x01\x05" + bytes(70)],
+    ids=["1.0", "1.0 with eight bytes of length", "2.0"],
+)
+def test_an_older_protocol_is_refused(greeting: bytes) -> None:
+    with (
+        serving() as server,
+        socket.create_connection(("127.0.0.1", server.ports["requests"])) as raw,
+    ):
+        raw.sendall(greeting)
+        wait_until(lambda: _has_ended(raw))
+        assert server.metrics.refusals["requests"] == 1
+
+
+def test_silent_connections_leave_a_place_for_the_stop() -> None:
+    with (
+        serving(caps=Caps(sessions=1)) as server,
+        connected(server, name="lab") as client,
+        ExitStack() as sockets,
+    ):
+        for _ in range(20):
+            _, next_event = sockets.enter_context(bare_connection(server))
+            while next_event() != zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                pass
+            client.step(q=human_q(), wrist=np.eye(4))
+        with client_of(server) as operator:
+            operator.stop("lab")
+        assert client.status().mode == "stopped"
+        assert client.reopened == 0
+
+
+def test_other_processes_cannot_pass_by_the_gate() -> None:
+    code = (
+        "import socket, sys\n"
+        "with socket.socket(socket.AF_UNIX) as raw:\n"
+        "    raw.connect(chr(0) + sys.argv[1])\n"
+        "    print(len(raw.recv(1)))"
+    )
+    with serving() as server:
+        command = [sys.executable, "-c", code, server._gate.inner]
+        assert subprocess.check_output(command, timeout=PATIENCE) == b"0\n"
