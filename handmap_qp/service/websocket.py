@@ -16,6 +16,7 @@ import http
 import logging
 import re
 import ssl
+import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -27,12 +28,14 @@ import msgspec
 from websockets.asyncio.server import Server as WebServer
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request, Response
+from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import MOST_SESSIONS, Caps
+from handmap_qp.service.caps import MOST_SESSIONS, Bucket, Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import log, report
 from handmap_qp.service.pages import page_response
@@ -49,6 +52,13 @@ _SEND_TIMEOUT = 5.0
 _CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
 _CONNECTIONS_PER_SESSION = 2
+_AT_ONCE = 2048
+"""Bytes read from a connection in one turn of the event loop."""
+_MOST_FRAGMENTS = 64
+_CONTROLS_PER_SECOND, _CONTROLS = 5.0, 50.0
+"""Control frames of a connection, and how many at once; the server's own ping asks for one."""
+_ACTIVE = 1.0
+"""Time after a message in which a connection keeps its place before silent ones [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +134,7 @@ class WebSocketTransport:
                 ssl=tls,
                 process_request=self._check,
                 select_subprotocol=_choose_subprotocol,
+                create_connection=_Connection,
                 logger=_LOG,
                 compression=None,
                 max_size=self._caps.message_size,
@@ -155,10 +166,6 @@ class WebSocketTransport:
         """
         if (page := page_response(request)) is not None:
             return page
-        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
-            return connection.respond(
-                http.HTTPStatus.SERVICE_UNAVAILABLE, "all connections are taken\n"
-            )
         settings = self._settings
         if settings.token is not None:
             if not _has_token(request, settings.token):
@@ -180,10 +187,16 @@ class WebSocketTransport:
         writer, and the reader would wait for those answers.
         """
         outbox = _Outbox(connection, self._dispatcher.sessions)
+        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
+            # The new client may come to stop a robot.
+            least = min(self._connections, key=_Outbox.use)
+            least.end()
+            self._connections.discard(least)
         self._connections.add(outbox)
         tasks = {
             asyncio.create_task(self._read(connection, outbox)),
             asyncio.create_task(outbox.write()),
+            asyncio.create_task(outbox.idle(self._caps.idle)),
         }
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -199,6 +212,7 @@ class WebSocketTransport:
         """Pass messages to the dispatcher until the connection closes."""
         with contextlib.suppress(ConnectionClosed):
             async for message in connection:
+                outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
                 payload = message.encode() if isinstance(message, str) else message
                 is_taken = self._dispatcher.receive(
@@ -220,8 +234,42 @@ class WebSocketTransport:
             outbox.offer(name, payload)
 
 
+class _Connection(ServerConnection, asyncio.BufferedProtocol):
+    """A connection that reads little in a turn, and ends if it gets more frames than messages need.
+
+    The library does not bound fragments without content and control frames.
+    """
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._buffer, self._fragments = bytearray(_AT_ONCE), 0
+        self._controls = Bucket(_CONTROLS_PER_SECOND, time.monotonic(), _CONTROLS)
+        super().connection_made(transport)
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
+
+    def process_event(self, event: Event) -> None:
+        is_allowed = True
+        if isinstance(event, Frame) and event.opcode in CTRL_OPCODES:
+            is_allowed = self._controls.take(time.monotonic())
+        elif isinstance(event, Frame):
+            self._fragments = 0 if event.fin else self._fragments + 1
+            is_allowed = self._fragments < _MOST_FRAGMENTS
+        if is_allowed:
+            super().process_event(event)
+        else:
+            self.transport.abort()
+
+
 class _Outbox:
-    """Messages waiting for one connection: all answers in order, the newest of each stream."""
+    """Messages waiting for one connection: all answers in order, the newest of each stream.
+
+    Attributes:
+        heard: Time of the last message from the connection, at first that of its handshake [s].
+    """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self._connection, self._sessions = connection, sessions
@@ -230,6 +278,21 @@ class _Outbox:
         self._newest: dict[str, bytes] = {}
         self._has_work, self._is_idle = asyncio.Event(), asyncio.Event()
         self._is_idle.set()
+        self.heard = time.monotonic()
+
+    def use(self) -> tuple[bool, bool, float]:
+        """Return the rank of the connection: active ones are highest, then readers of streams."""
+        is_active = time.monotonic() - self.heard < _ACTIVE
+        return is_active, bool(self._streams), self.heard
+
+    async def idle(self, longest: float) -> None:
+        """Wait until nothing was heard of a connection without a stream for some time [s]."""
+        while self._streams or time.monotonic() - self.heard < longest:
+            await asyncio.sleep(0.1 * longest)
+
+    def end(self) -> None:
+        """End the connection."""
+        self._connection.transport.abort()
 
     def answer(self, payload: bytes, *, is_json: bool) -> None:
         self._answers.append(payload.decode() if is_json else payload)
@@ -267,7 +330,7 @@ class _Outbox:
                 newest, self._newest = self._newest, {}
                 for name, payload in newest.items():
                     await self._send(_as_json(payload) if self._streams.get(name) else payload)
-        self._connection.transport.abort()
+        self.end()
 
     async def _send(self, message: bytes | str) -> None:
         async with asyncio.timeout(_SEND_TIMEOUT):

@@ -22,11 +22,12 @@ from patience import PATIENCE, wait_until
 from service_tools import SECRET, Sampler, human_q, opening, serving, streamed
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.protocol import Protocol
 from websockets.typing import Origin, Subprotocol
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import MOST_SESSIONS, Caps
-from handmap_qp.service.messages import PROTOCOL, Close, Status, Subscribe
+from handmap_qp.service.messages import PROTOCOL, Close, Status, Stop, Subscribe
 from handmap_qp.service.server import Server
 from handmap_qp.service.websocket import WebSettings, _Outbox
 
@@ -35,6 +36,10 @@ pytestmark = pytest.mark.slow
 
 WEB = WebSettings(port=0)
 TOKEN = "a-token-of-the-tests"
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
 ENCODE: dict[bool, Callable[[Any], bytes | str]] = {
     False: msgspec.msgpack.encode,
     True: lambda message: msgspec.json.encode(message).decode(),
@@ -224,17 +229,88 @@ def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_connections_are_capped() -> None:
+def test_idle_connections_leave_a_place_for_the_stop() -> None:
+    stop = Stop(protocol=PROTOCOL, seq=1)
+
     async def work(server: Server) -> None:
         address = f"ws://127.0.0.1:{server.ports['web']}"
-        async with asyncio.timeout(PATIENCE), connect(address), connect(address):
-            with pytest.raises(InvalidStatus) as raised:
-                async with connect(address):
-                    pass
-            assert raised.value.response.status_code == 503
+        async with contextlib.AsyncExitStack() as stack, asyncio.timeout(PATIENCE):
+            driver = await stack.enter_async_context(connect(address))
+            name = (await ask(driver, opening()))["name"]
+            await ask(driver, Subscribe(protocol=PROTOCOL, seq=2, name=name))
+            idle = [await stack.enter_async_context(connect(address)) for _ in range(128)]
+            operator = await stack.enter_async_context(connect(address))
+            assert (await ask(operator, stop))["type"] == "done"
+            # The reader of a stream keeps its place before connections that do nothing.
+            while msgspec.msgpack.decode(await driver.recv())["status"] != "stopped":
+                pass
+            await asyncio.gather(*(connection.wait_closed() for connection in idle[:2]))
 
-    with serving(web=WEB, caps=Caps(sessions=1)) as server:
+    with serving(web=WEB, caps=Caps(sessions=64)) as server:
         asyncio.run(work(server))
+
+
+def test_a_connection_that_does_nothing_is_ended() -> None:
+    async def work(reader: ClientConnection) -> None:
+        name = (await ask(reader, opening()))["name"]
+        await ask(reader, Subscribe(protocol=PROTOCOL, seq=2, name=name))
+        # The session ends, but not the connection that reads its stream.
+        while msgspec.msgpack.decode(await reader.recv())["type"] != "error":
+            pass
+        async with connect(f"ws://127.0.0.1:{server.ports['web']}") as idle:
+            await idle.wait_closed()
+        assert (await ask(reader, Status(protocol=PROTOCOL, seq=3)))["type"] == "state"
+
+    with serving(web=WEB, caps=Caps(idle=1.0)) as server:
+        run(work, server)
+
+
+_EMPTY = {
+    "fragments": b"\x02\x80\x00\x00\x00\x00" + b"\x00\x80\x00\x00\x00\x00" * 200_000,
+    "pings": b"\x89\x80\x00\x00\x00\x00" * 200_000,
+    "pongs": b"\x8a\x80\x00\x00\x00\x00" * 200_000,
+}
+
+
+@pytest.mark.parametrize("kind", _EMPTY)
+def test_a_flood_of_empty_frames_ends_its_connection(
+    monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    turns: list[int] = []
+    receive = Protocol.receive_data
+
+    def count(protocol: Protocol, data: bytes) -> None:
+        turns.append(len(data))
+        receive(protocol, data)
+
+    monkeypatch.setattr(Protocol, "receive_data", count)
+    with serving(web=WEB) as server:
+        with socket.create_connection(("127.0.0.1", server.ports["web"])) as raw:
+            raw.settimeout(PATIENCE)
+            raw.sendall(HANDSHAKE)
+            assert b" 101 " in raw.recv(4096)
+            with pytest.raises(ConnectionError):  # noqa: PT012
+                raw.sendall(_EMPTY[kind])
+                while raw.recv(4096):
+                    pass
+                raise ConnectionError
+        run(nothing, server)
+    assert max(turns) <= 2048
+    # Of the megabyte that was sent; the other connection's handshake is in the sum.
+    assert sum(turns) < 20_000
+
+
+def test_fragments_and_pings_within_the_limits_are_taken() -> None:
+    async def work(connection: ClientConnection) -> None:
+        status = msgspec.msgpack.encode(Status(protocol=PROTOCOL, seq=1))
+        for _ in range(100):
+            await connection.send([status[i : i + 1] for i in range(len(status))])
+            assert msgspec.msgpack.decode(await connection.recv())["type"] == "state"
+        for _ in range(40):
+            await (await connection.ping())
+
+    with serving(web=WEB) as server:
+        run(work, server)
 
 
 def test_clients_that_vanish_with_answers_outstanding_leave_no_connection() -> None:
@@ -243,11 +319,7 @@ def test_clients_that_vanish_with_answers_outstanding_leave_no_connection() -> N
 
     def ask_and_reset(port: int, count: int) -> None:
         with socket.create_connection(("127.0.0.1", port)) as raw:
-            raw.sendall(
-                b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n"
-                b"Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-                b"Sec-WebSocket-Version: 13\r\n\r\n"
-            )
+            raw.sendall(HANDSHAKE)
             assert b" 101 " in raw.recv(4096)
             raw.sendall(count * frame)
             raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
