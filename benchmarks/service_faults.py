@@ -25,7 +25,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from service_clients import TIMEOUT, Honest, HumanMotion, honest, summary
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
-from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+from handmap_qp.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.states import LEASE
 
@@ -527,6 +527,150 @@ def _judge_gaps(
     return found
 
 
+_RAW = """
+import socket, sys, time
+while True:
+    try:
+        with socket.create_connection(("127.0.0.1", int(sys.argv[1])), timeout=5.0) as raw:
+            for part in OPENING:
+                raw.sendall(part)
+                raw.recv(4096)
+            raw.sendall(FLOOD)
+            print(flush=True)
+    except OSError:
+        print(flush=True)
+"""
+_ZEROMQ = """
+import sys, zmq
+from zmq.auth import load_certificate
+socket = zmq.Context().socket(zmq.DEALER)
+socket.linger, socket.sndhwm = 0, 1
+socket.curve_publickey, socket.curve_secretkey = load_certificate(sys.argv[2])
+socket.curve_serverkey = load_certificate(sys.argv[3])[0]
+socket.connect(f"tcp://127.0.0.1:{sys.argv[1]}")
+message = [bytes(SIZE)] * NUMBER
+while True:
+    socket.send_multipart(message)
+    print(flush=True)
+"""
+_IDLE = f"""
+import socket, sys, time
+idle = []
+while True:
+    raw = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+    raw.sendall({_HANDSHAKE!r})
+    idle = [*idle, raw][-400:]
+    time.sleep(0.01)
+    print(flush=True)
+"""
+_GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48)
+_READY = b"\x04\x1c\x05READY\x0bSocket-Type" + b"\x00\x00\x00\x06DEALER"
+
+
+def _raw(flood: str, *opening: bytes) -> str:
+    """Return a program that sends some bytes after a handshake, again and again."""
+    return _RAW.replace("OPENING", repr(opening)).replace("FLOOD", flood)
+
+
+_FRAMES = {
+    "fragments": _raw(r"b'\x02\x80' + bytes(4) + (b'\0\x80' + bytes(4)) * 200_000", _HANDSHAKE),
+    "pings": _raw(r"(b'\x89\x80' + bytes(4)) * 200_000", _HANDSHAKE),
+    "empty_messages": _raw(r"(b'\x82\x80' + bytes(4)) * 200_000", _HANDSHAKE),
+    "idle_connections": _IDLE,
+}
+_PARTS = {
+    "hundred_parts": _raw(r"(b'\1\0' * 99 + b'\0\0') * 10_000", _GREETING, _READY),
+    "parts_of_10_kB": _raw(
+        r"(b'\3' + (10**4).to_bytes(8) + bytes(10**4)) * 1000 + b'\0\0'", _GREETING, _READY
+    ),
+    "million_parts": _raw(r"b'\1\0' * 10**6 + b'\0\0'", _GREETING, _READY),
+}
+_PARTS_WITH_KEYS = {
+    "parts_of_10_kB": _ZEROMQ.replace("SIZE", "10**4").replace("NUMBER", "1000"),
+    "million_parts": _ZEROMQ.replace("SIZE", "0").replace("NUMBER", "10**6"),
+}
+
+
+def shapes(duration: float) -> dict[str, Any]:
+    """Flood the service with messages of shapes that no client sends, and measure stops meanwhile.
+
+    Stops are sent over ZeroMQ and over new WebSockets in turn.
+    """
+    from handmap_qp.service.keys import make_keys
+
+    delays: dict[str, float] = {}
+    found: dict[str, Any] = {"stops": 0, "failures": 0, "wrong": []}
+    runs = 2 + len(_FRAMES) + len(_PARTS) + len(_PARTS_WITH_KEYS)
+    with tempfile.TemporaryDirectory() as folder:
+        make_keys(Path(folder), ["admitted"])
+        keys = (Path(folder) / "admitted.key_secret", Path(folder) / "server.key")
+        for ours in (None, keys):
+            kind = "with_keys" if ours else "open"
+            attacks = {"quiet": "print(flush=True)"}
+            attacks |= _PARTS_WITH_KEYS if ours else {**_FRAMES, **_PARTS}
+            with ExitStack() as attackers:
+                with (
+                    serving(web=True, web_port=0, keys=Path(folder) if ours else None) as service,
+                    honest(service, keys=ours) as clients,
+                    MemoryWatch(service) as memory,
+                ):
+                    for name, code in attacks.items():
+                        # The last attack goes on while SIGTERM ends the service.
+                        attackers.close()
+                        port = service.ports["web" if name in _FRAMES else "requests"]
+                        attackers.enter_context(_attack(code, port, *(ours or ())))
+                        times = _stops(service, ours, duration / runs)
+                        delays[f"{name}, {kind}"] = max(times)
+                        found["stops"] += len(times)
+                    ended = service.metric('handmap_refusals_total{code="requests"}')
+                found[f"memory_{kind}_MB"] = memory.found()["memory_end_MB"]
+                found[f"connections_ended_{kind}"] = ended
+                found["failures"] += len(service.failures)
+                found["wrong"] += summary(clients)["wrong"]
+    quiet = max(delays["quiet, open"], delays["quiet, with_keys"])
+    if max(delays.values()) > max(_LONGEST_GAP, 2.0 * quiet):
+        found["wrong"].append("a stop was delayed")
+    if found["failures"]:
+        found["wrong"].append("the service failed")
+    return found | {"longest_stop_s": delays, "load": os.getloadavg()[0]}
+
+
+@contextmanager
+def _attack(code: str, *words: object) -> Iterator[None]:
+    """Run a program that floods the service, from its first flood to the end of the block."""
+    command = ["chrt", "--other", "0", sys.executable, "-c", code, *map(str, words)]
+    attack = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        assert attack.stdout is not None
+        attack.stdout.readline()
+        yield
+    finally:
+        attack.kill()
+        attack.communicate()
+
+
+def _stops(service: ServiceProcess, keys: KeyFiles | None, duration: float) -> list[float]:
+    """Return how long stops take, over ZeroMQ and over a new WebSocket in turn [s]."""
+    from websockets.sync.client import connect
+
+    times, end = [], time.monotonic() + duration
+    stop = msgspec.msgpack.encode({"type": "stop", "protocol": 2, "seq": 1, "name": "lab"})
+    with Client(service.address, timeout=20.0, keys=keys) as client:
+        client.open("three_finger", name="lab", restore=True, robot_q=np.zeros(8))
+        while time.monotonic() < end:
+            started = time.monotonic()
+            client.stop("lab")
+            times.append(time.monotonic() - started)
+            with connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None) as page:
+                # The time of the handshake is not counted: a page is connected before.
+                started = time.monotonic()
+                page.send(stop)
+                page.recv(20.0)
+                times.append(time.monotonic() - started)
+            time.sleep(0.005)
+    return times
+
+
 SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "restarts": restarts,
     "vanishing": vanishing,
@@ -539,6 +683,7 @@ SCENARIOS: dict[str, Callable[[float], dict[str, Any]]] = {
     "subscriptions": subscriptions,
     "openings": openings,
     "steering": steering,
+    "shapes": shapes,
 }
 
 

@@ -103,10 +103,14 @@ class ServiceProcess:
 
         Unlike a gap that a client sees, it does not contain the time of other programs.
         """
+        return self.metric("handmap_busy_seconds")
+
+    def metric(self, name: str) -> float:
+        """Return a counter or gauge of `/metrics`, 0 for one that does not exist."""
         url = f"http://127.0.0.1:{self.ports['health']}/metrics"
         with urllib.request.urlopen(url, timeout=5.0) as answer:
             text = answer.read().decode()
-        return float(text.partition("\nhandmap_busy_seconds ")[2].split()[0])
+        return float(text.partition(f"\n{name} ")[2].partition("\n")[0] or 0.0)
 
     def files(self) -> int:
         """Open files and sockets."""

@@ -132,16 +132,8 @@ class Gate:
             self._metrics.refusals[self._name] += 1
             self._refusals.report(WARNING, "ended", port=self._name, reason=reason)
 
-    def took(self, message: Sequence[zmq.Frame], cost: float) -> str:
-        """Give the credit of a message back to its connection.
-
-        Args:
-            message: First and last frame that a ROUTER socket received.
-            cost: Cost of all its frames [bytes].
-
-        Returns:
-            Address of the client; empty if its connection has ended.
-        """
+    def find(self, message: Sequence[zmq.Frame]) -> _Client | None:
+        """Return the connection of a message from a ROUTER socket; None if it has ended."""
         identity = message[0].bytes
         if (client := self._known.get(identity)) is None:
             # The socket's descriptor of a connection shows the name of the gate's end.
@@ -151,7 +143,7 @@ class Gate:
                     name = end.getpeername()
                 client = next(each for each in self._clients if each.name == name)
                 client.identity, self._known[identity] = identity, client
-        return "" if client is None else client.refund(cost)
+        return client
 
 
 class _Client(asyncio.BufferedProtocol):

@@ -283,11 +283,13 @@ class Server:
 
     def _receive(self, parts: Sequence[zmq.Frame], cost: int) -> None:
         """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
-        address = self._gate.took(parts, cost)
+        client = self._gate.find(parts)
         *envelope, payload = (part.bytes for part in parts)
         if len(parts) > _MOST_PARTS or (len(parts) == _MOST_PARTS and envelope[1]):
-            self.metrics.refusals["frames"] += 1
+            if client is not None:
+                client.end("a message has too many parts")
             return
+        address = "" if client is None else client.refund(cost)
 
         def who() -> Caller:
             keys = self._clients

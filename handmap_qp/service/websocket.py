@@ -190,7 +190,7 @@ class WebSocketTransport:
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
             # The new client may come to stop a robot.
             least = min(self._connections, key=_Outbox.use)
-            least.end()
+            least.connection.transport.abort()
             self._connections.discard(least)
         self._connections.add(outbox)
         tasks = {
@@ -235,10 +235,7 @@ class WebSocketTransport:
 
 
 class _Connection(ServerConnection, asyncio.BufferedProtocol):
-    """A connection that reads little in a turn, and ends if it gets more frames than messages need.
-
-    The library does not bound fragments without content and control frames.
-    """
+    """Read little in a turn, and bound empty fragments and control frames: the library does not."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._buffer, self._fragments = bytearray(_AT_ONCE), 0
@@ -252,27 +249,27 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
         self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
 
     def process_event(self, event: Event) -> None:
-        is_allowed = True
-        if isinstance(event, Frame) and event.opcode in CTRL_OPCODES:
-            is_allowed = self._controls.take(time.monotonic())
-        elif isinstance(event, Frame):
+        is_control = isinstance(event, Frame) and event.opcode in CTRL_OPCODES
+        if isinstance(event, Frame) and not is_control:
             self._fragments = 0 if event.fin else self._fragments + 1
-            is_allowed = self._fragments < _MOST_FRAGMENTS
-        if is_allowed:
-            super().process_event(event)
-        else:
+        if self._fragments >= _MOST_FRAGMENTS or (
+            is_control and not self._controls.take(time.monotonic())
+        ):
             self.transport.abort()
+        else:
+            super().process_event(event)
 
 
 class _Outbox:
     """Messages waiting for one connection: all answers in order, the newest of each stream.
 
     Attributes:
-        heard: Time of the last message from the connection, at first that of its handshake [s].
+        connection: The connection.
+        heard: Time of its last message, at first that of its handshake [s].
     """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
-        self._connection, self._sessions = connection, sessions
+        self.connection, self._sessions = connection, sessions
         self._answers: deque[bytes | str] = deque()
         self._streams: dict[str, bool] = {}
         self._newest: dict[str, bytes] = {}
@@ -289,10 +286,6 @@ class _Outbox:
         """Wait until nothing was heard of a connection without a stream for some time [s]."""
         while self._streams or time.monotonic() - self.heard < longest:
             await asyncio.sleep(0.1 * longest)
-
-    def end(self) -> None:
-        """End the connection."""
-        self._connection.transport.abort()
 
     def answer(self, payload: bytes, *, is_json: bool) -> None:
         self._answers.append(payload.decode() if is_json else payload)
@@ -330,11 +323,11 @@ class _Outbox:
                 newest, self._newest = self._newest, {}
                 for name, payload in newest.items():
                     await self._send(_as_json(payload) if self._streams.get(name) else payload)
-        self.end()
+        self.connection.transport.abort()
 
     async def _send(self, message: bytes | str) -> None:
         async with asyncio.timeout(_SEND_TIMEOUT):
-            await self._connection.send(message)
+            await self.connection.send(message)
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:

@@ -370,7 +370,7 @@ def _has_ended(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("has_keys", [False, True], ids=["open", "keys"])
-@pytest.mark.parametrize(("number", "size"), [(10**6, 0), (10**4, 10**4)])
+@pytest.mark.parametrize(("number", "size"), [(3, 0), (10**6, 0), (10**4, 10**4)])
 def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_keys: bool, number: int, size: int
 ) -> None:
@@ -394,9 +394,8 @@ def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
         wait_until(lambda: next_event() == zmq.EVENT_DISCONNECTED)
         wait_until(lambda: server.metrics.refusals["requests"], "the flood goes on")
         assert client.status().mode == "stopped"
-        # A part is read when its message is complete, so none of the flood was.
+        # A part is read when its message is complete, so none of the long ones was.
         assert next(parts) < 1000
-        assert not server.metrics.refusals["frames"]
 
 
 def test_a_turn_reads_a_bounded_number_of_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -417,7 +416,6 @@ def test_a_turn_reads_a_bounded_number_of_parts(monkeypatch: pytest.MonkeyPatch)
         bare.send_multipart([b""] * 5000)
         bare.send(encode({"type": "status", "protocol": PROTOCOL, "seq": 1}))
         assert decode(bare.recv())["type"] == "state"
-        assert server.metrics.refusals["frames"] == 1
     assert sum(turns) >= 5000
     assert max(turns) <= 128
 

@@ -242,7 +242,7 @@ def test_idle_connections_leave_a_place_for_the_stop() -> None:
             operator = await stack.enter_async_context(connect(address))
             assert (await ask(operator, stop))["type"] == "done"
             # The reader of a stream keeps its place before connections that do nothing.
-            while msgspec.msgpack.decode(await driver.recv())["status"] != "stopped":
+            while msgspec.msgpack.decode(await driver.recv(decode=False))["status"] != "stopped":
                 pass
             await asyncio.gather(*(connection.wait_closed() for connection in idle[:2]))
 
@@ -255,7 +255,7 @@ def test_a_connection_that_does_nothing_is_ended() -> None:
         name = (await ask(reader, opening()))["name"]
         await ask(reader, Subscribe(protocol=PROTOCOL, seq=2, name=name))
         # The session ends, but not the connection that reads its stream.
-        while msgspec.msgpack.decode(await reader.recv())["type"] != "error":
+        while msgspec.msgpack.decode(await reader.recv(decode=False))["type"] != "error":
             pass
         async with connect(f"ws://127.0.0.1:{server.ports['web']}") as idle:
             await idle.wait_closed()
@@ -305,7 +305,7 @@ def test_fragments_and_pings_within_the_limits_are_taken() -> None:
         status = msgspec.msgpack.encode(Status(protocol=PROTOCOL, seq=1))
         for _ in range(100):
             await connection.send([status[i : i + 1] for i in range(len(status))])
-            assert msgspec.msgpack.decode(await connection.recv())["type"] == "state"
+            assert msgspec.msgpack.decode(await connection.recv(decode=False))["type"] == "state"
         for _ in range(40):
             await (await connection.ping())
 
