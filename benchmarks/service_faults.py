@@ -107,18 +107,16 @@ def vanishing(duration: float) -> dict[str, Any]:
         "client = Client(sys.argv[1]); client.open('three_finger')\n"
         "print('open', flush=True)\nwhile True: client.step(q=np.full(20, 0.1), wrist=np.eye(4))"
     )
-    greeting = b"\xff" + b"\x00" * 8 + b"\x7f\x03\x00NULL" + b"\x00" * 48
-    ready = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
     halves = {
         "requests": [
             b"",
             b"\xff",
-            greeting[:20],
-            greeting,
-            greeting + ready,
-            greeting + ready + b"\x00\xc8" + b"x" * 50,
+            _GREETING[:20],
+            _GREETING,
+            _GREETING + _READY,
+            _GREETING + _READY + b"\x00\xc8" + b"x" * 50,
         ],
-        "stream": [greeting, greeting + ready[:9]],
+        "stream": [_GREETING, _GREETING + _READY[:9]],
         "web": [b"GET / HTTP/1.1\r\nHost:", b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00"],
         "health": [b"GET /metr", b"\x00" * 100],
     }

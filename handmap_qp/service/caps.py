@@ -24,7 +24,8 @@ class Caps:
         configures: Changes of options per second, in all sessions together. Each takes about 1 ms;
             a change to teleoperation takes up to 10 ms on hands with many links.
         message_size: Length of a message [bytes].
-        idle: Time without a request after which a session is closed [s].
+        idle: Time without a request after which a session is closed, and without a message after
+            which a WebSocket is that reads no stream [s].
         supervisors: Names of the keys that may clear every emergency stop.
         allows_client_time: Whether sessions may use the client's time stamps for speed limits
             (simulations).
