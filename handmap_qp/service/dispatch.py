@@ -377,6 +377,7 @@ class Dispatcher:
             names=self.sessions.names,
             counts=dict(self._metrics.counts),
             robots=self._cache.robots,
+            missing=self._cache.missing,
             stream_port=self.stream_port,
         )
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 from handmap_qp.errors import HandError, RefusedError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import HUMAN_HANDS, hand_names, load_hand
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
 from handmap_qp.hands.spec import Mount, Side, read_hand_spec
 from handmap_qp.service.refusals import with_field_errors
 from handmap_qp.trackers.landmarks import human_name
@@ -27,26 +26,28 @@ class HandCache:
 
     Raises:
         HandError: If one cannot be read, or two hands have the same name.
+
+    Attributes:
+        missing: Why each hand that is not installed cannot be opened, by name.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files: dict[str, Path | str] = {
-            name: name for name in hand_names() if name not in HUMAN_HANDS
-        }
+        self._files = {name: file for name, file in hand_files().items() if name not in HUMAN_HANDS}
+        self.missing = missing_hands()
         for file in files:
             spec = read_hand_spec(file)
-            if spec.name in self._files:
+            if spec.name in self.robots:
                 raise HandError(
                     f"there is already a hand {spec.name!r}", file=file, key="name", value=spec.name
                 )
             self._files[spec.name] = file
-        self._cache: OrderedDict[Hashable, Hand] = OrderedDict()
-        self._lock = threading.Lock()
+            self.missing.pop(spec.name, None)
+        self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
 
     @property
     def robots(self) -> tuple[str, ...]:
-        """Names of the robot hands."""
-        return tuple(self._files)
+        """Names of the robot hands that are installed."""
+        return tuple(name for name in self._files if name not in self.missing)
 
     def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
         """Return a robot hand.
@@ -62,30 +63,12 @@ class HandCache:
         if name not in self._files:
             raise RefusedError(
                 "invalid",
-                f"no hand {name!r:.80}; there are {', '.join(self._files)}",
+                f"no hand {name!r:.80}; there are {', '.join(self.robots)}",
                 field="robot",
             )
         file = self._files[name]
-        return with_field_errors(
-            "robot",
-            lambda: self._cached(
-                (name, points, mount), lambda: load_hand(file, points=points, mount=mount)
-            ),
-        )
+        return with_field_errors("robot", lambda: self._load(file, points=points, mount=mount))
 
     def human(self, side: Side, points: str | None) -> Hand:
         """Return a human hand of the model's size."""
-        name = human_name(side)
-        return self._cached((name, points), lambda: load_hand(name, points=points))
-
-    def _cached(self, key: Hashable, load: Callable[[], Hand]) -> Hand:
-        with self._lock:
-            if key in self._cache:
-                self._cache.move_to_end(key)
-                return self._cache[key]
-        hand = load()
-        with self._lock:
-            self._cache[key] = hand
-            if len(self._cache) > _CACHED_HANDS:
-                self._cache.popitem(last=False)
-        return hand
+        return self._load(human_name(side), points=points)

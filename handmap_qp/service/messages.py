@@ -481,6 +481,10 @@ class State(Reply, frozen=True):
     robots: Annotated[
         tuple[str, ...], _doc("Robot hands that clients may open; only of the server.")
     ] = ()
+    missing: Annotated[
+        dict[str, str],
+        _doc("Robot hands that are not installed, and what installs each; only of the server."),
+    ] = {}
     is_released: Annotated[
         bool, _doc("Whether the robot is released, also while the watchdog holds it.")
     ] = False

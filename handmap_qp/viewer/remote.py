@@ -17,7 +17,7 @@ from handmap_qp.addresses import service_address
 from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.library import hand_names, load_hand
+from handmap_qp.hands.library import hand_files, load_hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.options import MappingOptions
@@ -255,7 +255,7 @@ class ServiceSession:
 
     def _load_robot(self, robot: str | Path, about: dict[str, Any]) -> Hand:
         """Load the robot hand from a name or file of this machine."""
-        if robot == about["robot"] and robot not in hand_names():
+        if robot == about["robot"] and robot not in hand_files():
             raise self._error(
                 f"the session's hand {robot!r} is not known on this machine",
                 "give its description with --robot hand.yaml",

@@ -15,6 +15,8 @@ from live_cases import moving_hand
 from patience import wait_until
 from service_tools import address_of, client_of, in_loop, serving
 
+from handmap_qp import hand_names
+from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
 from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
@@ -52,12 +54,18 @@ def webxr_joints(side: str) -> np.ndarray:
     return np.round([LAYOUT.write(each)[:, :3] for each in samples], 5)
 
 
-def open_page(browser: Browser, server: Server, *, more: str = "", token: str = TOKEN) -> None:
+def open_page(
+    browser: Browser,
+    server: Server,
+    *,
+    more: str = "",
+    token: str = TOKEN,
+    words: str = "?right=allegro_right&left=three_finger",
+) -> None:
     """Load the page with an emulated headset, changed by `more` before the page's own script."""
     browser.open("about:blank")
     added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)["identifier"]
-    words = f"?right=allegro_right&left=three_finger#token={token}"
-    browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}")
+    browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}#token={token}")
     browser.wait_for("document.querySelector('#left .state')?.textContent")
     browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
 
@@ -238,6 +246,38 @@ def test_the_page_says_why_it_cannot_start(
     open_page(browser, server, more=more)
     wait_for_text(browser, "#state", line)
     assert text(browser, "#advice")
+
+
+def test_every_hand_is_offered_and_missing_ones_say_what_installs_them(
+    browser: Browser, server: Server
+) -> None:
+    open_page(browser, server)
+    wait_for_text(browser, "#state", "Ready")
+    offered = browser.evaluate(
+        "Array.from(document.querySelector('#right select').options,"
+        " ({ value, text, disabled }) => [value, text, disabled])"
+    )
+    robots = [name for name in hand_names() if name not in HUMAN_HANDS]
+    missing = [[name, f"{name} ({reason})", True] for name, reason in missing_hands().items()]
+    assert offered == [["", "none", False], *([name, name, False] for name in robots), *missing]
+
+
+@pytest.mark.parametrize("name", ["leap_rigth", *list(missing_hands())[:1]])
+def test_a_hand_of_the_address_that_cannot_be_led_is_named(
+    browser: Browser, server: Server, name: str
+) -> None:
+    open_page(browser, server, words=f"?right={name}&left=")
+    wait_for_text(browser, "#state", "Ready")
+    reason = missing_hands().get(name, "the service has no such robot hand")
+    assert text(browser, "#right .state") == f"{name}: {reason}; choose another"
+    assert browser.evaluate("document.querySelector('#right').dataset.state") == "error"
+    assert text(browser, "#left .state") == "no robot chosen"
+    # Choosing a hand is the answer.
+    browser.evaluate(
+        "(() => { const select = document.querySelector('#right select');"
+        "select.value = 'three_finger'; select.dispatchEvent(new Event('change')); })()"
+    )
+    wait_for_text(browser, "#right .state", "not started")
 
 
 def test_a_headset_without_hand_tracking_is_named(browser: Browser, server: Server) -> None:

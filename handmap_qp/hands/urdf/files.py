@@ -45,10 +45,7 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
         MissingExtraError: If it lies in a package that is not installed.
     """
     try:
-        source = source_path(spec.urdf)
-        path = (
-            (spec.directory or Path()) / os.path.expandvars(spec.urdf) if source is None else source
-        )
+        path = source_file(spec)
         if path.suffix in (".xml", ".mjcf"):
             from handmap_qp.hands.mjcf.compile import is_mjcf
 
@@ -59,6 +56,12 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     except HandError as error:
         raise _source_error(spec, error.problem) from error
     return path
+
+
+def source_file(spec: HandSpec | ArmSpec) -> Path:
+    """Return the URDF or MJCF file of a hand or an arm, as `urdf_path` before it converts."""
+    source = source_path(spec.urdf)
+    return source or (spec.directory or Path()) / os.path.expandvars(spec.urdf)
 
 
 def _source_error(spec: HandSpec | ArmSpec, problem: str) -> HandError:

@@ -29,11 +29,11 @@ let failure = "";
 function makeCard(side) {
   const root = find("#hand").content.firstElementChild.cloneNode(true);
   const session = new HandSession(service, side, LAYOUT);
-  const card = { side, root, session, joints: null, seen: false, sent: [] };
+  const card = { side, root, session, joints: null, seen: false, sent: [], unknown: "" };
   card.select = find("select", root);
   root.id = side;
   find("h2", root).textContent = side === "left" ? "Left hand" : "Right hand";
-  card.select.onchange = () => choose(card);
+  card.select.onchange = () => { card.unknown = ""; choose(card); };
   find(".hold", root).onclick = () => session.hold();
   find(".engage", root).onclick = () => session.engage();
   find(".clear", root).onclick = () => session.clear();
@@ -47,10 +47,19 @@ function offerRobots() {
   for (const card of cards) {
     const { select, side } = card;
     const known = Array.from(select.options, (option) => option.value).slice(1);
-    if (known.join() === service.robots.join()) continue;
-    const wanted = select.value || (search.get(side) ?? `allegro_${side}`);
-    select.replaceChildren(new Option("none", ""), ...service.robots.map((name) => new Option(name)));
+    if (known.join() === [...service.robots, ...Object.keys(service.missing)].join()) continue;
+    const usual = service.robots.find((name) => name === `allegro_${side}`) ?? "";
+    const wanted = select.value || (search.get(side) ?? usual);
+    const missing = Object.entries(service.missing).map(([name, reason]) => {
+      const option = new Option(`${name} (${reason})`, name);
+      option.disabled = true;
+      return option;
+    });
+    select.replaceChildren(
+      new Option("none", ""), ...service.robots.map((name) => new Option(name)), ...missing);
     select.value = service.robots.includes(wanted) ? wanted : "";
+    const reason = service.missing[wanted] ?? "the service has no such robot hand";
+    card.unknown = select.value === wanted ? "" : `${wanted}: ${reason}; choose another`;
     choose(card);
   }
 }
@@ -73,6 +82,7 @@ function takeFrame({ time, hands }) {
 /** State of a hand: off, waiting, streaming or error, and what to say about it. */
 function stateOf(card) {
   const { session } = card;
+  if (card.unknown) return ["error", card.unknown];
   if (!card.select.value) return ["off", "no robot chosen"];
   if (!tracking.session) return ["off", "not started"];
   if (!service.isConnected) return ["error", "not connected: the robot holds"];

@@ -134,6 +134,7 @@ export class Service extends EventTarget {
     this.address = address;
     this.token = "";
     this.robots = [];
+    this.missing = {}; // why each robot hand that is not installed cannot be led
     this.version = "";
     this.sessions = [];
     this.isConnected = false;
@@ -185,6 +186,7 @@ export class Service extends EventTarget {
       this.sessions.find((session) => session.name === reply.name)?.receive(reply);
     } else if (reply.type === "state" && !sender) {
       this.robots = reply.robots;
+      this.missing = reply.missing;
       this.version = reply.version;
       this.isConnected = true;
       this.attempts = 0;
