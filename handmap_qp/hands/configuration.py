@@ -8,6 +8,7 @@ configuration (`model.nv`, `nv`, `q`).
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -66,6 +67,16 @@ class Configuration:
         self.wrist = self.data.oMf[_WRIST]
         self._has_jacobians = False
         self.place_frames(self._q)
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        """Return what a copy is built from: the workspace is views of Pinocchio's memory."""
+        return self.model, self.expansion, self._q, self._has_jacobians
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Build a workspace, and place the model where the other one was."""
+        model, expansion, q, has_jacobians = state
+        Configuration.__init__(self, model, expansion=expansion)
+        (self.place_with_jacobians if has_jacobians else self.place_frames)(q)
 
     @cached_property
     def joints(self) -> PlacementViews:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -114,7 +114,7 @@ class Hand:
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
         text, locked = compose_urdf(spec, file_text, arm_text)
-        self._compose: Callable[[], str] = lambda: text
+        self._compose: Callable[[], str] = partial(str, text)
         rules = mimic_rules(spec, text)
         followers = tuple(rule.follower for rule in rules)
         self.model = model = build_model(spec, text, self.mount, followers)
@@ -170,12 +170,17 @@ class Hand:
         counts = f"joints={len(self.joint_names)}, points={len(self.reference_points)}"
         return f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, {counts})"
 
-    def __copy__(self) -> Hand:
-        """Return the same hand with a workspace of its own, for another thread."""
-        hand = object.__new__(type(self))
-        hand.__dict__.update(self.__dict__)
-        hand.__dict__.pop("_scratch", None)
-        return hand
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the workspace: a copy has one of its own, for another thread."""
+        return {name: value for name, value in vars(self).items() if name != "_scratch"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
+        vars(self).update(state)
+        for value in state.values():
+            for array in value if isinstance(value, tuple) else (value,):
+                if isinstance(array, np.ndarray):
+                    array.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
         """Return the same hand, scaled as it is, with other reference points.

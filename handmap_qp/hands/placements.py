@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import pinocchio as pin
+
+from handmap_qp.errors import InvalidInputError
 
 
 class PlacementViews(NamedTuple):
@@ -23,6 +25,10 @@ class PlacementViews(NamedTuple):
     rotations: np.ndarray
     translations: np.ndarray
     columns: np.ndarray
+
+    def __reduce__(self) -> NoReturn:
+        """Reject copies: they would not follow the placements."""
+        raise InvalidInputError("views of Pinocchio's memory cannot be copied or pickled")
 
     def points(self, offsets: np.ndarray, indices: np.ndarray | None = None) -> np.ndarray:
         """Return points that are fixed to placements, in the world.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -125,6 +125,10 @@ class ShapeDistances:
         self._active = set(range(len(pairs)))
         # A posture of its own, for ways between samples.
         self._elsewhere = model.createData()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build copies anew: results are views of coal's memory."""
+        return ShapeDistances, (self._model, self._geometry)
 
     def measure(
         self,

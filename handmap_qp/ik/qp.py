@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -265,6 +265,17 @@ class PointIk:
         self._target = pin.SE3.Identity()
         self._target_columns = placement_views([self._target]).columns.reshape(4, 3)
         self._target_columns.setflags(write=True)
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        """Return what a copy is built from: arrays are views of each other."""
+        return self.hand, self.options, self._contacts, self.state
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Build a solver with a workspace of its own that continues from the same state."""
+        hand, options, contacts, moving = state
+        near = moving.near
+        PointIk.__init__(self, hand, options, moving, contacts=contacts)
+        self.state.near = near
 
     @property
     def collisions(self) -> CollisionLimit | None:

@@ -8,6 +8,7 @@ eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -61,6 +62,8 @@ class HandMapper:
     The first sample is the reference unless `reset` has given one. There the robot is at rest with
     its palm on the human's palm (at the origin of its own world with `alignment="palm"`). The
     human's motion is imposed from there.
+
+    A copy (`copy.deepcopy`, `copy.copy` or pickle) continues from the same state on its own.
 
     Args:
         human: The hand that leads, with a floating wrist; its reference points are the method's
@@ -128,12 +131,14 @@ class HandMapper:
         self._human_vector = human.configuration_vector(human.rest)
         # Points with a 1 behind each, which a pose moves in one product.
         self._human_rows = np.ones((len(human.reference_points), 4))
-        self._human_points = self._human_rows[:, :3]
         self._start: _Start | None = _Start(robot.rest, None)
         self._course: _Course | None = None
         self._smooth: SmoothState | None = None
         self._is_released = False
         self._rejoin = Rejoin(_check_rejoin(rejoin))
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
 
     @property
     def rejoin(self) -> RejoinKind:
@@ -592,7 +597,7 @@ class HandMapper:
         """Compute the human's reference points in its world (eq. 4)."""
         self.human.write_configuration(self._human_vector, angles)
         self._human.place_frames(self._human_vector)
-        self._human_points[:] = self._human.points
+        self._human_rows[:, :3] = self._human.points
         return HumanPose(self._human_rows.dot(wrist[:3].T), wrist)
 
     def _check_joints(self, human_q: npt.ArrayLike) -> tuple[np.ndarray, tuple[str, ...]]:
