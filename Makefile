@@ -63,11 +63,12 @@ docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
 
-lowest: ## Run the tests that are not slow with the lowest versions that pyproject.toml allows; needs uv
+lowest: ## Run all tests with the lowest versions that pyproject.toml allows; needs uv
 	@$(FIND_PYTHON); \
+	export PATH="$$PATH:$(CURDIR)/$(BIN)"; \
 	uv venv --quiet --clear --python "$$python" $(LOWEST) && \
 	uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[all]' --group dev && \
-	$(LOWEST)/bin/python -m pytest -m 'not slow' $(PARALLEL) $(ARGS)
+	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
 	@for script in benchmarks/bench_*.py; do \

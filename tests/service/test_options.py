@@ -140,7 +140,8 @@ def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch
             session.step(sample(i * PERIOD, human_q(random.normal()), wrist), i * PERIOD).status
             != "failed"
         )
-    assert 500 < max(iterations) < 1100
+    # Only some versions of DAQP cycle here; none may go on.
+    assert 0 < max(iterations) < 1100
 
 
 def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
