@@ -2,8 +2,9 @@
 
     python benchmarks/exactness.py --steps 1000000 --json exactness.json
 
-The run fails (exit code 1) on a position or speed limit violated by more than 1e-9, on a result
-with a NaN or an infinity, and on an undocumented exception. Memory is measured too. The tests run
+The run fails (exit code 1) on a position, speed or acceleration limit that `checker.py` finds
+violated, on a result with a NaN or an infinity, and on an undocumented exception. Memory is measured
+too. The tests run
 fewer of the same steps (`hostile.py`).
 """
 
@@ -50,9 +51,8 @@ def measure(steps: int, seed: int) -> dict[str, Any]:
     return {
         "is_exact": tally.is_exact,
         "steps": tally.steps,
-        "worst_position": tally.position,
-        "worst_speed": tally.speed,
-        "worst_wrist_speed": tally.wrist_speed,
+        "violations": dict(tally.violations),
+        "worst": tally.worst,
         "not_finite": tally.not_finite,
         "undocumented": tally.undocumented,
         "statuses": dict(tally.statuses.most_common()),
@@ -117,9 +117,12 @@ def main(words: Sequence[str] | None = None) -> int:
         common.stop(f"--steps {arguments.steps}: expected at least 1")
     results = measure(20_000 if arguments.quick else arguments.steps, arguments.seed)
     is_json = arguments.json == "-"
-    worst = {name: results[name] for name in ("worst_position", "worst_speed", "worst_wrist_speed")}
-    caption = "in rad and m; negative if no limit was reached"
-    common.print_table("Worst violations of limits", [worst], to_stderr=is_json, caption=caption)
+    rows = [
+        {"what": what, "violations": count, "worst": results["worst"][what]}
+        for what, count in results["violations"].items()
+    ]
+    caption = "position beyond its limit [rad]; speed and acceleration over theirs"
+    common.print_table("Limits", rows, to_stderr=is_json, caption=caption)
     counts = {name: results[name] for name in ("steps", "steps_per_second", "not_finite")}
     common.print_table(
         "Steps", [{**counts, "undocumented": len(results["undocumented"])}], to_stderr=is_json

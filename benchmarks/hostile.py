@@ -2,7 +2,8 @@
 
 `IkRun` runs the inverse kinematics alone, from postures inside, at and outside limits to targets
 near, far and absurd. `MapperRun` runs the whole mapping with samples of a human hand, some of them
-invalid. Both count violated limits, NaN and infinities, and undocumented exceptions.
+invalid, and changes its acceleration limit. `checker.Checker` judges the motion of both; NaN,
+infinities and undocumented exceptions are counted here.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from checker import Checker
 
 from handmap_qp import (
     HandmapError,
@@ -28,11 +30,10 @@ from handmap_qp import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Mount
+from handmap_qp.ik.gate import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.transform import nearest_rotation
 
-TOLERANCE = 1e-9
-"""Tolerance on limits [rad, m]."""
 MOST_OUTSIDE = 0.5
 """Largest distance of a joint from inside its limits at the start [rad]."""
 FARTHEST = 1e9
@@ -55,6 +56,9 @@ IKS: tuple[IkOptions, ...] = (
     IkOptions(error_damping=0.0, damping=0.01, rest_weight=0.0, max_iterations=5),
 )
 
+LIMITS = (None, 1.0, 10.0, 100.0)
+"""Acceleration limits that a mapper changes between [rad/s^2]."""
+
 
 @dataclass(slots=True)
 class Tally:
@@ -62,10 +66,8 @@ class Tally:
 
     Attributes:
         steps: Number of steps.
-        position: Worst violation of a position limit [rad]; negative if none was reached.
-        speed: Worst violation of a joint's speed limit, as a displacement [rad].
-        wrist_speed: Worst violation of a floating wrist's speed limits, as a displacement [m or
-            rad].
+        violations: Number of steps by what they violate; see `Checker`.
+        worst: Worst figures; see `Checker`.
         not_finite: Number of results with a NaN or an infinity.
         statuses: Number of results by status.
         refused: Number of documented errors by class.
@@ -74,9 +76,8 @@ class Tally:
     """
 
     steps: int = 0
-    position: float = -np.inf
-    speed: float = -np.inf
-    wrist_speed: float = -np.inf
+    violations: Counter[str] = field(default_factory=Counter)
+    worst: dict[str, float] = field(default_factory=dict)
     not_finite: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
@@ -85,38 +86,18 @@ class Tally:
     @property
     def is_exact(self) -> bool:
         """Whether all limits held, all results are finite and all exceptions are documented."""
-        worst = max(self.position, self.speed, self.wrist_speed)
-        return worst <= TOLERANCE and self.not_finite == 0 and not self.undocumented
+        wrong = self.violations.total() + self.not_finite + len(self.undocumented)
+        return wrong == 0
 
     def check_finite(self, *arrays: np.ndarray) -> None:
         """Count a result whose arrays are not all finite."""
         self.not_finite += not all(np.isfinite(array).all() for array in arrays)
 
-    def check_motion(self, hand: Hand, before: np.ndarray, after: np.ndarray, dt: float) -> None:
-        """Check the motion between two of Pinocchio's configurations against the hand's limits."""
-        start, end, reach = before[hand.q_indices], after[hand.q_indices], hand.velocity_limits * dt
-        # A joint outside its limits must return at its largest speed.
-        above = np.maximum(start - hand.upper_limits - reach, 0.0)
-        below = np.maximum(hand.lower_limits - start - reach, 0.0)
-        excess = np.maximum(end - hand.upper_limits - above, hand.lower_limits - end - below)
-        self.position = max(self.position, float(excess.max()))
-        self.speed = max(self.speed, float((np.abs(end - start) - reach).max()))
-        if hand.is_floating:
-            self._check_wrist(hand, before, after, dt)
-
-    def _check_wrist(self, hand: Hand, before: np.ndarray, after: np.ndarray, dt: float) -> None:
-        linear, angular = (
-            hand.spec.wrist.max_linear_speed * dt,
-            hand.spec.wrist.max_angular_speed * dt,
-        )
-        if np.sqrt(3.0) * angular < np.pi:
-            excess = np.abs(pin.difference(hand.model, before, after)[:6]) - np.repeat(
-                [linear, angular], 3
-            )
-        else:
-            # A turn of pi or more is ambiguous, so check the translation alone.
-            excess = np.linalg.norm(after[:3] - before[:3]) - np.sqrt(3.0) * linear
-        self.wrist_speed = max(self.wrist_speed, float(np.max(excess)))
+    def add(self, checker: Checker) -> None:
+        """Add what the judge of a run found."""
+        self.violations += checker.violations
+        for what, value in checker.worst.items():
+            self.worst[what] = max(self.worst.get(what, -np.inf), value)
 
 
 class IkRun:
@@ -134,7 +115,7 @@ class IkRun:
         self._rng = np.random.default_rng(seed)
         if hand.spec.collision is None:
             options = replace(options, avoids_self_collision=False)
-        self._ik = PointIk(hand, options)
+        self._ik, self.checker = PointIk(hand, options), Checker(hand)
         self._place()
 
     def step(self, tally: Tally) -> None:
@@ -142,7 +123,6 @@ class IkRun:
         ik, rng = self._ik, self._rng
         if rng.random() < 0.05:
             self._place()
-        before = ik.configuration.q.copy()
         dt = _time(rng)
         try:
             result = ik.solve(self._targets(), self._wrist_target(), dt)
@@ -154,7 +134,7 @@ class IkRun:
         tally.check_finite(
             ik.configuration.q, ik.configuration.wrist.homogeneous, result.points, result.errors
         )
-        tally.check_motion(self._hand, before, ik.configuration.q, dt)
+        self.checker.take(ik.configuration.q, dt, ik.options.max_acceleration)
 
     def _place(self) -> None:
         hand, rng = self._hand, self._rng
@@ -171,6 +151,7 @@ class IkRun:
                 q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None
             )
         )
+        self.checker.start(self._ik.configuration.q)
 
     def _targets(self) -> np.ndarray:
         rng, points = self._rng, self._ik.configuration.points.copy()
@@ -212,7 +193,7 @@ class MapperRun:
     def __init__(self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int) -> None:
         self.name = f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
         self._rng = np.random.default_rng(seed)
-        self._mapper = HandMapper(human, robot, MappingOptions(**mapping))
+        self._mapper, self.checker = HandMapper(human, robot, MappingOptions(**mapping)), Checker(robot)
         self._q, self._wrist = human.rest.copy(), np.eye(4)
         self._last: np.ndarray | None = None
 
@@ -252,17 +233,24 @@ class MapperRun:
         now = robot.configuration_vector(
             step.command.q, step.command.wrist if robot.is_floating else None
         )
-        if self._last is not None:
-            tally.check_motion(robot, self._last, now, dt)
+        if self._last is None:
+            # It has moved from the posture of its reference already.
+            mapper.motion = Motion.at_rest(now, mapper.point_ik.configuration.nv)
+            self.checker.start(now)
+        else:
+            self.checker.take(now, dt, mapper.ik.max_acceleration)
         self._last = now
 
     def _interrupt(self) -> None:
         mapper, rng = self._mapper, self._rng
-        kind = rng.integers(4)
+        kind = rng.integers(5)
         if kind == 0:
             mapper.clutch()
         elif kind == 1:
             mapper.release()
+        elif kind == 4:
+            limit = LIMITS[rng.integers(len(LIMITS))]
+            mapper.configure(ik=replace(mapper.ik, max_acceleration=limit))
         elif kind == 2:
             self._last = None
             mapper.reset(robot_q=rng.uniform(mapper.robot.lower_limits, mapper.robot.upper_limits))
@@ -373,6 +361,7 @@ def drive(
         for _ in range(min(steps_per_run, steps - tally.steps)):
             run.step(tally)
             tally.steps += 1
+        tally.add(run.checker)
         yield tally
 
 

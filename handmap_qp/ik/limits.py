@@ -19,6 +19,9 @@ Joints can also brake together, each in proportion to its speed, so that the han
 straight line that it moves on. The joint that needs the longest sets the time `T` of that stop. The
 displacement x of a sample and the stop behind it are the line `(1 + T / (2 dt)) x` together, for
 any sample times to come.
+
+With an acceleration limit a, no coordinate moves faster than `a LONGEST_STOP`. So every stop takes
+at most that time, whatever the limit is.
 """
 
 from __future__ import annotations
@@ -30,6 +33,14 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.transform import as_floats
 
+LONGEST_STOP = 0.5
+"""Longest time in which a robot stops, whatever its acceleration limit is [s]."""
+SHORTEST_DT = 1e-6
+"""Least time that a sample accounts for [s].
+
+In less, rounding of positions would be a speed.
+"""
+
 
 class BoxLimits:
     """Bounds of the displacement within one sample.
@@ -39,6 +50,7 @@ class BoxLimits:
         has_velocity_limits: Whether speed limits hold; position limits always do.
         max_acceleration: Limit of every velocity coordinate's acceleration, shape (nv,) or one
             number for all [rad/s^2, and m/s^2 for a floating wrist's translation]; none if omitted.
+        together: Which coordinates must be able to stop together, shape (nv,); none if omitted.
 
     Attributes:
         has_acceleration: Whether accelerations are limited.
@@ -53,6 +65,7 @@ class BoxLimits:
         *,
         has_velocity_limits: bool = True,
         max_acceleration: npt.ArrayLike | None = None,
+        together: np.ndarray | None = None,
     ) -> None:
         # The solver's order is the model's, not that of `joint_names`.
         order = np.argsort(hand.v_indices)
@@ -71,25 +84,21 @@ class BoxLimits:
             unlimited = np.full(6, np.inf)
             limits = np.hstack([[-unlimited, unlimited], limits])
             self._joints = slice(6, None)
-        self._lower, self._upper = self._limits = limits
-        self._coordinates = as_slice(coordinates)
+        self._limits = limits
         if not has_velocity_limits:
             speed = np.full(len(speed), np.inf)
         # Twice the same: numpy takes three times as long to spread a row over both limits.
         self._rows = np.array([coordinates, coordinates])
         self._speeds = np.array([speed, speed])
+        self._together = np.zeros(len(speed), dtype=bool) if together is None else together
+        self._has_together = bool(self._together.any())
         self.has_acceleration = max_acceleration is not None
         self._acceleration = (
             None if max_acceleration is None else _check_acceleration(max_acceleration, len(speed))
         )
 
     def bounds(
-        self,
-        q: np.ndarray,
-        dt: float,
-        previous_velocity: np.ndarray | None = None,
-        *,
-        stop_times: np.ndarray | None = None,
+        self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and upper bound of the displacement from `q`.
 
@@ -98,77 +107,120 @@ class BoxLimits:
             dt: Time for the displacement [s].
             previous_velocity: Displacement of the last sample divided by its time, shape (nv,); at
                 rest if omitted. Matters only to acceleration limits.
-            stop_times: Time in which each coordinate must be able to stop [s], shape (nv,); as fast
-                as it can by itself if omitted. Matters only to acceleration limits.
 
         Returns:
             Two arrays of shape (nv,), `lower <= upper`.
         """
-        farthest, room = self._speeds * dt, self._limits - q[self._rows]
+        farthest, room = self._speeds * dt, self.room(q)
         box = np.maximum(np.minimum(room, farthest), -farthest)
         lower, upper = box[0], box[1]
         if self._acceleration is None:
             return lower, upper
-        return self._with_acceleration(
-            self._acceleration, room, dt, previous_velocity, lower, upper, stop_times
-        )
+        velocity = np.zeros(self.size) if previous_velocity is None else previous_velocity
+        return self._with_acceleration(self._acceleration, room, dt, velocity, lower, upper)
 
     @property
     def size(self) -> int:
         """Number of coordinates, nv."""
         return self._limits.shape[1]
 
-    def stop_time(self, velocity: np.ndarray, columns: np.ndarray) -> float:
-        """Return the time in which coordinates can stop together [s]; 0 without limits.
+    def room(self, q: np.ndarray) -> np.ndarray:
+        """Return the displacements to the lower and to the upper position limit, shape (2, nv)."""
+        return self._limits - q[self._rows]
 
-        Args:
-            velocity: Of all coordinates, shape (nv,).
-            columns: Which of them stop together, shape (nv,).
-        """
-        if self._acceleration is None:
-            return 0.0
-        return float((np.abs(velocity) / self._acceleration)[columns].max(initial=0.0))
-
-    def outside(self, q: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-        """Return how far a displacement takes each joint outside its position limits, shape (nv,).
+    def clipped(self, q: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Return a configuration inside its position limits, or no farther outside than before.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
-            displacement: Displacement, shape (nv,).
+            before: The one that it was reached from, which may be outside.
         """
-        reached = q[self._coordinates] + displacement
-        return np.maximum(np.maximum(self._lower - reached, reached - self._upper), 0.0)
+        rows = self._rows[0]
+        reached, start = q[rows], before[rows]
+        lower, upper = np.minimum(self._limits[0], start), np.maximum(self._limits[1], start)
+        inside = np.minimum(np.maximum(reached, lower), upper)
+        if inside.tobytes() != reached.tobytes():
+            q = q.copy()
+            q[rows] = inside
+        return q
+
+    def farthest(self, dt: float) -> np.ndarray:
+        """Return the displacements at the speed limits, shape (nv,)."""
+        return self._speeds[0] * dt
+
+    def change(self, dt: float) -> np.ndarray:
+        """Return by how much acceleration can change a displacement, shape (nv,)."""
+        if self._acceleration is None:
+            return np.full(self.size, np.inf)
+        return self._acceleration * (dt * dt)
+
+    def stop_times(self, velocity: np.ndarray) -> np.ndarray:
+        """Return the time in which each coordinate stops [s], shape (nv,); 0 without limits.
+
+        Args:
+            velocity: Of all coordinates, shape (nv,).
+        """
+        if self._acceleration is None:
+            return np.zeros_like(velocity)
+        times = np.abs(velocity) / self._acceleration
+        if self._has_together:
+            times[self._together] = times[self._together].max()
+        return times
+
+    def stopping(self, velocity: np.ndarray, dt: float) -> float:
+        """Return a bound of the stop behind the next displacement, as a multiple of it.
+
+        Args:
+            velocity: Of the last sample, shape (nv,).
+            dt: Time of the next sample [s].
+        """
+        if self._acceleration is None or not self._has_together:
+            return 0.0
+        longest = (np.abs(velocity) / self._acceleration)[self._together].max()
+        return 0.5 * (float(longest) + dt) / dt
 
     def _with_acceleration(
         self,
         acceleration: np.ndarray,
         room: np.ndarray,
         dt: float,
-        previous_velocity: np.ndarray | None,
+        velocity: np.ndarray,
         lower: np.ndarray,
         upper: np.ndarray,
-        stop_times: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the part of the box within reach of the last velocity, or its nearest corner."""
         joints = self._joints
-        # The lower bound avoids a division by zero for samples so short that dt^2 underflows.
-        change = np.maximum(acceleration * dt**2, 1e-200)
-        middle = 0.0 if previous_velocity is None else previous_velocity * dt
+        # The lower bound avoids a division by zero where the product underflows.
+        change = np.maximum(self.change(dt), 1e-200)
+        middle = velocity * dt
         lowest, highest = middle - change, middle + change
-        least, most = lowest.copy(), highest.copy()
+        # Faster than this, a stop would take too long.
+        most = acceleration * (LONGEST_STOP * dt)
+        least = -most
         # Past a limit there is no braking distance left; the box brings the joint back.
         below, above = np.maximum(-room[0, joints], 0.0), np.maximum(room[1, joints], 0.0)
         to_upper = braking_displacement(above, change[joints])
         to_lower = braking_displacement(below, change[joints])
-        if stop_times is not None:
-            stretch = 1.0 + 0.5 * stop_times[joints] / dt
+        if self._has_together:
+            stretch = 1.0 + np.where(self._together, self.stopping(velocity, dt), 0.0)[joints]
             to_upper = np.minimum(to_upper, above / stretch)
             to_lower = np.minimum(to_lower, below / stretch)
-        most[joints] = np.minimum(np.maximum(to_upper, lowest[joints]), highest[joints])
-        least[joints] = np.minimum(np.maximum(-to_lower, lowest[joints]), highest[joints])
+        most[joints] = np.minimum(most[joints], to_upper)
+        least[joints] = np.maximum(least[joints], -to_lower)
+        most = np.minimum(np.maximum(most, lowest), highest)
+        least = np.minimum(np.maximum(least, lowest), highest)
         return np.minimum(np.maximum(least, lower), upper), np.minimum(
             np.maximum(most, lower), upper
         )
+
+
+def stopping_distances(hand: Hand) -> np.ndarray:
+    """Return how far each joint moves at most while it stops, shape (n,) [rad or m].
+
+    From its speed limit and `LONGEST_STOP`; it is no more than its range.
+    """
+    ranges = hand.upper_limits - hand.lower_limits
+    return np.minimum(0.5 * LONGEST_STOP * hand.velocity_limits, ranges)
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:

@@ -26,7 +26,6 @@ from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.mink_tasks import make_tasks
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import EXACT
-from handmap_qp.ik.stopping import StopGuard
 from handmap_qp.ik.tasks import Task
 
 
@@ -39,30 +38,23 @@ class BoxLimit(mink.Limit):
         limits: The box.
         previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if
             omitted.
-        guard: Keeps a stop without overlap possible, where self-collisions are avoided.
     """
 
     def __init__(
         self,
         limits: BoxLimits,
         previous_velocity: np.ndarray | None = None,
-        guard: StopGuard | None = None,
     ) -> None:
         self._limits = limits
         self._velocity = np.zeros(limits.size) if previous_velocity is None else previous_velocity
-        self._guard = guard
 
     def bounds(self, configuration: Configuration, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper bound, shape (nv,) each."""
-        if self._guard is None:
-            return self._limits.bounds(configuration.q, dt, self._velocity)
-        return self._guard.bounds(configuration.q, self._velocity, dt)
+        return self._limits.bounds(configuration.q, dt, self._velocity)
 
     def stopping(self, dt: float) -> float:
         """Return the part of a displacement that the hand needs to stop behind it."""
-        if self._guard is None:
-            return 0.0
-        return 0.5 * self._guard.longest_stop(self._velocity, dt) / dt
+        return self._limits.stopping(self._velocity, dt)
 
     def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # ty: ignore[incompatible-method-override]
         """Return the rows of the box at this configuration, upper bounds first."""
@@ -106,16 +98,15 @@ def make_limits(
     Returns:
         The box, and the rows of self-collision avoidance if the options include it.
     """
+    collisions = CollisionLimit(hand) if options.avoids_self_collision else None
     limits = BoxLimits(
         hand,
         has_velocity_limits=options.has_velocity_limits,
         max_acceleration=options.max_acceleration,
+        together=None if collisions is None else collisions.path.columns,
     )
-    if not options.avoids_self_collision:
-        return [BoxLimit(limits, previous_velocity)]
-    collisions = CollisionLimit(hand)
-    box = BoxLimit(limits, previous_velocity, StopGuard(limits, collisions.path))
-    return [box, SelfCollisionLimit(collisions, box)]
+    box = BoxLimit(limits, previous_velocity)
+    return [box] if collisions is None else [box, SelfCollisionLimit(collisions, box)]
 
 
 class _ActiveConfiguration:

@@ -164,7 +164,7 @@ class PseudoinverseIk:
             self.configuration.displace(start, total)
         return self._result(end, point_targets, total, lower, upper, iterations, last_step)
 
-    def hold(self) -> IkResult:
+    def hold(self, dt: float) -> IkResult:
         """Keep the hand where it is, without targets."""
         free = np.full(self.configuration.nv, np.inf)
         return self._result(

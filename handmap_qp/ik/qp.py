@@ -22,17 +22,15 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import placement_views
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.costs import point_costs, wrist_costs
-from handmap_qp.ik.distances import NearPairs
-from handmap_qp.ik.limits import BoxLimits, as_slice
+from handmap_qp.ik.gate import Gate, Motion
+from handmap_qp.ik.limits import SHORTEST_DT, as_slice
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
-from handmap_qp.ik.stopping import Start, StopGuard
 from handmap_qp.ik.tasks import Task
 from handmap_qp.transform import frozen
 
@@ -156,39 +154,13 @@ def active_bounds(displacement: np.ndarray, lower: np.ndarray, upper: np.ndarray
     return (upper - displacement <= near).astype(np.int8) - (displacement - lower <= near)
 
 
-class IkState:
-    """Posture and velocity of a hand; shared by the `PointIk`s that drive it in turn.
-
-    Attributes:
-        configuration: The present posture.
-        displacement: Of the last sample, shape (nv,).
-        dt: Time of the last sample [s].
-        stop_time: Time in which the hand can stop without an overlap [s]; 0 if at once, or if
-            overlaps are not avoided.
-        near: What is known of the pairs of shapes, in this posture or one before.
-    """
-
-    __slots__ = ("configuration", "displacement", "dt", "near", "stop_time")
-
-    def __init__(self, configuration: Configuration) -> None:
-        self.configuration = configuration
-        self.displacement, self.dt = np.zeros(configuration.nv), 1.0
-        self.stop_time = 0.0
-        self.near: NearPairs | None = None
-
-    @property
-    def velocity(self) -> np.ndarray:
-        """Displacement of the last sample divided by its time, shape (nv,)."""
-        return self.displacement / self.dt
-
-
 class PointIk:
     """Moves a hand's reference points and wrist towards their targets, within its limits.
 
     Args:
         hand: The hand.
         options: Weights and settings.
-        state: Where the hand is; in its neutral configuration if omitted.
+        motion: How the hand moves; at rest in its neutral configuration if omitted.
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
             within 12 mm beyond their margin get a row, in short samples fewer. Or the rows of
             another `PointIk` of this hand.
@@ -196,7 +168,7 @@ class PointIk:
     Attributes:
         hand: The hand.
         options: Weights and settings.
-        state: Where the hand is and how fast it moves.
+        gate: Admits the displacements, and knows how the hand moves.
         configuration: The present posture; `place` puts the hand somewhere else.
     """
 
@@ -204,16 +176,13 @@ class PointIk:
         self,
         hand: Hand,
         options: IkOptions,
-        state: IkState | None = None,
+        motion: Motion | None = None,
         *,
         contacts: ShapePairs | CollisionLimit | None = None,
     ) -> None:
         self.hand = hand
         self.options = options
-        self.state = state or IkState(hand.configuration())
-        # Forget the pairs of another solver: they may be those of other contacts.
-        self.state.near = None
-        self.configuration = self.state.configuration
+        self.configuration = hand.configuration()
         nv = self.configuration.nv
         count = len(hand.reference_points)
         self._collisions = None
@@ -229,14 +198,14 @@ class PointIk:
         self._order = np.argsort(hand.joint_columns)
         first_joint = nv - len(self._order)
         self._joint_angles = as_slice(hand.q_indices[self._order])
-        self._limits = BoxLimits(
+        self.gate = Gate(
             hand,
+            motion or Motion.at_rest(self.configuration.q, nv),
             has_velocity_limits=options.has_velocity_limits,
             max_acceleration=options.max_acceleration,
+            collisions=self._collisions,
         )
-        self._guard = (
-            None if self._collisions is None else StopGuard(self._limits, self._collisions.path)
-        )
+        self.configuration.place_with_jacobians(self.gate.motion.q)
         position, orientation = wrist_costs(options)
         self._row_weights = np.repeat([*point_costs(hand, options), position, orientation], 3)
         self._mask = self.configuration.support * self._row_weights[:, None]
@@ -284,7 +253,7 @@ class PointIk:
 
     def with_options(self, options: IkOptions) -> PointIk:
         """Return a solver with other options that moves the same hand on from where it is."""
-        return PointIk(self.hand, options, self.state, contacts=self._contacts)
+        return PointIk(self.hand, options, self.gate.motion, contacts=self._contacts)
 
     def on_hand(self, hand: Hand, contacts: ShapePairs | None) -> PointIk:
         """Return a solver for the same hand with other reference points, going on from here.
@@ -293,13 +262,7 @@ class PointIk:
             hand: The hand; its joints and its mount are those of this one.
             contacts: Pairs of shapes to keep apart.
         """
-        if hand is self.hand:
-            return PointIk(hand, self.options, self.state, contacts=contacts)
-        state = IkState(hand.configuration())
-        state.configuration.place_with_jacobians(self.configuration.q)
-        state.displacement, state.dt = self.state.displacement, self.state.dt
-        state.stop_time = self.state.stop_time
-        return PointIk(hand, self.options, state, contacts=contacts)
+        return PointIk(hand, self.options, self.gate.motion, contacts=contacts)
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration, at rest.
@@ -308,8 +271,12 @@ class PointIk:
             q: Pinocchio configuration, shape (nq,).
         """
         self.configuration.place_with_jacobians(q)
-        self.state.displacement, self.state.stop_time = self._zero_step, 0.0
-        self.state.near = None
+        self.gate.place(q)
+
+    def move_on(self, motion: Motion) -> None:
+        """Continue from another motion of the same hand."""
+        self.gate.motion = motion
+        self._catch_up()
 
     def solve(
         self,
@@ -338,14 +305,15 @@ class PointIk:
             joints outside their limits.
         """
         configuration, options = self.configuration, self.options
-        state, guard, collisions = self.state, self._guard, self._collisions
-        start = configuration.q.copy()
-        stopping = 0.0 if guard is None else 0.5 * guard.longest_stop(state.velocity, dt) / dt
-        lower, upper = self._box(dt)
+        gate, collisions = self.gate, self._collisions
+        dt, start = max(dt, SHORTEST_DT), gate.motion.q
+        self._catch_up()
+        stopping = 0.0 if collisions is None else gate.stopping(dt)
+        lower, upper = gate.bounds(dt)
         target = self._pose_of(wrist_target)
         resting = (self.hand.rest if rest is None else rest)[self._order]
         first = total = self._zero_step
-        before = linear = rows = None
+        near = end_pairs = linear = rows = None
         last_step, iterations, end = np.inf, 0, "solved"
         while last_step > options.step_tolerance and iterations < options.max_iterations:
             self._linearise(point_targets, target, resting, tasks)
@@ -354,11 +322,10 @@ class PointIk:
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
             least, most = (lower - total, upper - total) if iterations else (lower, upper)
             if collisions is not None:
-                if before is None or linear is None:
-                    near = state.near
+                if near is None or linear is None:
+                    near = gate.near
                     if near is None or near.q.tobytes() != start.tobytes():
                         near = collisions.measure(configuration, margins, dt, before=near)
-                    before = Start(start, near)
                     linear = collisions.rows(configuration, margins, near)
                 so_far = total if iterations else None
                 rows = collisions.feasible(linear, least, most, stopping=stopping, so_far=so_far)
@@ -379,18 +346,11 @@ class PointIk:
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        if guard is None or collisions is None or before is None:
-            state.stop_time = 0.0
-        else:
-            # Keep the measurement: the next sample starts from it.
-            state.near = collisions.measure_end(configuration, margins, dt, before.near, total)
-            admitted = guard.admit(before, total, first, dt, state, state.near)
-            if admitted is not total:
-                total = admitted
-                configuration.displace(start, total)
-        # The result hands it out too.
-        total.setflags(write=False)
-        state.displacement, state.dt = total, dt
+        if collisions is not None and near is not None:
+            # The gate keeps the measurement: the next sample starts from it.
+            end_pairs = collisions.measure_end(configuration, margins, dt, near, total)
+        total = gate.admit(total, first, dt, near, end_pairs)
+        self._catch_up()
         return IkResult(
             end,
             configuration.points.copy(),
@@ -404,23 +364,18 @@ class PointIk:
             last_step,
         )
 
-    def hold(self) -> IkResult:
-        """Keep the hand where it is, without targets."""
-        self.place(self.configuration.q.copy())
-        configuration = self.configuration
-        points, free = configuration.points.copy(), np.full(configuration.nv, np.inf)
+    def hold(self, dt: float) -> IkResult:
+        """Bring the hand to a stop within its acceleration limit, without targets.
+
+        Args:
+            dt: Time since the last sample [s].
+        """
+        displacement = self.gate.brake(dt)
+        self._catch_up()
+        points, free = self.configuration.points.copy(), np.full(self.configuration.nv, np.inf)
         columns, tolerance = self.hand.joint_columns, self.options.point_tolerance
         return IkResult(
-            "released",
-            points,
-            points,
-            tolerance,
-            self._zero_step,
-            -free,
-            free,
-            columns,
-            0,
-            0.0,
+            "released", points, points, tolerance, displacement, -free, free, columns, 0, 0.0
         )
 
     def problem(
@@ -441,7 +396,7 @@ class PointIk:
         self._linearise(point_targets, self._pose_of(wrist_target), resting, tasks)
         if self._is_smooth:
             self._smooth(self._zero_step, dt)
-        lower, upper = self._box(dt)
+        lower, upper = self.gate.bounds(max(dt, SHORTEST_DT))
         return self._H.copy(), self._c.copy(), lower, upper
 
     def _pose_of(self, wrist_target: np.ndarray | None) -> pin.SE3 | None:
@@ -451,21 +406,17 @@ class PointIk:
         self._target_columns[:] = wrist_target[:3].T
         return self._target
 
-    def _box(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of the next sample's displacement, shape (nv,) each."""
-        q = self.configuration.q
-        if not self._limits.has_acceleration:
-            return self._limits.bounds(q, dt)
-        if self._guard is None:
-            return self._limits.bounds(q, dt, self.state.velocity)
-        return self._guard.bounds(q, self.state.velocity, dt)
+    def _catch_up(self) -> None:
+        """Place the hand where the gate has it."""
+        if self.configuration.q.tobytes() != self.gate.motion.q.tobytes():
+            self.configuration.place_with_jacobians(self.gate.motion.q)
 
     def _smooth(self, total: np.ndarray, dt: float) -> None:
         """Add the costs of speed and acceleration, given the displacement so far."""
         so_far = total[self._first_joint :]
         self._c_joints += self._speed_cost * so_far
         self._c_joints += self._acceleration_cost * (
-            so_far - dt * self.state.velocity[self._first_joint :]
+            so_far - dt * self.gate.motion.velocity[self._first_joint :]
         )
 
     def _linearise(

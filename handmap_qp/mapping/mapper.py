@@ -21,6 +21,8 @@ import numpy.typing as npt
 from handmap_qp.errors import HandmapError, InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.gate import Motion
+from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
@@ -51,9 +53,6 @@ from handmap_qp.transform import (
     check_pose,
     inverse_pose,
 )
-
-_SHORTEST_DT = 1e-6
-"""Least time that a step accounts for [s]."""
 
 
 class HandMapper:
@@ -185,6 +184,16 @@ class HandMapper:
         """The robot's present posture and the QP. Read it only: changing it breaks the mapper."""
         return self._plan.ik
 
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves. Set it where something else has moved the robot."""
+        return self._plan.ik.gate.motion
+
+    @motion.setter
+    def motion(self, motion: Motion) -> None:
+        self._start = None
+        self._plan.ik.move_on(motion)
+
     def map_step(
         self, human_q: npt.ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None
     ) -> MapStep:
@@ -279,8 +288,9 @@ class HandMapper:
     def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
-        The guard judges the sample by named rules (`trackers.guard.RULES`). The robot holds its
-        posture while samples make no sense, and comes back to the human without a snap (`rejoin`).
+        The guard judges the sample by named rules (`trackers.guard.RULES`). The robot brakes and
+        holds its posture while samples make no sense, and comes back to the human without a snap
+        (`rejoin`).
 
         Args:
             sample: The sample. Its time stamps say how much time has passed.
@@ -297,10 +307,11 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
+        dt = None if dt is None else _check_dt(dt)
         reader, guard, before = self._landmarks, self._guard, self._guard.state
         verdict = guard.check(sample)
         if verdict.is_held:
-            return self._held(verdict, sample.confidence, started)
+            return self._held(verdict, sample.confidence, dt, started)
         try:
             pose = reader.read(sample.landmarks, sample.wrist)
             return self._follow(pose, verdict, sample.confidence, dt, started)
@@ -331,7 +342,7 @@ class HandMapper:
         for i, verdict in enumerate(verdicts):
             started = perf_counter()
             if verdict.is_held:
-                yield self._held(verdict, confidence[i], started)
+                yield self._held(verdict, confidence[i], None, started)
                 continue
             asked = targets[i] if targets and course is self._course else None
             pose = HumanPose(points[i], wrists[i])
@@ -360,17 +371,20 @@ class HandMapper:
         """Map a sample that makes sense; its targets may be known unless the robot comes back."""
         rejoin = self._rejoin.start(pose) if verdict.is_return else self._rejoin
         moved, rejoin = rejoin.advance(pose, verdict.dt)
-        granted = max(verdict.dt, _SHORTEST_DT) if dt is None else dt
-        step = self._map(moved, granted, (), started, foreseen if moved is pose else None)
+        step = self._map(
+            moved, _granted(verdict, dt), (), started, foreseen if moved is pose else None
+        )
         self._rejoin = rejoin
         return msgspec.structs.replace(
             step, verdict=verdict, confidence=confidence, is_gliding=rejoin.is_fading
         )
 
-    def _held(self, verdict: Verdict, confidence: float, started: float) -> MapStep:
-        """Return a step in which the robot keeps its posture."""
+    def _held(
+        self, verdict: Verdict, confidence: float, dt: float | None, started: float
+    ) -> MapStep:
+        """Return a step in which the robot brakes and keeps its posture."""
         ik, robot, seen = self._plan.ik, self.robot, self._rejoin.seen
-        start = self._start
+        start, held = self._start, ik.hold(_granted(verdict, dt))
         if start is None:
             vector = ik.configuration.q
         else:
@@ -385,7 +399,7 @@ class HandMapper:
             seen.points,
             seen.wrist,
             Targets(posture.points, posture.wrist),
-            msgspec.structs.replace(ik.hold(), points=posture.points, targets=posture.points),
+            msgspec.structs.replace(held, points=posture.points, targets=posture.points),
             (),
             perf_counter() - started,
             verdict,
@@ -427,7 +441,7 @@ class HandMapper:
             self._begin(course)
         self._smooth = smooth
         if self._is_released:
-            result = plan.ik.hold()
+            result = plan.ik.hold(dt)
         else:
             tasks = (*asked.tasks, *plan.tasks) if plan.tasks else asked.tasks
             result = plan.ik.solve(
@@ -496,7 +510,7 @@ class HandMapper:
             self._begin(course)
 
     def release(self) -> None:
-        """Release the robot: it holds still until `clutch`, whatever the human does."""
+        """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
         self._is_released = True
 
     def clutch(self) -> None:
@@ -741,6 +755,11 @@ def _check_dt(dt: float) -> float:
     if not (isinstance(dt, (int, float)) and 0.0 < dt < np.inf):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
+
+
+def _granted(verdict: Verdict, dt: float | None) -> float:
+    """Return the time that a sample accounts for: that of its time stamps if none is given [s]."""
+    return max(verdict.dt, SHORTEST_DT) if dt is None else dt
 
 
 def _check_rejoin(rejoin: RejoinKind) -> RejoinKind:

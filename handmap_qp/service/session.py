@@ -3,9 +3,10 @@
 A session has no sockets and no clock of its own; its caller passes messages and times. `states` has
 its states and their transitions, `watchdog` the effects of silence.
 
-Every posture that leaves passes the `SpeedGuard`. If the postures of robot and mapper differ for
-good, after a return to rest or an exception in the mapper, the session resets the mapper to the
-robot's posture before the next sample, which is then the reference.
+Every posture that leaves was admitted by a gate: the mapper's while the robot moves as the mapper
+says, else the robot's own. If the postures of robot and mapper differ for good, after a return to
+rest or an exception in the mapper, the mapper continues from the robot's motion at the next sample,
+which is then the reference.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from handmap_qp.service.messages import (
 )
 from handmap_qp.service.opening import Hands
 from handmap_qp.service.refusals import refused, with_option_errors
-from handmap_qp.service.safety import SpeedGuard, StepClock, start_angles, start_wrist
+from handmap_qp.service.safety import CommandedRobot, StepClock, start_angles, start_wrist
 from handmap_qp.service.states import Event, MapperState, SessionState, next_state
 from handmap_qp.service.store import Record
 from handmap_qp.service.watchdog import Watchdog
@@ -107,8 +108,8 @@ class Session:
             start_wrist(self.robot, request.robot_wrist),
         )
         q, wrist = start if former is None else former.posture
-        self._guard = SpeedGuard(self.robot, q, wrist)
-        self._guard.obey(hands.mapper.point_ik)
+        self._commanded = CommandedRobot(self.robot, q, wrist)
+        self._commanded.obey(hands.mapper.point_ik)
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
         self._state = SessionState.WAITING
@@ -125,7 +126,7 @@ class Session:
     @property
     def posture(self) -> Posture:
         """The posture last commanded."""
-        return self._guard.q, self._guard.wrist
+        return self._commanded.q, self._commanded.wrist
 
     @property
     def mode(self) -> str:
@@ -156,7 +157,7 @@ class Session:
             lower=to_row(robot.lower_limits),
             upper=to_row(robot.upper_limits),
             speed=to_row(robot.velocity_limits),
-            q=to_row(self._guard.q),
+            q=to_row(self._commanded.q),
             human_joint_names=human.joint_names,
             human_point_names=tuple(point.name for point in human.reference_points),
             is_floating=robot.is_floating,
@@ -192,7 +193,7 @@ class Session:
             is_released=self._state.is_released,
             stop=self._stop,
             counts=dict(self.counts),
-            q=to_row(self._guard.q),
+            q=to_row(self._commanded.q),
             stream_port=stream_port,
             about=about,
         )
@@ -230,10 +231,10 @@ class Session:
         if mapped.step.rule:
             flags.append(mapped.step.rule)
         if self._state is SessionState.FOLLOWING:
-            flags += self._follow(mapped)
+            flags += self._follow(mapped.step)
             self._measure_gap(mapped)
         else:
-            self._brake()
+            self._stay(mapped.step)
         if mapped.step.is_clamped:
             flags.append("stretch_clamped")
         self.counts["steps"] += 1
@@ -244,7 +245,7 @@ class Session:
         """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
         self._stamp, self._seq = sample.time, sample.seq
         self.counts["held"] += 1
-        self._brake()
+        self._stay(step)
         return self._command(now, step.status, [*flags, step.rule], **_trust(step))
 
     def tick(self, now: float) -> Command | None:
@@ -260,13 +261,16 @@ class Session:
             if event is Event.SILENCE:
                 self.counts["watchdog"] += 1
             self._handle(event)
-        if not self._watchdog.take_turn(self._state, now, is_braking=self._guard.is_moving):
+        if not self._watchdog.take_turn(
+            self._state, now, is_braking=self._commanded.motion.is_braking
+        ):
             return None
         status = self._state.mode
         # A heartbeat counts too: the driver starts its next motion there.
         self._dt = self._clock.grant_tick(now)
         if self._state is SessionState.RETURNING:
-            self._guard.advance(self.robot.rest, None, self._dt, self.request.return_speed)
+            share = self.request.return_speed
+            self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
             # The posture of the mapper stays behind, even if the client has clutched meanwhile.
             self._mapper_state = MapperState.STALE
             if self._is_at_rest:
@@ -343,8 +347,8 @@ class Session:
                 q = start_angles(self.robot, request.robot_q)
             if request.robot_wrist is not None:
                 wrist = start_wrist(self.robot, request.robot_wrist)
-            self._guard = SpeedGuard(self.robot, q, wrist)
-            self._guard.obey(self._hands.mapper.point_ik)
+            self._commanded = CommandedRobot(self.robot, q, wrist)
+            self._commanded.obey(self._hands.mapper.point_ik)
             self._reset_mapper()
             self._epoch = _new_epoch()
         self._watchdog.restart(now)
@@ -352,11 +356,7 @@ class Session:
 
     @property
     def _is_at_rest(self) -> bool:
-        return bool((self._guard.q == self.robot.rest).all())
-
-    @property
-    def _is_slewing(self) -> bool:
-        return self._mapper_state is MapperState.SLEWING
+        return bool((self._commanded.q == self.robot.rest).all())
 
     def _latch(self, number: int) -> None:
         """Bring an emergency stop into force; its command is due at once."""
@@ -370,12 +370,18 @@ class Session:
             message = f"the robot was stopped: clear the stop {self._stop} first"
             raise RefusedError("stopped", message)
 
+    def _stay(self, step: MapStep) -> None:
+        """Bring a robot that is not led to a stop, as the mapper did if it leads the robot."""
+        if self._mapper_state is MapperState.ALIGNED and step.ik.end == "released":
+            self._commanded.motion = self._hands.mapper.motion
+        else:
+            self._brake()
+
     def _brake(self) -> None:
-        """Bring a robot that is not led to a stop, within its acceleration limit."""
-        if self._guard.is_moving:
-            # The mapper stopped at once, so the robot ends elsewhere.
-            self._mapper_state = MapperState.SLEWING
-        self._guard.brake(self._dt)
+        """Bring the robot to a stop; a mapper that leads it continues from there."""
+        self._commanded.brake(self._dt)
+        if self._mapper_state is MapperState.ALIGNED:
+            self._hands.mapper.motion = self._commanded.motion
 
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
@@ -435,16 +441,12 @@ class Session:
         method = None if choice.options == before.options else choice.method
         with_option_errors(hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik))
         self._wanted, self._choice = wanted, choice
-        self._guard.obey(mapper.point_ik)
+        self._commanded.obey(mapper.point_ik)
 
     def _prepare_mapper(self) -> None:
         """Reset the mapper if it must start again from the robot's posture."""
-        # With acceleration limits, the mapper's velocity state is stale after a hold.
-        resets_after_hold = (
-            self.request.resume == "clutch" or self._hands.mapper.ik.max_acceleration is not None
-        )
         must_reset = self._mapper_state is MapperState.STALE or (
-            resets_after_hold and self._state.is_silent
+            self.request.resume == "clutch" and self._state.is_silent
         )
         if must_reset and not self._state.is_released:
             self._reset_mapper()
@@ -457,14 +459,19 @@ class Session:
         self._stamp, self._seq = sample.time, sample.seq
         return flags
 
-    def _follow(self, mapped: MappedSample) -> list[str]:
+    def _follow(self, step: MapStep) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
-        target = mapped.step.command
-        # The mapper has checked the way from where it was, which is where the robot is if aligned.
-        is_clear = self._mapper_state is MapperState.ALIGNED
-        has_arrived = self._guard.advance(target.q, target.wrist, self._dt, is_clear=is_clear)
-        self._mapper_state = MapperState.ALIGNED if has_arrived else MapperState.SLEWING
-        return ["slewing"] if self._is_slewing else []
+        mapper, target = self._hands.mapper, step.command
+        if self._mapper_state is MapperState.ALIGNED and mapper.ik.has_velocity_limits:
+            self._commanded.motion = mapper.motion
+            return []
+        if self._commanded.advance(target.q, target.wrist, self._dt):
+            # From here on they move together.
+            mapper.motion = self._commanded.motion
+            self._mapper_state = MapperState.ALIGNED
+            return []
+        self._mapper_state = MapperState.SLEWING
+        return ["slewing"]
 
     def _reset_mapper(self, q: np.ndarray | None = None) -> None:
         """Reset the mapper to the robot's posture; the next sample is the reference.
@@ -472,13 +479,18 @@ class Session:
         Args:
             q: Joint angles [rad], shape (n,); those of the robot if omitted.
         """
-        robot = self.robot
-        angles = np.clip(self._guard.q if q is None else q, robot.lower_limits, robot.upper_limits)
-        self._hands.mapper.reset(
-            robot_q=angles, robot_wrist=self._guard.wrist if robot.is_floating else None
+        mapper, robot = self._hands.mapper, self.robot
+        if q is None and self._commanded.is_placed:
+            mapper.clutch()
+            mapper.motion = self._commanded.motion
+            self._mapper_state = MapperState.ALIGNED
+            return
+        angles = np.clip(
+            self._commanded.q if q is None else q, robot.lower_limits, robot.upper_limits
         )
-        is_there = q is None and bool((angles == self._guard.q).all())
-        self._mapper_state = MapperState.ALIGNED if is_there else MapperState.SLEWING
+        wrist = self._commanded.wrist if robot.is_floating else None
+        mapper.reset(robot_q=angles, robot_wrist=wrist)
+        self._mapper_state = MapperState.SLEWING
 
     def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
@@ -502,8 +514,8 @@ class Session:
             time=self._stamp,
             server_time=now,
             joint_names=self.robot.joint_names,
-            q=to_row(self._guard.q),
-            wrist=to_pose(self._guard.wrist),
+            q=to_row(self._commanded.q),
+            wrist=to_pose(self._commanded.wrist),
             status=status,
             flags=tuple(flags + released),
             epoch=self._epoch,

@@ -216,7 +216,7 @@ def test_holding_moves_nothing() -> None:
     ik = PseudoinverseIk(hand, IkOptions())
     vector = hand.configuration_vector(hand.rest, np.eye(4))
     ik.place(vector)
-    assert ik.hold().status == "released"
+    assert ik.hold(0.01).status == "released"
     np.testing.assert_array_equal(ik.configuration.q, vector)
 
 

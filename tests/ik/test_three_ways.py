@@ -5,9 +5,6 @@ Mink's way on Pinocchio, preallocated arrays, and mink's own tasks on MuJoCo.
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import mink
 import numpy as np
 import pinocchio as pin
@@ -21,13 +18,12 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.mink_problem import build_problem, make_limits, solve_problem
 from handmap_qp.ik.mink_tasks import DampingTask
 from handmap_qp.ik.mujoco_check import MujocoIk
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver
-from handmap_qp.ik.stopping import Start, StopGuard
 
 ONE_STEP = IkOptions(max_iterations=1)
 # All weights differ, so that a wrong one is noticed.
@@ -101,12 +97,12 @@ def test_ways_1_and_2_take_the_same_step(which: tuple[str, str, str | None]) -> 
 
 
 def admitted(ik: PointIk, displacement: np.ndarray, dt: float) -> np.ndarray:
-    """Return the part of a displacement from which the hand can stop without an overlap."""
-    collisions = CollisionLimit(ik.hand)
-    limits = BoxLimits(ik.hand, max_acceleration=ik.options.max_acceleration)
-    state: Any = SimpleNamespace(velocity=ik.state.velocity, stop_time=ik.state.stop_time)
-    start = Start(ik.configuration.q.copy(), collisions.measure(ik.configuration))
-    return StopGuard(limits, collisions.path).admit(start, displacement, displacement, dt, state)
+    """Return the part of a displacement that the gate admits."""
+    collisions = CollisionLimit(ik.hand) if ik.options.avoids_self_collision else None
+    near = None if collisions is None else collisions.measure(ik.configuration)
+    most = ik.options.max_acceleration
+    gate = Gate(ik.hand, ik.gate.motion, max_acceleration=most, collisions=collisions)
+    return gate.admit(displacement, displacement, dt, near)
 
 
 @each_distinct_hand
@@ -136,8 +132,7 @@ def test_ways_1_and_2_agree_on_self_collision_and_acceleration(
             )
             expected = solve_problem(problem)
             assert expected is not None
-            if options.avoids_self_collision:
-                expected = admitted(ik, expected, case.dt)
+            expected = admitted(ik, expected, case.dt)
             ik.solve(case.point_targets, case.wrist_target, case.dt)
             step = pin.difference(hand.model, start, ik.configuration.q)[hand.active_columns]
             # coal warm-starts each search, so nearest points and normals of the rows are

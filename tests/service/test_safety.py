@@ -14,9 +14,10 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.service.safety import SHORTEST_DT, SpeedGuard, StepClock
+from handmap_qp.service.safety import CommandedRobot, StepClock
 
 ROBOT = CACHE.robot("three_finger", None, None)
 FIXED = CACHE.robot("three_finger", None, "fixed")
@@ -38,7 +39,7 @@ def wrist_twist(robot: Hand, before: np.ndarray, after: np.ndarray) -> np.ndarra
 def test_no_joint_goes_faster_than_its_share_of_the_limit(
     generator: np.random.Generator, dt: float, share: float
 ) -> None:
-    guard = SpeedGuard(ROBOT, angles(ROBOT, generator), np.eye(4))
+    guard = CommandedRobot(ROBOT, angles(ROBOT, generator), np.eye(4))
     before = guard.q.copy()
     guard.advance(angles(ROBOT, generator), None, dt, share)
     assert (np.abs(guard.q - before) <= ROBOT.velocity_limits * dt * share + 1e-12).all()
@@ -48,7 +49,7 @@ def test_no_joint_goes_faster_than_its_share_of_the_limit(
 def test_the_wrist_keeps_its_limits(
     generator: np.random.Generator, before: np.ndarray, wanted: np.ndarray, dt: float
 ) -> None:
-    guard = SpeedGuard(ROBOT, ROBOT.rest, before)
+    guard = CommandedRobot(ROBOT, ROBOT.rest, before)
     guard.advance(ROBOT.rest, wanted, dt)
     wrist = guard.wrist
     assert wrist is not None
@@ -63,7 +64,7 @@ def test_the_wrist_keeps_its_limits(
 def test_what_is_within_the_limits_passes_unchanged(
     generator: np.random.Generator, wrist: np.ndarray
 ) -> None:
-    guard = SpeedGuard(ROBOT, ROBOT.rest, wrist)
+    guard = CommandedRobot(ROBOT, ROBOT.rest, wrist)
     wanted = ROBOT.rest + ROBOT.velocity_limits * 0.01 * generator.uniform(
         -1.0, 1.0, len(ROBOT.rest)
     )
@@ -75,7 +76,7 @@ def test_what_is_within_the_limits_passes_unchanged(
 def test_a_far_posture_is_reached_in_the_time_that_the_slowest_needs(
     generator: np.random.Generator, before: np.ndarray, wanted: np.ndarray
 ) -> None:
-    guard, goal = SpeedGuard(ROBOT, angles(ROBOT, generator), before), angles(ROBOT, generator)
+    guard, goal = CommandedRobot(ROBOT, angles(ROBOT, generator), before), angles(ROBOT, generator)
     joints = np.abs(goal - guard.q) / ROBOT.velocity_limits
     speeds = np.repeat([ROBOT.spec.wrist.max_linear_speed, ROBOT.spec.wrist.max_angular_speed], 3)
     slowest = max(joints.max(), (np.abs(wrist_twist(ROBOT, before, wanted)) / speeds).max())
@@ -117,7 +118,7 @@ def test_a_slew_never_leads_through_a_link(most: float | None) -> None:
     worst, fastest, arrivals = np.inf, 0.0, 0
     for _ in range(5):
         start, goal = ways.ends(generator)
-        guard, velocity, is_there = SpeedGuard(FIXED, start), np.zeros_like(goal), False
+        guard, velocity, is_there = CommandedRobot(FIXED, start), np.zeros_like(goal), False
         guard.obey(ik)
         for k in range(150):
             before, dt = guard.q, generator.uniform(0.004, 0.03)
@@ -140,7 +141,7 @@ def test_a_slew_never_leads_through_a_link(most: float | None) -> None:
 def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
     # The mapper has found the joints' own stop to be clear, not a longer one.
     most, dt = 20.0, 0.01
-    guard = SpeedGuard(ROBOT, ROBOT.rest, np.eye(4))
+    guard = CommandedRobot(ROBOT, ROBOT.rest, np.eye(4))
     pairs = all_pairs(ROBOT, find_fingers(ROBOT))
     guard.obey(PointIk(ROBOT, IkOptions(max_acceleration=most), contacts=pairs))
     far, goal = motion_of(np.eye(3), np.array([0.0, 0.0, 9.0])), guard.q + 0.02
@@ -163,26 +164,26 @@ def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
 
 
 def test_a_brake_whose_time_rounds_to_zero_stops_at_once() -> None:
-    guard = SpeedGuard(FIXED, FIXED.rest)
+    guard = CommandedRobot(FIXED, FIXED.rest)
     guard.obey(PointIk(FIXED, IkOptions(max_acceleration=1e308)))
     guard.advance(np.nextafter(FIXED.rest, 1.0), None, 10.0)
-    assert guard.is_moving
+    assert guard.motion.is_braking
     before = guard.q
     guard.brake(0.01)
-    assert not guard.is_moving
+    assert not guard.motion.is_braking
     assert np.array_equal(guard.q, before)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_numbers_that_are_not_finite_are_not_followed(bad: float) -> None:
-    guard = SpeedGuard(ROBOT, ROBOT.rest, np.eye(4))
+    guard = CommandedRobot(ROBOT, ROBOT.rest, np.eye(4))
     assert not guard.advance(np.full_like(ROBOT.rest, bad), np.eye(4), 0.01)
     assert not guard.advance(ROBOT.rest, np.full((4, 4), bad), 0.01)
     assert np.array_equal(guard.q, ROBOT.rest)
 
 
 def test_the_first_wrist_places_it() -> None:
-    guard = SpeedGuard(ROBOT, ROBOT.rest)
+    guard = CommandedRobot(ROBOT, ROBOT.rest)
     assert guard.wrist is None
     far = motion_of(np.eye(3), np.array([5.0, 0.0, 0.0]))
     assert guard.advance(ROBOT.rest, far, 0.001)
@@ -190,7 +191,7 @@ def test_the_first_wrist_places_it() -> None:
 
 
 def test_a_fixed_wrist_stays_where_the_urdf_has_it() -> None:
-    guard = SpeedGuard(FIXED, FIXED.rest)
+    guard = CommandedRobot(FIXED, FIXED.rest)
     expected = FIXED.frame_pose("wrist", FIXED.rest)
     guard.advance(FIXED.rest + 0.01, expected, 0.1)
     assert np.allclose(np.asarray(guard.wrist), expected, atol=1e-15)
