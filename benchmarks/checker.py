@@ -40,7 +40,7 @@ class Checker:
     def __init__(self, hand: Hand, shapes: ShapePairs | None = None) -> None:
         self._hand, self.commands = hand, 0
         self._meter = None if shapes is None else OverlapMeter(hand, shapes)
-        self.violations, self.worst = Counter[str](), Counter[str]()
+        self.violations, self.worst = Counter[str](), dict[str, float]()
         wrist = hand.spec.wrist
         free = 6 if hand.is_floating else 0
         twist = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)[:free]

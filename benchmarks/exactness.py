@@ -3,9 +3,8 @@
     python benchmarks/exactness.py --steps 1000000 --json exactness.json
 
 The run fails (exit code 1) on a position, speed or acceleration limit that `checker.py` finds
-violated, on a result with a NaN or an infinity, and on an undocumented exception. Memory is measured
-too. The tests run
-fewer of the same steps (`hostile.py`).
+violated, on a result with a NaN or an infinity, and on an undocumented exception. Memory is
+measured too. The tests run fewer of the same steps (`hostile.py`).
 """
 
 from __future__ import annotations
@@ -118,8 +117,8 @@ def main(words: Sequence[str] | None = None) -> int:
     results = measure(20_000 if arguments.quick else arguments.steps, arguments.seed)
     is_json = arguments.json == "-"
     rows = [
-        {"what": what, "violations": count, "worst": results["worst"][what]}
-        for what, count in results["violations"].items()
+        {"what": what, "violations": results["violations"].get(what, 0), "worst": worst}
+        for what, worst in results["worst"].items()
     ]
     caption = "position beyond its limit [rad]; speed and acceleration over theirs"
     common.print_table("Limits", rows, to_stderr=is_json, caption=caption)

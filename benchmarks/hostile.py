@@ -193,7 +193,8 @@ class MapperRun:
     def __init__(self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int) -> None:
         self.name = f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
         self._rng = np.random.default_rng(seed)
-        self._mapper, self.checker = HandMapper(human, robot, MappingOptions(**mapping)), Checker(robot)
+        self._mapper = HandMapper(human, robot, MappingOptions(**mapping))
+        self.checker = Checker(robot)
         self._q, self._wrist = human.rest.copy(), np.eye(4)
         self._last: np.ndarray | None = None
 

@@ -6,10 +6,10 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from checker import Checker
 from service_process import ServiceProcess
 
 from handmap_qp import load_hand
@@ -21,7 +21,6 @@ _OPENING = 20.0
 _GRACE = 0.5
 _MEMORY = 15.0
 _MAX_DT = 1.0 / 30.0
-_ROUNDING = 1e-6
 
 
 class HumanMotion:
@@ -49,29 +48,29 @@ class HumanMotion:
         return {"q": q, "wrist": wrist}
 
 
-@dataclass
 class Driver:
-    """A robot's driver that only measures the speed of its commands.
+    """A robot's driver that only judges its commands.
 
-    Attributes:
-        speed: Speed limits of the joints [rad/s].
+    Args:
+        robot: The robot hand.
         hears_all: Whether it receives every command. Otherwise one command may account for the
             time since the last one that it received.
-        fastest: Highest speed between two commands, as a share of the limit.
+
+    Attributes:
+        checker: Judges the commands of one epoch after the other.
+        speed: Speed limits of the joints [rad/s].
         commands: Number of commands.
         epochs: Number of changes of the epoch.
         missed: Time of commands that were made and never arrived, after a kill or a timeout [s].
         flags: All flags of the commands.
     """
 
-    speed: np.ndarray
-    hears_all: bool = False
-    fastest: float = 0.0
-    commands: int = 0
-    epochs: int = 0
-    missed: float = 0.0
-    flags: set[str] = field(default_factory=set)
-    _last: Command | None = None
+    def __init__(self, robot: str, *, hears_all: bool = False) -> None:
+        self._hand, self._hears_all = load_hand(robot, mount="fixed"), hears_all
+        self.checker, self.speed = Checker(self._hand), self._hand.velocity_limits
+        self.commands, self.epochs, self.missed = 0, 0, 0.0
+        self.flags: set[str] = set()
+        self._last: Command | None = None
 
     def take(self, command: Command) -> None:
         """Take one command.
@@ -81,26 +80,22 @@ class Driver:
         self.flags |= set(command.flags)
         last, self._last = self._last, command
         self.commands += 1
-        if last is None:
+        q = self._hand.configuration_vector(command.q)
+        if last is None or last.epoch != command.epoch:
+            self.epochs += last is not None
+            self.checker.start(q)
             return
-        if last.epoch != command.epoch:
-            self.epochs += 1
-            return
-        time = (
-            command.dt + self.missed if self.hears_all else command.server_time - last.server_time
-        )
+        since = command.server_time - last.server_time
+        self.checker.take(q, command.dt + self.missed if self._hears_all else since)
         self.missed = 0.0
-        moved = float((np.abs(np.subtract(command.q, last.q)) / self.speed).max())
-        # Ignore rounding of a zero displacement in zero time.
-        if moved > 1e-9:
-            self.fastest = max(self.fastest, moved / time if time > 0.0 else np.inf)
 
 
 def open_driver(
     client: Client, robot: str = "three_finger", *, hears_all: bool = False, **choices: Any
 ) -> Driver:
     """Open a session, and return a driver for its robot."""
-    return Driver(np.array(client.open(robot, **choices).speed), hears_all)
+    client.open(robot, **choices)
+    return Driver(robot, hears_all=hears_all)
 
 
 def pace(rate: float, duration: float) -> Iterator[float]:
@@ -259,14 +254,15 @@ def summary(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
         "timeouts": sum(client.timeouts for client in clients),
         "refused": sum(len(client.refusals) for client in clients),
         "longest_call_s": max(client.longest for client in clients),
-        "fastest_joint": max(client.driver.fastest for client in clients),
+        "fastest_joint": max(client.driver.checker.worst["speed"] for client in clients),
+        "violations": sum(client.driver.checker.violations.total() for client in clients),
         "epochs": sum(client.driver.epochs for client in clients),
         **more,
     }
     wrong = []
     if any(client.is_alive() for client in clients) or found["longest_call_s"] > TIMEOUT + _GRACE:
         wrong.append("a call hung")
-    if not found["fastest_joint"] <= 1.0 + _ROUNDING:
+    if found["violations"]:
         wrong.append("a robot jumped")
     if any(client.start_offset > 1.0 for client in clients):
         wrong.append("a robot was assumed at another posture")

@@ -167,7 +167,6 @@ def test_a_brake_whose_time_rounds_to_zero_stops_at_once() -> None:
     guard = CommandedRobot(FIXED, FIXED.rest)
     guard.obey(PointIk(FIXED, IkOptions(max_acceleration=1e308)))
     guard.advance(np.nextafter(FIXED.rest, 1.0), None, 10.0)
-    assert guard.motion.is_braking
     before = guard.q
     guard.brake(0.01)
     assert not guard.motion.is_braking

@@ -74,7 +74,8 @@ def test_a_stopped_robot_holds_whatever_comes_until_it_is_cleared_and_clutched()
 def test_a_stop_brakes_within_the_acceleration_limit_on_a_straight_line(
     count: int, limit: float
 ) -> None:
-    session, sample = make_session(ik={"max_acceleration": limit}), Sampler()
+    choices = {"max_acceleration": limit, "avoids_self_collision": True}
+    session, sample = make_session(ik=choices), Sampler()
     now = follow(session, sample, 0.0, count + 3)
     q, velocity = [np.array(session.posture[0])], None
     command = session.step(sample(now, human_q(2.0)), now := now + PERIOD)
