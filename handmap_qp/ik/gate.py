@@ -29,7 +29,6 @@ iterations is longer, and farther from the start, where the rows of the QP are e
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import NamedTuple
 
@@ -40,12 +39,10 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.distances import NearPairs
-from handmap_qp.ik.limits import LONGEST_STOP, SHORTEST_DT, BoxLimits, braking_displacement
+from handmap_qp.ik.limits import LONGEST_STOP, SHORTEST_DT, Box, BoxLimits, braking_displacement
 from handmap_qp.ik.solvers import DaqpSolver
-from handmap_qp.transform import frozen
 
 _SHARES = (1.0, 0.5, 0.25, 0.1)
-_ROUNDING = 1e-12
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
 
@@ -55,25 +52,31 @@ class Motion(NamedTuple):
 
     Attributes:
         q: Pinocchio configuration last commanded, shape (nq,).
-        velocity: Displacement of the last sample divided by its time, in the active coordinates,
-            shape (nv,).
-        stop_times: Time in which each of them can stop on the line that was admitted [s], shape
+        displacement: Displacement of the last sample in the active coordinates, shape (nv,).
+        dt: Time of that sample [s].
+        stop_times: Time in which each coordinate can stop on the line that was admitted [s], shape
             (nv,); 0 for at once.
     """
 
     q: np.ndarray
-    velocity: np.ndarray
+    displacement: np.ndarray
+    dt: float
     stop_times: np.ndarray
 
     @classmethod
     def at_rest(cls, q: np.ndarray, nv: int) -> Motion:
         """Return the motion of a robot that stands at a configuration."""
-        return cls(frozen(np.array(q)), frozen(np.zeros(nv)), frozen(np.zeros(nv)))
+        return cls(np.array(q), np.zeros(nv), 1.0, np.zeros(nv))
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocity in the last sample, shape (nv,)."""
+        return self.displacement / self.dt
 
     @property
     def is_braking(self) -> bool:
         """Whether the robot moves, and its acceleration limit keeps it from standing at once."""
-        return bool(self.stop_times.any() and self.velocity.any())
+        return bool(self.stop_times.any() and self.displacement.any())
 
 
 class Gate:
@@ -103,9 +106,11 @@ class Gate:
         self.motion = motion
         self.near: NearPairs | None = None
         self._hand, self._collisions = hand, collisions
+        self._known: tuple[Motion, float, Box | None] = (motion, 0.0, None)
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
-        nv = len(hand.active_columns)
-        self._together = np.zeros(nv, bool) if collisions is None else collisions.path.columns
+        self._at_once = np.zeros(len(hand.active_columns))
+        no_columns = np.zeros(len(self._at_once), dtype=bool)
+        self._together = no_columns if collisions is None else collisions.path.columns
         self._limits = BoxLimits(
             hand,
             has_velocity_limits=has_velocity_limits,
@@ -127,7 +132,7 @@ class Gate:
         Args:
             dt: Time for it [s].
         """
-        return self._limits.bounds(self.motion.q, dt, self.motion.velocity)
+        return self._box(dt)[:2]
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
@@ -153,20 +158,15 @@ class Gate:
         Returns:
             The displacement taken: `wanted` itself if it is admitted.
         """
-        brake = self._braking(dt)
-        lower, upper = self._within_reach(brake, dt)
-        taken = np.minimum(np.maximum(_finite(wanted), lower), upper)
-        taken, times, is_inside = self._checked(taken, brake, dt)
+        box, times, is_inside = self._box(dt), self._at_once, True
+        # This also replaces NaN.
+        taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
+        if self._limits.has_acceleration:
+            times = self._limits.stop_times(taken, dt)
+            is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
         if not (is_inside and self._is_clear(taken, times, dt, near, end)):
-            first = np.minimum(np.maximum(_finite(first), lower), upper)
-            base = np.where(self._together, brake, first)
-            for share in _SHARES:
-                taken, times, is_inside = self._checked(base + share * (first - base), brake, dt)
-                if is_inside and self._is_clear(taken, times, dt, near):
-                    break
-            else:
-                taken, times, _ = self._checked(base, brake, dt)
-                times = np.where(self._together, self._time_left(dt), times)
+            first = np.fmin(np.fmax(first, box.lower), box.upper)
+            taken, times = self._shortened(None if is_inside else taken, first, dt, near)
         self.near = near if end is None else end
         self._move(taken, times, dt)
         return taken
@@ -178,8 +178,8 @@ class Gate:
             dt: Time of the sample [s].
         """
         dt = max(dt, SHORTEST_DT)
-        displacement, times = self._braking(dt), self._time_left(dt)
-        self._move(displacement, times, dt)
+        displacement = self._braking(dt)
+        self._move(displacement, np.maximum(self.motion.stop_times - dt, 0.0), dt)
         return displacement
 
     def approach(
@@ -208,7 +208,7 @@ class Gate:
         lower, upper = self.bounds(dt)
         limit = self._limits.farthest(dt * share)
         nearest = np.minimum(np.maximum(self._towards(change, limit, dt), lower), upper)
-        slack = _ROUNDING + 1e-9 * limit
+        slack = 1e-12 + 1e-9 * limit
         reach = np.minimum(limit, self._limits.change(dt)) if stops else limit
         is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
         is_there = bool((is_near & (change >= lower - slack)).all())
@@ -219,7 +219,7 @@ class Gate:
         is_there = is_there and bool((np.abs(taken - change) <= slack).all())
         if is_there:
             inside = self._limits.clipped(goal, motion.q)
-            self.motion = self.motion._replace(q=frozen(inside))
+            self.motion = self.motion._replace(q=inside)
         return is_there
 
     def _towards(self, change: np.ndarray, limit: np.ndarray, dt: float) -> np.ndarray:
@@ -266,55 +266,51 @@ class Gate:
     def _solver(self) -> DaqpSolver:
         return DaqpSolver(self._limits.size)
 
+    def _box(self, dt: float) -> Box:
+        """Return the bounds, which are asked for twice, for the QP and for the check."""
+        motion, known_dt, box = self._known
+        if box is None or motion is not self.motion or known_dt != dt:
+            box = self._limits.box(self.motion.q, dt, self.motion.velocity)
+            self._known = self.motion, dt, box
+        return box
+
     def _braking(self, dt: float) -> np.ndarray:
         """Return the displacement of the stop that was admitted last."""
-        _, velocity, times = self.motion
-        return velocity * (dt * (1.0 - dt / np.maximum(times, dt)))
+        share = 1.0 - dt / np.maximum(self.motion.stop_times, dt)
+        return self.motion.velocity * (dt * share)
 
-    def _time_left(self, dt: float) -> np.ndarray:
-        """Return the times of that stop after a sample of it."""
-        return np.maximum(self.motion.stop_times - dt, 0.0)
+    def _shortened(
+        self, wanted: np.ndarray | None, first: np.ndarray, dt: float, near: NearPairs | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return a displacement that is admitted, and the times of the stop behind it.
 
-    def _within_reach(self, brake: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds, moved to where acceleration or the stop in force may lead."""
-        lower, upper = self.bounds(dt)
-        if not self._limits.has_acceleration:
-            return lower, upper
-        middle, change = self.motion.velocity * dt, self._limits.change(dt)
-        least, most = np.minimum(middle - change, brake), np.maximum(middle + change, brake)
-        return np.minimum(np.maximum(lower, least), most), np.minimum(
-            np.maximum(upper, least), most
-        )
-
-    def _checked(
-        self, displacement: np.ndarray, brake: np.ndarray, dt: float
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Check the stop behind a displacement; coordinates that stop alone brake if they must.
+        Coordinates that stop alone take theirs, or brake. The others take shares of `first`.
 
         Args:
-            displacement: Displacement, shape (nv,).
-            brake: That of the stop in force, likewise.
+            wanted: Displacement to try before, shape (nv,); None for none.
+            first: The one that is shortened, likewise.
             dt: Its time [s].
-
-        Returns:
-            The displacement, the times of the stop behind it, and whether the coordinates that stop
-            together can do so inside the limits.
+            near: The pairs of shapes where it starts.
         """
-        times = self._limits.stop_times(displacement / dt)
-        if not self._limits.has_acceleration:
-            return displacement, times, True
-        whole = displacement * (1.0 + 0.5 * times / dt)
-        room = self._limits.room(self.motion.q)
-        # A joint outside its limits must not move farther out.
-        can_stop = whole <= np.maximum(room[1], 0.0) + _ROUNDING
-        can_stop &= whole >= np.minimum(room[0], 0.0) - _ROUNDING
-        can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
-        if np.count_nonzero(can_stop) == len(can_stop):
-            return displacement, times, True
-        brakes = ~(can_stop | self._together)
-        displacement = np.where(brakes, brake, displacement)
-        times = np.where(brakes, self._time_left(dt), times)
-        return displacement, times, bool(can_stop[self._together].all())
+        brake, left = self._braking(dt), np.maximum(self.motion.stop_times - dt, 0.0)
+        middle, change = self.motion.velocity * dt, self._limits.change(dt)
+        # From a higher limit, the stop in force may brake harder than the limit allows.
+        least, most = np.minimum(middle - change, brake), np.maximum(middle + change, brake)
+        first = np.minimum(np.maximum(first, least), most)
+        base, together = np.where(self._together, brake, first), self._together
+        candidates = [base + share * (first - base) for share in _SHARES]
+        if wanted is not None:
+            candidates.insert(0, np.minimum(np.maximum(wanted, least), most))
+        for tried in (*candidates, base):
+            times = self._limits.stop_times(tried, dt)
+            whole = tried * (1.0 + (0.5 / dt) * times)
+            can_stop = self._limits.is_inside(self.motion.q, whole)
+            can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
+            brakes = ~(can_stop | together)
+            taken, times = np.where(brakes, brake, tried), np.where(brakes, left, times)
+            if can_stop[together].all() and self._is_clear(taken, times, dt, near):
+                return taken, times
+        return taken, np.where(together, left, times)
 
     def _is_clear(
         self,
@@ -337,10 +333,4 @@ class Gate:
         q = self.motion.q
         step = displacement if self._expansion is None else self._expansion.dot(displacement)
         reached = self._limits.clipped(pin.integrate(self._hand.model, q, step), q)
-        self.motion = Motion(frozen(reached), frozen(displacement / dt), frozen(stop_times))
-
-
-def _finite(displacement: np.ndarray) -> np.ndarray:
-    """Return a displacement, or none if it is not finite."""
-    is_finite = math.isfinite(displacement.dot(displacement))
-    return displacement if is_finite else np.zeros_like(displacement)
+        self.motion = Motion(reached, displacement, dt, stop_times)

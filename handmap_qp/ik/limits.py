@@ -26,6 +26,8 @@ at most that time, whatever the limit is.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -40,6 +42,29 @@ SHORTEST_DT = 1e-6
 
 In less, rounding of positions would be a speed.
 """
+
+# A stop that ends outside the limits by no more counts as inside [rad or m].
+_ROUNDING = 1e-12
+# Distances count as no more than this, because a floating wrist has infinite ones [rad or m].
+_FAR = 1e9
+
+
+class Box(NamedTuple):
+    """Bounds of the displacement of one sample, shape (nv,) each.
+
+    Attributes:
+        lower: Lower bound, never above the upper one.
+        upper: Upper bound.
+        least: From this to `most`, the acceleration limit leads to a displacement, and to a stop
+            behind it inside the limits of position and time. Where limits contradict each other,
+            bounds are outside.
+        most: As said.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
 
 
 class BoxLimits:
@@ -72,7 +97,6 @@ class BoxLimits:
         coordinates = hand.q_indices[order]
         limits = np.array([hand.lower_limits[order], hand.upper_limits[order]])
         speed = hand.velocity_limits[order]
-        self._joints = slice(0, None)
         if hand.is_floating:
             wrist = hand.spec.wrist
             speeds = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
@@ -83,19 +107,22 @@ class BoxLimits:
             coordinates = np.concatenate([np.arange(1, 7), coordinates])
             unlimited = np.full(6, np.inf)
             limits = np.hstack([[-unlimited, unlimited], limits])
-            self._joints = slice(6, None)
         self._limits = limits
         if not has_velocity_limits:
             speed = np.full(len(speed), np.inf)
+        self._loose = np.array([limits[0] - _ROUNDING, limits[1] + _ROUNDING])
+        # The limits of a whole configuration; infinite for all but the hand's joints.
+        self._box = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
+        self._box[:, hand.q_indices] = hand.lower_limits, hand.upper_limits
         # Twice the same: numpy takes three times as long to spread a row over both limits.
         self._rows = np.array([coordinates, coordinates])
         self._speeds = np.array([speed, speed])
         self._together = np.zeros(len(speed), dtype=bool) if together is None else together
         self._has_together = bool(self._together.any())
         self.has_acceleration = max_acceleration is not None
-        self._acceleration = (
-            None if max_acceleration is None else _check_acceleration(max_acceleration, len(speed))
-        )
+        most = np.inf if max_acceleration is None else max_acceleration
+        self._accelerations = np.array([_check_acceleration(most, len(speed))] * 2)
+        self._signs = np.repeat([[-1.0], [1.0]], len(speed), 1)
 
     def bounds(
         self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
@@ -111,22 +138,57 @@ class BoxLimits:
         Returns:
             Two arrays of shape (nv,), `lower <= upper`.
         """
-        farthest, room = self._speeds * dt, self.room(q)
+        return self.box(q, dt, previous_velocity)[:2]
+
+    def box(self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None) -> Box:
+        """Return the bounds, and which displacements need no further check; as `bounds`."""
+        farthest, room = self._speeds * dt, self._limits - q[self._rows]
         box = np.maximum(np.minimum(room, farthest), -farthest)
-        lower, upper = box[0], box[1]
-        if self._acceleration is None:
-            return lower, upper
+        if not self.has_acceleration:
+            return Box(box[0], box[1], box[0], box[1])
         velocity = np.zeros(self.size) if previous_velocity is None else previous_velocity
-        return self._with_acceleration(self._acceleration, room, dt, velocity, lower, upper)
+        # The lower bound avoids a division by zero where the product underflows.
+        change = np.maximum(self._accelerations * (dt * dt), 1e-200)
+        middle = np.array([velocity, velocity]) * dt
+        lowest, highest = middle - change, middle + change
+        # Past a limit there is no braking distance left; the box brings the joint back.
+        distance = np.minimum(np.maximum(self._signs * room, 0.0), _FAR)
+        # Faster than this, a stop would take too long.
+        usable = self._accelerations * (LONGEST_STOP * dt)
+        most = np.minimum(braking_displacement(distance, change), usable)
+        if self._has_together:
+            stretch = np.where(self._together, 1.0 + self.stopping(velocity, dt), 1.0)
+            most = np.minimum(most, distance / stretch)
+        most *= self._signs
+        bounds = np.minimum(np.maximum(most, lowest), highest)
+        bounds = np.minimum(np.maximum(bounds, box[0]), box[1])
+        return Box(
+            bounds[0],
+            bounds[1],
+            np.maximum(most[0], lowest[0]) - _ROUNDING * dt,
+            np.minimum(most[1], highest[1]) + _ROUNDING * dt,
+        )
 
     @property
     def size(self) -> int:
         """Number of coordinates, nv."""
         return self._limits.shape[1]
 
-    def room(self, q: np.ndarray) -> np.ndarray:
-        """Return the displacements to the lower and to the upper position limit, shape (2, nv)."""
-        return self._limits - q[self._rows]
+    def is_inside(self, q: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+        """Return which coordinates a displacement leaves inside their position limits, shape (nv,).
+
+        One that is outside must not move farther out.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            displacement: Displacement, shape (nv,).
+        """
+        room = self._loose - q[self._rows]
+        is_inside = (displacement >= room[0]) & (displacement <= room[1])
+        if np.count_nonzero(is_inside) == len(is_inside):
+            return is_inside
+        least, most = np.minimum(room[0], 0.0), np.maximum(room[1], 0.0)
+        return (displacement >= least) & (displacement <= most)
 
     def clipped(self, q: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Return a configuration inside its position limits, or no farther outside than before.
@@ -135,14 +197,9 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             before: The one that it was reached from, which may be outside.
         """
-        rows = self._rows[0]
-        reached, start = q[rows], before[rows]
-        lower, upper = np.minimum(self._limits[0], start), np.maximum(self._limits[1], start)
-        inside = np.minimum(np.maximum(reached, lower), upper)
-        if inside.tobytes() != reached.tobytes():
-            q = q.copy()
-            q[rows] = inside
-        return q
+        least, most = np.minimum(self._box[0], before), np.maximum(self._box[1], before)
+        inside = np.maximum(q, least, out=least)
+        return np.minimum(inside, most, out=most)
 
     def farthest(self, dt: float) -> np.ndarray:
         """Return the displacements at the speed limits, shape (nv,)."""
@@ -150,19 +207,16 @@ class BoxLimits:
 
     def change(self, dt: float) -> np.ndarray:
         """Return by how much acceleration can change a displacement, shape (nv,)."""
-        if self._acceleration is None:
-            return np.full(self.size, np.inf)
-        return self._acceleration * (dt * dt)
+        return self._accelerations[0] * (dt * dt)
 
-    def stop_times(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the time in which each coordinate stops [s], shape (nv,); 0 without limits.
+    def stop_times(self, displacement: np.ndarray, dt: float) -> np.ndarray:
+        """Return the time in which each coordinate stops behind a displacement [s], shape (nv,).
 
         Args:
-            velocity: Of all coordinates, shape (nv,).
+            displacement: Displacement, shape (nv,).
+            dt: Time for it [s].
         """
-        if self._acceleration is None:
-            return np.zeros_like(velocity)
-        times = np.abs(velocity) / self._acceleration
+        times = np.abs(displacement) / (self._accelerations[0] * dt)
         if self._has_together:
             times[self._together] = times[self._together].max()
         return times
@@ -174,44 +228,10 @@ class BoxLimits:
             velocity: Of the last sample, shape (nv,).
             dt: Time of the next sample [s].
         """
-        if self._acceleration is None or not self._has_together:
+        if not (self.has_acceleration and self._has_together):
             return 0.0
-        longest = (np.abs(velocity) / self._acceleration)[self._together].max()
+        longest = (np.abs(velocity) / self._accelerations[0])[self._together].max()
         return 0.5 * (float(longest) + dt) / dt
-
-    def _with_acceleration(
-        self,
-        acceleration: np.ndarray,
-        room: np.ndarray,
-        dt: float,
-        velocity: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the part of the box within reach of the last velocity, or its nearest corner."""
-        joints = self._joints
-        # The lower bound avoids a division by zero where the product underflows.
-        change = np.maximum(self.change(dt), 1e-200)
-        middle = velocity * dt
-        lowest, highest = middle - change, middle + change
-        # Faster than this, a stop would take too long.
-        most = acceleration * (LONGEST_STOP * dt)
-        least = -most
-        # Past a limit there is no braking distance left; the box brings the joint back.
-        below, above = np.maximum(-room[0, joints], 0.0), np.maximum(room[1, joints], 0.0)
-        to_upper = braking_displacement(above, change[joints])
-        to_lower = braking_displacement(below, change[joints])
-        if self._has_together:
-            stretch = 1.0 + np.where(self._together, self.stopping(velocity, dt), 0.0)[joints]
-            to_upper = np.minimum(to_upper, above / stretch)
-            to_lower = np.minimum(to_lower, below / stretch)
-        most[joints] = np.minimum(most[joints], to_upper)
-        least[joints] = np.maximum(least[joints], -to_lower)
-        most = np.minimum(np.maximum(most, lowest), highest)
-        least = np.minimum(np.maximum(least, lowest), highest)
-        return np.minimum(np.maximum(least, lower), upper), np.minimum(
-            np.maximum(most, lower), upper
-        )
 
 
 def stopping_distances(hand: Hand) -> np.ndarray:

@@ -129,8 +129,8 @@ def test_the_hand_can_stop_on_its_line_for_any_sample_times(case: Case) -> None:
         elsewhere.place_frames(hand.configuration_vector(case.random_q(rng)))
         for _ in range(int(rng.integers(3, 20))):
             ik.solve(elsewhere.points, None, 1.0 / 90.0)
-        q, velocity, times = ik.gate.motion
-        left = float(times.max())
+        motion = ik.gate.motion
+        q, velocity, left = motion.q, motion.velocity, float(motion.stop_times.max())
         stops += left > 0.02
         while left > 0.0:
             dt = rng.uniform(0.001, 0.02)
