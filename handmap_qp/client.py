@@ -108,7 +108,8 @@ class Opened(Reply, frozen=True):
     """An open session.
 
     It names the session, the robot's joints with their limits, and the posture `q` [rad] at which
-    the server assumes the robot.
+    the server assumes the robot. Within `stop_time` [s] it stops, and no joint moves farther than
+    its `stop_distance` meanwhile [rad].
     """
 
     name: str
@@ -121,6 +122,8 @@ class Opened(Reply, frozen=True):
     human_point_names: Names
     is_floating: bool
     stream_port: int = 0
+    stop_time: float = 0.0
+    stop_distance: Numbers = ()
 
 
 class Command(Reply, frozen=True):

@@ -42,6 +42,9 @@ from handmap_qp.transform import PoseLike, affine, as_floats, check_pose
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
 
+LONGEST_STOP = 0.5
+"""Longest time in which a robot stops, whatever its acceleration limit is [s]."""
+
 
 class Hand:
     """A hand: a URDF in Pinocchio, the order of its joints, its frames and reference points.
@@ -160,6 +163,15 @@ class Hand:
     def has_moving_wrist(self) -> bool:
         """Whether six free coordinates or the joints of an arm move the wrist."""
         return self.model.frames[self.wrist_frame_id].parentJoint > 0
+
+    @property
+    def stop_distances(self) -> np.ndarray:
+        """How far each joint moves at most while it stops [rad or m], shape (n,).
+
+        From its speed limit and `LONGEST_STOP`; no more than its range.
+        """
+        ranges = self.upper_limits - self.lower_limits
+        return np.minimum(0.5 * LONGEST_STOP * self.velocity_limits, ranges)
 
     def at_position_limit(self, q: np.ndarray) -> np.ndarray:
         """Return which joints are within 1e-6 rad or m of a position limit, shape (n,)."""

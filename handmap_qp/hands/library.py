@@ -21,7 +21,7 @@ from handmap_qp.errors import (
     describe_value,
     did_you_mean,
 )
-from handmap_qp.hands.hand import Hand, Points, read_urdf, urdf_path
+from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points, read_urdf, urdf_path
 from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, read_hand_spec
 from handmap_qp.hands.urdf.compose import compose_urdf
@@ -183,7 +183,8 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
         MissingExtraError: If its URDF lies in a package that is not installed.
     """
     found = load_hand(hand)
-    numbers = (found.lower_limits, found.upper_limits, found.velocity_limits, found.rest)
+    numbers = (found.lower_limits, found.upper_limits, found.velocity_limits)
+    numbers += (found.stop_distances, found.rest)
     columns = (found.joint_names, *(array.tolist() for array in numbers))
     chosen = {point.name for point in found.reference_points}
     return {
@@ -192,15 +193,17 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
         "urdf": str(urdf_path(found.spec)),
         "wrist": f"{found.mount}, link {found.spec.wrist.link}",
         "palm": f"link {found.spec.palm.link}",
+        "stops within": f"{LONGEST_STOP:g} s",
         "joints": [
             {
                 "joint": name,
                 "lower rad": lower,
                 "upper rad": upper,
                 "speed rad/s": speed,
+                "stop rad": stop,
                 "rest rad": rest,
             }
-            for name, lower, upper, speed, rest in zip(*columns, strict=True)
+            for name, lower, upper, speed, stop, rest in zip(*columns, strict=True)
         ],
         "points": [
             {

@@ -36,10 +36,10 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.hand import LONGEST_STOP, Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.distances import NearPairs
-from handmap_qp.ik.limits import LONGEST_STOP, SHORTEST_DT, Box, BoxLimits, braking_displacement
+from handmap_qp.ik.limits import SHORTEST_DT, Box, BoxLimits, braking_displacement
 from handmap_qp.ik.solvers import DaqpSolver
 
 _SHARES = (1.0, 0.5, 0.25, 0.1)
@@ -303,13 +303,15 @@ class Gate:
             candidates.insert(0, np.minimum(np.maximum(wanted, least), most))
         for tried in (*candidates, base):
             times = self._limits.stop_times(tried, dt)
-            whole = tried * (1.0 + (0.5 / dt) * times)
+            whole = tried * (1.0 + 0.5 * times / dt)
             can_stop = self._limits.is_inside(self.motion.q, whole)
             can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
             brakes = ~(can_stop | together)
             taken, times = np.where(brakes, brake, tried), np.where(brakes, left, times)
-            if can_stop[together].all() and self._is_clear(taken, times, dt, near):
+            is_admitted = tried is not base and bool(can_stop[together].all())
+            if is_admitted and self._is_clear(taken, times, dt, near):
                 return taken, times
+        # The line of the stop in force was found clear before.
         return taken, np.where(together, left, times)
 
     def _is_clear(

@@ -32,11 +32,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.hand import LONGEST_STOP, Hand
 from handmap_qp.transform import as_floats
 
-LONGEST_STOP = 0.5
-"""Longest time in which a robot stops, whatever its acceleration limit is [s]."""
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
 
@@ -216,7 +214,7 @@ class BoxLimits:
             displacement: Displacement, shape (nv,).
             dt: Time for it [s].
         """
-        times = np.abs(displacement) / (self._accelerations[0] * dt)
+        times = np.abs(displacement / dt) / self._accelerations[0]
         if self._has_together:
             times[self._together] = times[self._together].max()
         return times
@@ -232,15 +230,6 @@ class BoxLimits:
             return 0.0
         longest = (np.abs(velocity) / self._accelerations[0])[self._together].max()
         return 0.5 * (float(longest) + dt) / dt
-
-
-def stopping_distances(hand: Hand) -> np.ndarray:
-    """Return how far each joint moves at most while it stops, shape (n,) [rad or m].
-
-    From its speed limit and `LONGEST_STOP`; it is no more than its range.
-    """
-    ranges = hand.upper_limits - hand.lower_limits
-    return np.minimum(0.5 * LONGEST_STOP * hand.velocity_limits, ranges)
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:

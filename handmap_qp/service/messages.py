@@ -346,6 +346,13 @@ class Opened(Reply, frozen=True):
     stream_port: Annotated[
         int, _doc("Port of the stream of commands (ZeroMQ PUB); 0 on WebSocket.")
     ] = 0
+    stop_time: Annotated[
+        float,
+        _doc("Longest time in which the robot stops, whatever limits are configured [s]."),
+    ] = 0.0
+    stop_distance: Annotated[
+        Numbers, _doc("How far each joint moves at most meanwhile [rad].")
+    ] = ()
 
 
 class Detail(msgspec.Struct, frozen=True, kw_only=True):

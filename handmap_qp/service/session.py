@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.ik.gate import Motion
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.stages import residual_norms
 from handmap_qp.mapping.step import MapStep
@@ -66,6 +68,7 @@ class Session:
         calibration: Measures the human hand, if `hands` needs that.
         former: Record of the session to continue; the request decides if omitted.
         owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
+        motion: How the robot of that session moves, if it is running; at rest if omitted.
 
     Attributes:
         request: The request that opened it.
@@ -89,6 +92,7 @@ class Session:
         calibration: Calibration | None = None,
         former: Record | None = None,
         owner: str = "",
+        motion: Motion | None = None,
     ) -> None:
         self.request, self.owner = request, owner
         self.name = name
@@ -109,6 +113,8 @@ class Session:
         )
         q, wrist = start if former is None else former.posture
         self._commanded = CommandedRobot(self.robot, q, wrist)
+        if motion is not None and len(motion.q) == self.robot.model.nq and wrist is not None:
+            self._commanded.motion = motion
         self._commanded.obey(hands.mapper.point_ik)
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
@@ -127,6 +133,11 @@ class Session:
     def posture(self) -> Posture:
         """The posture last commanded."""
         return self._commanded.q, self._commanded.wrist
+
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves."""
+        return self._commanded.motion
 
     @property
     def mode(self) -> str:
@@ -162,6 +173,8 @@ class Session:
             human_point_names=tuple(point.name for point in human.reference_points),
             is_floating=robot.is_floating,
             stream_port=stream_port,
+            stop_time=LONGEST_STOP,
+            stop_distance=to_row(robot.stop_distances),
         )
 
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:

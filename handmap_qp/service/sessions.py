@@ -149,9 +149,16 @@ class Sessions:
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
             former = self._former(request, name, robot.name, len(robot.joint_names))
-            owner, now = by.owner(request.session), self._clock()
+            running = None if former is None else self._find_named(name)
             session = Session(
-                request, hands, name, now, calibration=meter, former=former, owner=owner
+                request,
+                hands,
+                name,
+                self._clock(),
+                calibration=meter,
+                former=former,
+                owner=by.owner(request.session),
+                motion=None if running is None else running.motion,
             )
         finally:
             self._names_opening.discard(name)
