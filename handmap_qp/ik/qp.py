@@ -237,14 +237,13 @@ class PointIk:
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from: arrays are views of each other."""
-        return self.hand, self.options, self._contacts, self.state
+        return self.hand, self.options, self._contacts, self.gate.motion, self.gate.near
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Build a solver with a workspace of its own that continues from the same state."""
-        hand, options, contacts, moving = state
-        near = moving.near
-        PointIk.__init__(self, hand, options, moving, contacts=contacts)
-        self.state.near = near
+        """Build a solver with a workspace of its own that continues the same motion."""
+        hand, options, contacts, motion, near = state
+        PointIk.__init__(self, hand, options, motion, contacts=contacts)
+        self.gate.near = near
 
     @property
     def collisions(self) -> CollisionLimit | None:
