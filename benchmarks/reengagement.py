@@ -1,27 +1,33 @@
-"""Speed, acceleration, jerk and overlap of a session's commands after what may make it jump.
+"""Limits and overlaps of a session's commands after what may make it jump.
 
 A recording leads a robot through the service's session, without sockets. In the middle of it, a
 client clutches, pauses, reconnects, changes options and so on. The table has the largest values in
-the second after each, over several places in the recording. The exit code is 1 if a speed or an
-acceleration limit is exceeded, or links overlap by more than 0.1 mm at or between samples.
+the run, over several places in the recording. With --random, such events and changes of the
+acceleration limit come at random. `checker.py` judges every command, at and between samples. The
+exit code is 1 if it finds a violation.
 
     python benchmarks/reengagement.py --json reengagement.json
+    nice python benchmarks/reengagement.py --random 1000000 --robots allegro_right three_finger
 """
 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
-from overlap import OverlapMeter
+from checker import Checker
 
-from handmap_qp.hands.shape_pairs import named_pairs
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.library import described_hands
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
+from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.hand_cache import HandCache
-from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Reset, Step
+from handmap_qp.service.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Step
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.service.store import PostureStore, Record
@@ -31,6 +37,8 @@ PERIOD = 1.0 / 60.0
 LIMITS = (None, 100.0, 20.0)
 _SECRET = "a-secret-of-the-benchmark"
 _BEFORE, _AFTER = 60, 60
+_KINDS = ("position", "speed", "acceleration", "overlap")
+_HERE = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 class Run:
@@ -43,10 +51,14 @@ class Run:
         start: Time in the recording at the beginning [s].
     """
 
-    cache = HandCache()
+    cache = HandCache(list(described_hands().values()))
 
-    def __init__(self, robot: str, recording: Recording, limit: float | None, start: float) -> None:
-        self._recording, self._time = recording, start
+    def __init__(
+        self, robot: str, recording: Recording, limit: float | None, start: float, **choices: Any
+    ) -> None:
+        self._recording, self._time, self._shift = recording, start, 0.0
+        self.limit = self._first_limit = limit
+        self.period, self.stands = PERIOD, False
         self._request = Open(
             protocol=PROTOCOL,
             seq=1,
@@ -58,10 +70,12 @@ class Run:
             watchdog=0.2,
             return_after=0.3,
             ik={"avoids_self_collision": True, "max_acceleration": limit},
+            **choices,
         )
         self._now, self._seq = 0.0, 1
         self.session = Session(self._request, self._hands(), "lab", self._now)
         self.commands: list[Command] = []
+        self.limits: list[float | None] = []
 
     def _hands(self) -> Hands:
         return prepare_hands(self._request, self.cache)
@@ -73,7 +87,7 @@ class Run:
             self._seq += 1
             times = self._recording.time - self._recording.time[0]
             valid = np.flatnonzero(self._recording.valid)
-            i = valid[np.argmin(np.abs(times[valid] - self._time % times[-1]))]
+            i = valid[np.argmin(np.abs(times[valid] - (self._time + self._shift) % times[-1]))]
             rows = tuple(map(tuple, self._recording.landmarks[i].tolist()))
             sample = Step(
                 protocol=PROTOCOL,
@@ -83,23 +97,35 @@ class Run:
                 landmarks=rows,
                 valid=is_seen,
             )
-            self.commands.append(self.session.step(sample, self._now))
+            self._note(self.session.step(sample, self._now))
 
     def wait(self, seconds: float) -> None:
         """Send nothing for some time."""
-        for _ in range(round(seconds / PERIOD)):
+        for _ in range(round(seconds / self.period)):
             self._advance()
             if (command := self.session.tick(self._now)) is not None:
-                self.commands.append(command)
+                self._note(command)
 
     def reopen(self, former: Record | None) -> None:
         """Continue in a new session, as a client that reconnects does."""
+        self.limit = self._first_limit
+        motion = self.session.motion if former is None else None
         former = self.session.record if former is None else former
-        self.session = Session(self._request, self._hands(), "lab", self._now, former=former)
+        self.session = Session(
+            self._request, self._hands(), "lab", self._now, former=former, motion=motion
+        )
+
+    def shift(self, seconds: float) -> None:
+        """Let the hand be where it is at another time of the recording, at once."""
+        self._shift += seconds
+
+    def _note(self, command: Command) -> None:
+        self.commands.append(command)
+        self.limits.append(self.limit)
 
     def _advance(self) -> None:
-        self._now += PERIOD
-        self._time += PERIOD
+        self._now += self.period
+        self._time += self.period
 
 
 def _restart(run: Run) -> None:
@@ -112,7 +138,7 @@ def _restart(run: Run) -> None:
             former = store.find("lab", run.session.robot.name, joints)
     run.reopen(former)
     # The robot stands: it has had no commands while there was no server.
-    run.commands.clear()
+    run.stands = True
 
 
 def _reconnect(run: Run) -> None:
@@ -159,93 +185,194 @@ EVENTS: dict[str, Callable[[Run], None]] = {
 }
 
 
-def extremes(run: Run, first: int, meter: OverlapMeter) -> tuple[float, float, float, float]:
-    """Return the largest figures after an event.
+class Judge:
+    """Judges the commands of a run as they come; those of a new epoch begin at rest.
 
     Args:
-        run: The session's run.
-        first: Index of the first command after the event.
-        meter: Measures the robot's overlaps.
+        run: The run.
+        shapes: Pairs of the robot's shapes that must not overlap.
 
-    Returns:
-        Speed over its limit; acceleration [rad/s^2]; jerk [rad/s^3]; overlap at and between
-        samples [mm].
+    Attributes:
+        checker: What it found.
+        longest_stop: Longest time for which a robot moved after an emergency stop [s].
     """
-    commands = run.commands[max(first - 3, 0) :]
-    q = np.array([command.q for command in commands])
-    dt = np.array([command.dt for command in commands])[1:, None]
-    speed = np.diff(q, axis=0) / dt
-    acceleration = np.diff(speed, axis=0) / dt[1:]
-    jerk = np.diff(acceleration, axis=0) / dt[2:]
-    robot = run.session.robot
-    limits = robot.velocity_limits
-    # Postures between samples too; those that repeat are measured once.
-    ways = np.concatenate([q, 0.5 * (q[1:] + q[:-1])])
-    depths = [
-        meter.depth(robot.configuration_vector(each, np.eye(4))) for each in np.unique(ways, axis=0)
-    ]
-    return (
-        float((np.abs(speed) / limits).max()),
-        float(np.abs(acceleration).max()),
-        float(np.abs(jerk).max()),
-        1e3 * max(depths),
-    )
+
+    def __init__(self, run: Run, shapes: ShapePairs) -> None:
+        self._run, self._hand = run, run.session.robot
+        self.checker, self.longest_stop = Checker(self._hand, shapes), 0.0
+        self._epoch, self._stopping = run.session.record.epoch, 0.0
+        self._q = self._vector(*run.session.posture)
+        self.checker.start(self._q)
+
+    def take(self) -> None:
+        """Judge the commands since the last time."""
+        run = self._run
+        if run.stands:
+            self.checker.start(self._q)
+            run.stands = False
+        for command, limit in zip(run.commands, run.limits, strict=True):
+            wrist = to_matrix(command.wrist)
+            q = self._vector(np.array(command.q), wrist)
+            if command.epoch != self._epoch:
+                self._epoch = command.epoch
+                self.checker.start(q)
+            else:
+                self.checker.take(q, command.dt, limit)
+                is_stopping = command.status == "stopped" and not np.allclose(
+                    q, self._q, atol=1e-12
+                )
+                self._stopping = self._stopping + command.dt if is_stopping else 0.0
+                self.longest_stop = max(self.longest_stop, self._stopping)
+            self._q = q
+        run.commands.clear()
+        run.limits.clear()
+
+    def _vector(self, q: np.ndarray, wrist: np.ndarray | None) -> np.ndarray:
+        return self._hand.configuration_vector(q, wrist if self._hand.is_floating else None)
 
 
 def measure(robot: str, recording: Recording, limit: float | None, places: int) -> list[Any]:
     """Measure all events with one robot and limit; return rows of the table."""
     rows, hand = [], Run.cache.robot(robot, None, None)
-    meter = OverlapMeter(hand, named_pairs(hand))
     for name, cause in EVENTS.items():
-        worst = np.zeros(4)
+        worst, violations, jerk = dict[str, float](), 0, 0.0
         for place in range(places):
             run = Run(robot, recording, limit, 0.5 + 1.37 * place)
+            judge = Judge(run, named_pairs(hand))
             run.lead(_BEFORE)
-            first = len(run.commands)
+            judge.take()
             cause(run)
-            first = min(first, len(run.commands))
             run.lead(_AFTER)
-            worst = np.maximum(worst, extremes(run, first, meter))
+            jerk = max(jerk, _jerk(run.commands))
+            judge.take()
+            for what, value in judge.checker.worst.items():
+                worst[what] = max(worst.get(what, -np.inf), value)
+            violations += judge.checker.violations.total()
         rows.append(
             {
                 "robot": robot,
                 "limit [rad/s^2]": "none" if limit is None else f"a {limit:g}",
                 "after": name,
-                "speed / limit": worst[0],
-                "acceleration [rad/s^2]": worst[1],
-                "jerk [rad/s^3]": worst[2],
-                "overlap [mm]": worst[3],
-                "is_kept": bool(
-                    worst[0] <= 1.0 + 1e-6
-                    and (limit is None or worst[1] <= limit * (1.0 + 1e-6))
-                    and worst[3] <= 0.1
-                ),
+                "speed / limit": worst["speed"],
+                "acceleration / limit": worst["acceleration"],
+                "jerk [rad/s^3]": jerk,
+                "overlap [mm]": 1e3 * worst.get("overlap", 0.0),
+                "violations": violations,
             }
         )
     return rows
+
+
+def _jerk(commands: Sequence[Command]) -> float:
+    """Return the largest jerk of a joint [rad/s^3]."""
+    q = np.array([command.q for command in commands])
+    dt = np.array([command.dt for command in commands])[1:, None]
+    acceleration = np.diff(np.diff(q, axis=0) / dt, axis=0) / dt[1:]
+    return float(np.abs(np.diff(acceleration, axis=0) / dt[2:]).max())
+
+
+def drive_randomly(robot: str, recording: Recording, count: int, seed: int) -> dict[str, Any]:
+    """Drive a robot with random events and limits; return a row of the table."""
+    rng, started = np.random.default_rng(seed), time.process_time()
+    run = Run(robot, recording, 20.0, 0.5, robot_wrist=_HERE)
+    judge = Judge(run, all_pairs(run.session.robot, find_fingers(run.session.robot)))
+    while judge.checker.commands < count:
+        run.period = float(rng.choice([PERIOD, 0.2 * PERIOD, 1.9 * PERIOD]))
+        run.lead(int(rng.integers(1, 25)))
+        judge.take()
+        kind = rng.integers(len(RANDOM_EVENTS))
+        RANDOM_EVENTS[kind](run, rng)
+        judge.take()
+    checker = judge.checker
+    return {
+        "robot": robot,
+        "commands": checker.commands,
+        **{
+            what: checker.violations[what]
+            for what in ("position", "speed", "acceleration", "overlap")
+        },
+        "speed / limit": checker.worst["speed"],
+        "acceleration / limit": checker.worst["acceleration"],
+        "overlap [mm]": 1e3 * checker.worst["overlap"],
+        "longest stop [s]": judge.longest_stop,
+        "CPU [s]": time.process_time() - started,
+    }
+
+
+def _change_limit(run: Run, rng: np.random.Generator) -> None:
+    limit = (None, 0.5, 2.0, 20.0, 100.0, 1000.0)[rng.integers(6)]
+    run.limit = limit
+    ik = {"max_acceleration": limit, "has_velocity_limits": bool(rng.random() < 0.8)}
+    if rng.random() < 0.3:
+        ik |= {"point_weight": float(10.0 ** rng.uniform(-1, 6)), "error_damping": 0.0}
+    _configure(run, ik=ik)
+
+
+def _stop_for_a_while(run: Run, rng: np.random.Generator) -> None:
+    run.session.stop()
+    for _ in range(int(rng.integers(1, 4))):
+        run.wait(float(rng.uniform(0.02, 0.4)))
+        run.lead(int(rng.integers(0, 5)))
+    run.session.clear(run.session.record.stop)
+    run.session.clutch()
+
+
+def _release_for_a_while(run: Run, rng: np.random.Generator) -> None:
+    run.session.release()
+    run.lead(int(rng.integers(1, 40)))
+    run.session.clutch()
+
+
+def _go_elsewhere(run: Run, rng: np.random.Generator) -> None:
+    """Let the hand be somewhere else at once, or turned."""
+    run.shift(float(rng.uniform(0.0, 60.0)))
+
+
+def _take_over(run: Run, rng: np.random.Generator) -> None:
+    run.wait(float(rng.uniform(0.0, 0.6)))
+    run.reopen(None)
+
+
+RANDOM_EVENTS: tuple[Callable[[Run, np.random.Generator], None], ...] = (
+    _change_limit,
+    _change_limit,
+    _stop_for_a_while,
+    _release_for_a_while,
+    _go_elsewhere,
+    _take_over,
+    lambda run, rng: run.wait(float(rng.uniform(0.05, 3.0))),
+    lambda run, rng: run.lead(int(rng.integers(1, 60)), is_seen=False),
+    lambda run, _: run.session.clutch(),
+    lambda run, _: _reset(run),
+)
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run all events, print the table."""
     parser = common.make_parser("Commands of a session at re-engagement.", draws=False)
     parser.add_argument("--robots", nargs="+", default=["allegro_right", "three_finger"])
+    parser.add_argument("--random", type=int, default=0, help="commands under random events in sum")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random events")
     arguments = common.parse_arguments(parser, words)
     file = arguments.recordings / "leap_hmd_right.npz"
     recording = read_recording(file if file.exists() else "demo::right")
     recording = mirrored(recording) if recording.side == "left" else recording
     rows: list[dict[str, Any]] = []
     runs = [(robot, limit) for robot in arguments.robots for limit in LIMITS]
-    with common.progress("robots and limits", len(runs)) as advance:
-        for robot, limit in runs:
-            rows += measure(robot, recording, limit, 1 if arguments.quick else 4)
-            advance()
-    shown = [{key: row[key] for key in row if key != "is_kept"} for row in rows]
-    common.print_table("After what", shown, to_stderr=arguments.json == "-")
+    if arguments.random:
+        count = 300 if arguments.quick else arguments.random // len(arguments.robots)
+        with common.progress("robots", len(arguments.robots)) as advance:
+            for i, robot in enumerate(arguments.robots):
+                rows.append(drive_randomly(robot, recording, count, arguments.seed + i))
+                advance()
+    else:
+        with common.progress("robots and limits", len(runs)) as advance:
+            for robot, limit in runs:
+                rows += measure(robot, recording, limit, 1 if arguments.quick else 4)
+                advance()
+    common.print_table("After what", rows, to_stderr=arguments.json == "-")
     common.write_json(arguments.json, "reengagement", {"rows": rows})
-    broken = [row for row in rows if not row["is_kept"]]
-    for row in broken:
-        print(f"exceeded: {row['robot']}, {row['limit [rad/s^2]']}, {row['after']}")
-    if broken:
+    if any(row.get(kind) for row in rows for kind in ("violations", *_KINDS)):
         raise SystemExit(1)
 
 
