@@ -35,6 +35,8 @@ _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""
 _STARVED = 1.0
 """Time without credit after which a connection ends [s]."""
+_ACCEPTED = 8
+"""Connections accepted in one turn of the event loop."""
 _AT_ONCE = 2048
 """Bytes read from a client in one turn of the event loop."""
 _BUFFER = 4096
@@ -81,16 +83,26 @@ class Gate:
         name: Name of the port, for counters and log.
         host: Address to listen on.
         port: Port; 0 lets the system choose.
-        most: Connections at once. A further one ends the one that was silent for longest.
+        most: Connections at once.
         credit: Bytes that a connection may send before the service has read a message.
         metrics: Counters.
+        evicts: Whether a connection beyond `most` ends one without a message, or else the one that
+            was silent for longest. Otherwise it is refused.
     """
 
     def __init__(
-        self, name: str, host: str, port: int, most: int, credit: float, metrics: Metrics
+        self,
+        name: str,
+        host: str,
+        port: int,
+        most: int,
+        credit: float,
+        metrics: Metrics,
+        *,
+        evicts: bool = False,
     ) -> None:
         self._name, self._host, self._port, self._metrics = name, host, port, metrics
-        self._most, self.credit = most, credit
+        self._most, self.credit, self._evicts = most, credit, evicts
         self.inner = f"handmap-{secrets.token_hex(16)}"
         self._clients: set[_Client] = set()
         self._known: dict[bytes, _Client] = {}
@@ -104,12 +116,18 @@ class Gate:
     async def __aenter__(self) -> int:
         loop = asyncio.get_running_loop()
         try:
-            self._server = await loop.create_server(lambda: _Client(self), self._host, self._port)
+            self._server = await loop.create_server(
+                lambda: _Client(self), self._host, self._port, backlog=_ACCEPTED
+            )
         except OSError as error:
             address, problem = f"{self._host}:{self._port}", str(error.strerror or error)
             advice = "give a free port at an IP address of this machine"
             raise InvalidInputError(argument=address, problem=problem, advice=advice) from error
-        return self._server.sockets[0].getsockname()[1]
+        (bound, *_) = self._server.sockets
+        # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
+        with socket.fromfd(bound.fileno(), bound.family, bound.type) as listening:
+            listening.listen()
+        return bound.getsockname()[1]
 
     async def __aexit__(self, *_: object) -> None:
         # The last messages of sessions that end are still on their way.
@@ -119,10 +137,12 @@ class Gate:
             client.end()
 
     def admit(self, client: _Client) -> None:
-        """Count a connection in, and make room for it."""
+        """Count a connection in, and end one if there are too many."""
         if len(self._clients) >= self._most:
-            min(self._clients, key=lambda each: each.heard).end("too many connections")
-        self._clients.add(client)
+            least = min(self._clients, key=lambda each: (bool(each.identity), each.heard))
+            (least if self._evicts else client).end("too many connections")
+        if not client.transport.is_closing():
+            self._clients.add(client)
 
     def release(self, client: _Client, reason: str) -> None:
         """Count a connection out; if the gate ended it, count and log the reason."""
@@ -170,6 +190,8 @@ class _Client(asyncio.BufferedProtocol):
         assert isinstance(transport, asyncio.Transport)
         self.transport, self._loop = transport, asyncio.get_running_loop()
         self._gate.admit(self)
+        if transport.is_closing():
+            return
         transport.set_write_buffer_limits(high=_BUFFER)
         transport.pause_reading()
         self._connecting = self._loop.create_task(self._connect())

@@ -166,7 +166,7 @@ class Server:
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
         host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.caps.sessions
         credit = settings.caps.message_size + _ENVELOPE
-        self._gate = Gate("requests", host, settings.port, most, credit, self.metrics)
+        self._gate = Gate("requests", host, settings.port, most, credit, self.metrics, evicts=True)
         stream = Gate("stream", host, settings.stream_port, most, _TOPICS, self.metrics)
         self._gate.bind(self._router)
         stream.bind(self._stream)

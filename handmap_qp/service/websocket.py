@@ -275,11 +275,11 @@ class _Outbox:
         self._newest: dict[str, bytes] = {}
         self._has_work, self._is_idle = asyncio.Event(), asyncio.Event()
         self._is_idle.set()
-        self.heard = time.monotonic()
+        self.heard = self._opened = time.monotonic()
 
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
-        is_active = time.monotonic() - self.heard < _ACTIVE
+        is_active = self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
         return is_active, bool(self._streams), self.heard
 
     async def idle(self, longest: float) -> None:

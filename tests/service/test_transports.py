@@ -349,14 +349,28 @@ def test_a_flood_of_topics_ends_its_connection_and_disturbs_no_other() -> None:
         assert heard(listener, 5.0).time == 5.0
 
 
-def test_a_reader_beyond_the_cap_takes_the_place_of_the_oldest() -> None:
+def test_readers_are_capped_and_counted_out() -> None:
     with serving(caps=Caps(sessions=1)) as server, ExitStack() as sockets:
         address = ("127.0.0.1", server.ports["stream"])
-        readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(5)]
-        assert readers[4].recv(10)
-        # The server's greeting may still arrive before the end.
-        wait_until(lambda: _has_ended(readers[0]))
-        assert not any(_has_ended(reader) for reader in readers[1:])
+        readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(4)]
+        assert all(reader.recv(1) for reader in readers)
+        with socket.create_connection(address) as another:
+            assert not _reads(another)
+        readers[0].close()
+
+        def has_room() -> bool:
+            with socket.create_connection(address) as again:
+                return _reads(again)
+
+        assert wait_until(has_room)
+
+
+def _reads(connection: socket.socket) -> bool:
+    """Return whether the server greets a connection rather than ending it."""
+    try:
+        return bool(connection.recv(1))
+    except ConnectionError:
+        return False
 
 
 def _has_ended(connection: socket.socket) -> bool:
@@ -475,11 +489,14 @@ def test_silent_connections_leave_a_place_for_the_stop() -> None:
         connected(server, name="lab") as client,
         ExitStack() as sockets,
     ):
+        client.step(q=human_q(), wrist=np.eye(4))
+        served = set(server._gate._known)
         for _ in range(20):
             _, next_event = sockets.enter_context(bare_connection(server))
             while next_event() != zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 pass
-            client.step(q=human_q(), wrist=np.eye(4))
+        # A client that has sent something keeps its connection before those that have not.
+        assert served <= set(server._gate._known)
         with client_of(server) as operator:
             operator.stop("lab")
         assert client.status().mode == "stopped"
