@@ -43,6 +43,8 @@ In less, rounding of positions would be a speed.
 
 # A stop that ends outside the limits by no more counts as inside [rad or m].
 _ROUNDING = 1e-12
+# Accelerations from here on count as no limit [rad/s^2, m/s^2].
+_NO_LIMIT = 1e100
 # Distances count as no more than this, because a floating wrist has infinite ones [rad or m].
 _FAR = 1e9
 
@@ -267,4 +269,5 @@ def _check_acceleration(max_acceleration: npt.ArrayLike, nv: int) -> np.ndarray:
             expected=f"{nv} numbers > 0, or one for all",
             value=max_acceleration,
         )
-    return limit
+    # A limit beyond all speeds is none; as such, its products with times cannot overflow.
+    return np.where(limit < _NO_LIMIT, limit, np.inf)
