@@ -22,6 +22,7 @@ from typing import Annotated, Any, NamedTuple, NoReturn, Protocol
 
 from handmap_qp.complaints import explained, in_words_of_the_command_line
 from handmap_qp.errors import (
+    DiskFullError,
     HandmapError,
     InvalidInputError,
     InvalidOptionsError,
@@ -176,17 +177,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Words after `handmap`; those of the process if omitted.
 
     Returns:
-        Exit code: 0, or 2 after a user error.
+        Exit code: 0; 1 if the disk is full; 2 after a user error. A command that ends with another
+        one raises `SystemExit`.
     """
     words = sys.argv[1:] if arguments is None else arguments
     try:
         parse(words).run()
     except HandmapError as error:
         name = command_name(words)
+        code = 1 if isinstance(error, DiskFullError) else 2
         if name is not None and isinstance(error, InvalidInputError | InvalidOptionsError):
             error = in_words_of_the_command_line(error, _help_page(name), words)
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return code
     except ImportError as error:
         if not (library := _missing_library(error)):
             raise

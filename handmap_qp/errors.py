@@ -93,6 +93,10 @@ class InvalidInputError(_DescribedError):
         self.argument = argument
 
 
+class DiskFullError(InvalidInputError):
+    """A file cannot be written, because its disk is full or the user's quota is used up."""
+
+
 class InvalidOptionsError(_DescribedError):
     """Options that contradict each other or the hands they are used with.
 

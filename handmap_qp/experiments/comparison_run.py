@@ -25,6 +25,7 @@ from handmap_qp.offline.compared_methods import (
 from handmap_qp.offline.comparison import ComparedMethod, Comparison, compare_methods
 from handmap_qp.offline.metrics import GROUPS
 from handmap_qp.offline.takes import Take, prepare_take
+from handmap_qp.output_files import make_folder, writing
 from handmap_qp.trackers.person import Person, read_person
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
@@ -160,12 +161,7 @@ def _folder(out: Path) -> Path:
     from handmap_qp.drawing.hands import require_matplotlib
 
     require_matplotlib()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--out", problem=f"{out}: cannot be made: {error.strerror or error}"
-        ) from error
+    make_folder(out, "--out")
     return out
 
 
@@ -174,7 +170,7 @@ def _write(out: Path, comparison: Comparison, advance: Progress) -> list[Path]:
     from handmap_qp.experiments.comparison_pictures import draw_metrics, draw_poses
 
     table, results, metrics, poses = (out / name for name in FILES)
-    try:
+    with writing(out, "--out"):
         table.write_text(markdown(comparison), encoding="utf-8")
         text = json.dumps(as_json(comparison), indent=1, allow_nan=False)
         results.write_text(text + "\n", encoding="utf-8")
@@ -183,10 +179,6 @@ def _write(out: Path, comparison: Comparison, advance: Progress) -> list[Path]:
         advance("drawing poses", 1, 2)
         sheet, missing = draw_poses(poses, comparison)
         advance("drawn", 2, 2)
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--out", problem=f"{out}: cannot be written: {error.strerror or error}"
-        ) from error
     if sheet is None:
         poses.unlink(missing_ok=True)
         print(f"handmap: no contact sheet; not shown: {', '.join(missing)}", file=sys.stderr)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import make_folder, writing
 
 
 @contextmanager
@@ -26,8 +27,8 @@ def output_folder(out: Path) -> Iterator[Path]:
     Raises:
         InvalidInputError: If `out` cannot be written.
     """
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(out.parent, "out")
+    with writing(out, "out"):
         if out.exists() and not (out.is_dir() and os.access(out, os.W_OK)):
             raise InvalidInputError(
                 argument="out",
@@ -42,9 +43,3 @@ def output_folder(out: Path) -> Iterator[Path]:
                 file.replace(out / file.name)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-    except OSError as error:
-        raise InvalidInputError(
-            argument="out",
-            problem=f"{out} cannot be written: {error.strerror or error}",
-            value=out,
-        ) from error

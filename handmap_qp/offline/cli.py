@@ -11,7 +11,7 @@ import tyro
 
 from handmap_qp.arguments import InputArguments, MappingArguments, PersonFile, fit_side
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import check_output
+from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.tables import print_table, progress
 
 if TYPE_CHECKING:
@@ -135,11 +135,7 @@ class Map:
         name = Path(f"{recording.name}_{robot.name}.npz")
         if self.robots is None or self.out is None:
             return check_output("--out", self.out or name, (".npz",))
-        try:
-            self.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            problem = f"{self.out}: cannot be made a folder: {error.strerror or error}"
-            raise InvalidInputError(argument="--out", problem=problem) from error
+        make_folder(self.out, "--out")
         return check_output("--out", self.out / name, (".npz",))
 
     def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:

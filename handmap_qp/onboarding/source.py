@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.urdf.sources import source_path
+from handmap_qp.output_files import writing
 
 # Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
 _MOST_DIFFERENCE = 1e-9
@@ -85,12 +86,6 @@ def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
             f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m: please report it",
             file=file,
         )
-    try:
+    with writing(urdf, "--out"):
         write_converted(converted, urdf)
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--out",
-            problem=f"cannot write {urdf}: {error.strerror or error}",
-            value=str(urdf),
-        ) from error
     return RobotSource(urdf, None, converted.notes, (urdf,))

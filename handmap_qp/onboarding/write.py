@@ -11,6 +11,7 @@ from handmap_qp.hands.spec import HandSpec, LimitSpec, PointSpec
 from handmap_qp.hands.urdf.sources import is_named_source, package_folder
 from handmap_qp.onboarding.anatomy import Clue
 from handmap_qp.onboarding.detect import Detection
+from handmap_qp.output_files import make_folder, writing
 
 _WIDTH = 120
 _WORDS = ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
@@ -28,15 +29,9 @@ def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> 
         InvalidInputError: If the file exists, or cannot be written.
     """
     check_free(path, overwrite=overwrite)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent, "--out")
+    with writing(path, "--out"):
         path.write_text(hand_text(detection, path.parent), encoding="utf-8")
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--out",
-            problem=f"cannot write {path}: {error.strerror or error}",
-            value=str(path),
-        ) from error
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:

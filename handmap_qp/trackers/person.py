@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ import yaml
 from handmap_qp.errors import InvalidInputError, without_errno
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
+from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.contact_gap import measure_contact_gap
 from handmap_qp.trackers.landmarks import HAND_LENGTHS, human_name, measure_hand
 from handmap_qp.trackers.recorded_motion import recorded_samples
@@ -146,20 +146,8 @@ def write_person(person: Person, file: Path) -> None:
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    try:
-        handle, temporary = tempfile.mkstemp(suffix=".yaml", dir=file.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(person_text(person))
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InvalidInputError(
-            argument="file", problem=f"{file}: cannot be written: {error.strerror or error}"
-        ) from error
+    with replaced_file(file, "file") as stream:
+        stream.write(person_text(person).encode())
 
 
 def person_text(person: Person) -> str:

@@ -13,6 +13,7 @@ import handmap_qp
 from handmap_qp import errors
 from handmap_qp.errors import (
     DegeneratePointsError,
+    DiskFullError,
     HandError,
     HandmapError,
     InvalidInputError,
@@ -38,6 +39,7 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
     (InvalidInputError(expected="a number", got="a word"), "expected a number, got a word"),
     (InvalidInputError("the hand is gone", argument="hand"), "hand: the hand is gone"),
     (InvalidInputError("the hand is gone"), "the hand is gone"),
+    (DiskFullError("cannot be written", argument="--out"), "--out: cannot be written"),
     (
         InvalidOptionsError(option="ridge", expected="a number >= 0", value=-1.0),
         "ridge: expected a number >= 0, got -1.0",

@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.output_files import replaced_path
 from handmap_qp.trackers.formats.archive import DAMAGES, LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import require
 
 SUFFIXES = (".hdf5", ".h5")
+_OVERHEAD = 1 << 20
+"""Room for names, attributes and tables of what `check_room` is asked for [bytes]."""
 
 
 @contextmanager
@@ -103,17 +106,20 @@ def created(path: Path, argument: str = "path") -> Iterator[Any]:
         MissingExtraError: If h5py is not installed.
     """
     h5py = require("h5py")
-    try:
-        handle, name = tempfile.mkstemp(".part", f".{path.name}.", path.parent)
-        os.close(handle)
-        try:
-            with h5py.File(name, "w") as file:
-                yield file
-            Path(name).chmod(0o644)
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        problem = f"{path}: cannot be written: {error.strerror or error}"
-        raise InvalidInputError(argument=argument, problem=problem) from error
+    with replaced_path(path, argument) as temporary, h5py.File(temporary, "w") as file:
+        yield file
+
+
+def check_room(file: Any, size: int) -> None:
+    """See that the disk has room for what is written next: libhdf5 crashes where it is full.
+
+    Args:
+        file: The `h5py.File`, open for writing.
+        size: Most that is written until the next call [bytes].
+
+    Raises:
+        OSError: If the disk is full.
+    """
+    file.flush()
+    with tempfile.TemporaryFile(dir=Path(file.filename).parent) as room:
+        os.posix_fallocate(room.fileno(), 0, size + _OVERHEAD)

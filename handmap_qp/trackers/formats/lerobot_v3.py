@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, without_errno
+from handmap_qp.output_files import make_folder, sync, writing
 from handmap_qp.trackers.formats.archive import DAMAGES
 from handmap_qp.trackers.formats.base import require
 
@@ -102,12 +103,10 @@ class LeRobotWriter:
         self._meta: Any = None
 
     def __enter__(self) -> Self:
-        try:
-            parent = self._root.parent
-            parent.mkdir(parents=True, exist_ok=True)
+        parent = self._root.parent
+        make_folder(parent, self._argument)
+        with writing(self._root, self._argument):
             self._folder = Path(tempfile.mkdtemp(prefix=f".{self._root.name}-", dir=parent))
-        except OSError as error:
-            raise self._unwritable(error) from error
         return self
 
     def __exit__(
@@ -118,17 +117,20 @@ class LeRobotWriter:
     ) -> None:
         try:
             if kind is None:
-                self._finish()
-                if self._root.exists():
-                    self._root.rmdir()
-                self._folder.chmod(0o755)
-                self._folder.rename(self._root)
-        except OSError as problem:
-            raise self._unwritable(problem) from problem
+                with writing(self._root, self._argument):
+                    self._finish()
+                    if self._root.exists():
+                        self._root.rmdir()
+                    self._folder.chmod(0o755)
+                    for path in (*self._folder.rglob("*"), self._folder):
+                        sync(path)
+                    self._folder.rename(self._root)
+                    sync(self._root.parent)
         finally:
             for writer in (self._data, self._meta):
                 if writer is not None:
-                    writer.close()
+                    # After an error, pyarrow would write its last part when it is deleted.
+                    writer.is_open = False
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def add(
@@ -161,7 +163,7 @@ class LeRobotWriter:
             "task_index": np.full(count, task_index),
         }
         table = self._table(values)
-        try:
+        with writing(self._root, self._argument):
             self._write_data(table)
             stats = {name: _Stats.of(values[name]) for name, _ in self._numeric()}
             for name, own in stats.items():
@@ -187,8 +189,6 @@ class LeRobotWriter:
             )
             if len(self._episodes) >= _ROW_GROUP:
                 self._flush_episodes()
-        except OSError as error:
-            raise self._unwritable(error) from error
         self._frame_count += count
         self._episode_count += 1
         return episode
@@ -265,6 +265,9 @@ class LeRobotWriter:
             },
         }
         (meta / "info.json").write_text(json.dumps(info, indent=4) + "\n", encoding="utf-8")
+        for writer in (self._data, self._meta):
+            if writer is not None:
+                writer.close()
 
     def _write_tasks(self, file: Path) -> None:
         """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
@@ -288,10 +291,6 @@ class LeRobotWriter:
             "pandas_version": "2.0.0",
         }
         self._pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), file)
-
-    def _unwritable(self, error: OSError) -> InvalidInputError:
-        problem = f"{self._root}: cannot be written: {error.strerror or error}"
-        return InvalidInputError(argument=self._argument, problem=problem)
 
 
 @dataclass(frozen=True, slots=True)

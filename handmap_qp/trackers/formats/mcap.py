@@ -15,6 +15,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.output_files import replaced_path
 from handmap_qp.trackers.fit import fit_recording
 from handmap_qp.trackers.formats.archive import DAMAGES
 from handmap_qp.trackers.formats.base import (
@@ -131,16 +132,15 @@ class McapFormat:
                 expected = "instants from 0 to 2^31 s, as ROS 2 has them"
                 got = f"{recording.time[0]:g} to {recording.time[-1]:g}"
                 raise InvalidInputError(argument="time", expected=expected, got=got)
-        try:
-            with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder:
-                bag = Path(folder) / path.stem
-                with bags.Writer(bag, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
-                    _Writer(writer).write(recordings)
-                (file,) = bag.glob("*.mcap")
-                file.replace(path)
-        except OSError as error:
-            problem = f"{path}: cannot be written: {error.strerror or error}"
-            raise InvalidInputError(argument="path", problem=problem) from error
+        with (
+            replaced_path(path, "path") as temporary,
+            tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder,
+        ):
+            bag = Path(folder) / path.stem
+            with bags.Writer(bag, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
+                _Writer(writer).write(recordings)
+            (file,) = bag.glob("*.mcap")
+            file.replace(temporary)
 
 
 @contextmanager
