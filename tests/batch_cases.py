@@ -7,11 +7,28 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
-from handmap_qp.datasets.job import Job
+from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
+from handmap_qp.datasets.engines import Engine, SerialEngine
+from handmap_qp.datasets.job import Job, JobOptions
 from handmap_qp.trackers.formats import Source, write_recordings
 from handmap_qp.trackers.formats.base import Entry
 from handmap_qp.trackers.formats.npz import NpzFormat
 from handmap_qp.trackers.recording import Recording, read_recording
+
+OPTIONS = JobOptions({"right": "three_finger"})
+
+
+def batch(
+    inputs: Path, out: Path, options: JobOptions = OPTIONS, engine: Engine | None = None
+) -> Tally:
+    """Map all recordings of a folder that are not done."""
+    return run_batch(plan_batch([inputs], out, options), out, engine or SerialEngine())
+
+
+def episodes(out: Path) -> dict[str, bytes]:
+    """Return the content of every episode by its name."""
+    files = (out / "episodes").rglob("*.npz")
+    return {file.relative_to(out).as_posix(): file.read_bytes() for file in files}
 
 
 def piece(start: int, count: int, side: str = "right") -> Recording:

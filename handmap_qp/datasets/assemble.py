@@ -19,14 +19,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from handmap_qp.datasets.episode_files import read_episode
 from handmap_qp.datasets.manifest import Line
-from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
-from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import SIDES
-from handmap_qp.trackers.formats.hdf5 import created
+from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
 from handmap_qp.transform import quat_wxyz_from_rotation
 
@@ -78,7 +78,7 @@ def assemble(
 
     Raises:
         InvalidInputError: If it cannot be written.
-        RecordingError: If an episode is damaged.
+        RecordingError: If an episode is damaged, see `read_episode`.
         MissingExtraError: If the package of the format is not installed.
     """
     hands: dict[Side, Hand] = {side: robots[side] for side in SIDES if side in robots}
@@ -120,11 +120,9 @@ def _write_lerobot(
             columns = {_STATE: episode.state, _ACTION: episode.action, _VALID: episode.valid}
             writer.add(columns, episode.task, {"source": ", ".join(episode.sources)})
     shutil.rmtree(root, ignore_errors=True)
-    try:
+    with writing(root, "--out"):
         fresh.rename(root)
-    except OSError as error:
-        problem = f"{root}: cannot be written: {error.strerror or error}"
-        raise InvalidInputError(argument="--out", problem=problem) from error
+        sync(root.parent)
     return root
 
 
@@ -136,6 +134,7 @@ def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Mapping[Sid
         env = {"env_name": robot, "env_type": 2, "env_kwargs": {"state_names": list(names)}}
         data.attrs["env_args"] = json.dumps(env)
         for i, episode in enumerate(episodes):
+            check_room(file, 5 * episode.state.nbytes)
             _write_demo(data.create_group(f"demo_{i}"), episode)
             total += len(episode.state)
         data.attrs["total"] = total
@@ -163,21 +162,12 @@ def _episodes(
     ordered = sorted(lines, key=lambda line: line.key)
     for name, group in groupby(ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]):
         own = [line for line in group if line.side in hands]
-        arrays = [_read(folder / line.out, line) for line in own]
+        arrays = [read_episode(folder, line) for line in own]
         if len(own) == 2 and own[0].side != own[1].side and _is_same_time(*arrays):
             yield _episode(name, own, arrays, fps, hands)
             continue
         for line, columns in zip(own, arrays, strict=True):
             yield _episode(name, [line], [columns], fps, hands)
-
-
-def _read(file: Path, line: Line) -> dict[str, np.ndarray]:
-    arrays = read_archive(file, {"time", "q", "wrist", "valid"})
-    for name in ("time", "q", "wrist", "valid"):
-        if name not in arrays or len(arrays[name]) != line.frames:
-            problem = "is missing or torn: delete the file, and run the batch again"
-            raise RecordingError(problem, file=file, array=name)
-    return arrays
 
 
 def _is_same_time(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> bool:

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from handmap_qp.datasets.engines import Engine, left_behind
+from handmap_qp.datasets.episode_files import is_intact
 from handmap_qp.datasets.job import Job, JobOptions
 from handmap_qp.datasets.manifest import Line, Manifest, read_manifests
 from handmap_qp.datasets.sources import Task, find_files, tasks_of
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import make_folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +26,17 @@ class Plan:
         done: Lines of the recordings that are done already.
         left_alone: Lines of the recordings that are not tried again.
         kills: How often the worker of a recording has died, by key.
+        damaged: Lines of the episodes that are missing, or are not what was written; `jobs` has
+            their recordings.
+        repeated: Paths that lead to files and folders which others had led to.
     """
 
     jobs: tuple[Job, ...]
     done: tuple[Line, ...]
     left_alone: tuple[Line, ...]
     kills: dict[str, int] = field(default_factory=dict)
+    damaged: tuple[Line, ...] = ()
+    repeated: tuple[Path, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -83,36 +89,35 @@ def plan_batch(
 
     Returns:
         The plan. A recording is done if its last line says so, its file has the same size and time
-        of change, and the options are the same.
+        of change, the options are the same, and its episode is what was written.
 
     Raises:
         InvalidInputError: If an input cannot be used, or the folder not be written.
         HandError: If a robot cannot be loaded.
     """
     digest = options.digest
-    try:
-        (folder / "episodes").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"{folder}: cannot be made: {error.strerror or error}"
-        raise InvalidInputError(argument="--out", problem=problem) from error
-    tasks = tasks_of(find_files(inputs), shard, progress)
+    make_folder(folder / "episodes", "--out")
+    files, repeated = find_files(inputs, folder)
+    tasks = tasks_of(files, shard, progress)
     state = read_manifests(folder)
     interrupted = left_behind(folder) if shard[1] == 1 else {}
-    jobs, done, left_alone, kills = [], [], [], {}
+    jobs, done, damaged, left_alone, kills = [], [], [], [], {}
     for task in tasks:
         line = state.get(task.key)
         if line is not None and _is_same(line, task, digest):
-            if line.status == "done" and (folder / line.out).is_file():
-                done.append(line)
-                continue
-            if line.is_final and line.status != "done":
+            if line.status == "done":
+                if is_intact(folder, line):
+                    done.append(line)
+                    continue
+                damaged.append(line)
+            elif line.is_final:
                 left_alone.append(line)
                 continue
             kills[task.key] = line.kills
         # A recording that was alone when all died counts as killed; others may be innocent.
         kills[task.key] = kills.get(task.key, 0) + interrupted.get(task.key, False)
         jobs.append(Job(task, options, digest, folder))
-    return Plan(tuple(jobs), tuple(done), tuple(left_alone), kills)
+    return Plan(tuple(jobs), tuple(done), tuple(left_alone), kills, tuple(damaged), repeated)
 
 
 def run_batch(
@@ -123,7 +128,7 @@ def run_batch(
     progress: Callable[[Line], None] | None = None,
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> Tally:
-    """Run the jobs of a plan; each episode is written before its line in the manifest.
+    """Run the jobs of a plan; each episode is on the disk before its line in the manifest.
 
     Args:
         plan: The plan.
@@ -138,6 +143,7 @@ def run_batch(
         What was done.
 
     Raises:
+        DiskFullError: If the disk is full. The episodes that have a line are done.
         InvalidInputError: If the manifest cannot be written.
     """
     started, useful = _cpu_time(), 0.0

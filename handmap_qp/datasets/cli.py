@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from handmap_qp.arguments import MappingArguments
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.tables import print_rows, print_table
 
 if TYPE_CHECKING:
@@ -107,7 +107,8 @@ class Batch:
     DIR/manifest.jsonl says what became of it: frames, CPU time, quality, error. Run the same
     command again to go on: it skips what is done, maps again what has changed, and retries what has
     failed. A recording that kills its worker three times is left alone. Ctrl-C finishes what is
-    under way.
+    under way. An episode that is not what was written is mapped again. The exit code is 1 if a
+    recording failed or the disk is full.
 
     With --format the episodes are also written as one data set for training, at a fixed rate, as
     soon as none is left: DIR/lerobot (LeRobot v3) or DIR/episodes.hdf5 (robomimic).
@@ -159,24 +160,43 @@ class Batch:
 
     def run(self) -> None:
         """List, map, and say what was done."""
-        from handmap_qp.datasets.batch import plan_batch, run_batch, stopped_by_signals
-
         shard = _shard(self.shard)
         engine = self._engine()
         if not 0.0 < self.fps <= 1000.0:
             expected = "a rate of at most 1000 per second, and > 0"
             raise InvalidInputError(argument="--fps", expected=expected, value=self.fps)
         options = self._options()
-        with _bar("listing") as (start, advance):
-            start(0)
-            plan = plan_batch(self.inputs, self.out, options, shard)
-        with stopped_by_signals() as is_stopped, _bar("mapping") as (start, advance):
-            start(plan.frames)
-            tally = run_batch(plan, self.out, engine, shard, advance, is_stopped)
-        written = self._assemble(options, plan, tally)
+        plan, tally = self._map(options, engine, shard)
+        try:
+            written = self._assemble(options, plan, tally)
+        except RecordingError:
+            # An episode was damaged after it had been verified: the second plan maps it again.
+            plan, tally = self._map(options, engine, shard)
+            written = self._assemble(options, plan, tally)
         self._report(plan, tally, written)
         if not tally.is_complete:
             raise SystemExit(130)
+        failed = [line.name for line in (*tally.failed, *plan.left_alone)]
+        if failed:
+            reasons = f"failed; the reasons are in {self.out}/manifest*.jsonl"
+            _warn(failed, "recordings", reasons)
+            raise SystemExit(1)
+
+    def _map(
+        self, options: JobOptions, engine: Engine, shard: tuple[int, int]
+    ) -> tuple[Plan, Tally]:
+        """List the recordings, say what is odd about them, and map those that are not done."""
+        from handmap_qp.datasets.batch import plan_batch, run_batch, stopped_by_signals
+
+        with _bar("listing") as (start, advance):
+            start(0)
+            plan = plan_batch(self.inputs, self.out, options, shard)
+        damaged = [line.name for line in plan.damaged]
+        _warn(damaged, "episodes", "are damaged or missing, and are mapped again")
+        _warn(plan.repeated, "paths", "lead to files that are listed already, and are left out")
+        with stopped_by_signals() as is_stopped, _bar("mapping") as (start, advance):
+            start(plan.frames)
+            return plan, run_batch(plan, self.out, engine, shard, advance, is_stopped)
 
     def _options(self) -> JobOptions:
         """Check the robots, and collect what all jobs have in common."""
@@ -251,8 +271,6 @@ class Batch:
         print_table(str(self.out), rows)
         for line in tally.failed[:10]:
             print(f"failed: {line.name}: {line.error}")
-        if len(tally.failed) > 10:
-            print(f"... and {len(tally.failed) - 10} more, in the manifest")
         if written is not None:
             print(f"wrote {written}")
         if not tally.is_complete:
@@ -318,6 +336,13 @@ class Report:
         print_rows("Worst episodes", worst_rows(quality, self.worst))
         for file in files:
             print(f"wrote {file}")
+
+
+def _warn(names: Sequence[object], what: str, problem: str) -> None:
+    """Say in one line of stderr what is wrong with some of many, unless there are none."""
+    if names:
+        shown = ", ".join(map(str, names[:3])) + (", ..." if len(names) > 3 else "")
+        print(f"handmap: {len(names)} {what} {problem}: {shown}", file=sys.stderr)
 
 
 def _shard(text: str | None) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import check_output
+from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers.formats import Source, format_to_write, list_sources
 from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
@@ -89,11 +89,7 @@ def _write_each(
         raise InvalidInputError(
             argument="IN", expected="recordings of different names", got=f"{twice.stem} twice"
         )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"{out}: cannot be made: {error.strerror or error}"
-        raise InvalidInputError(argument="OUT", problem=problem) from error
+    make_folder(out, "OUT")
     for recording, file in zip(recordings, files, strict=True):
         target.write([recording], file)
     return tuple(files)

@@ -22,10 +22,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
+from handmap_qp.datasets.episode_files import synced
 from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import remove_torn
+from handmap_qp.output_files import remove_torn, writing
 from handmap_qp.trackers.formats.isolation import read_in_this_process
 
 IN_FLIGHT = 3
@@ -56,6 +57,9 @@ class Engine(Protocol):
 
         Yields:
             A line for every job that has ended, and one for every death of a worker.
+
+        Raises:
+            DiskFullError: If an episode cannot be written because the disk is full.
         """
         ...
 
@@ -70,7 +74,7 @@ class SerialEngine:
         for job in jobs:
             if is_stopped():
                 return
-            yield run_job(job)
+            yield from synced(job.folder, [run_job(job)])
 
 
 class PoolEngine:
@@ -110,7 +114,7 @@ class PoolEngine:
         is_stopped: Callable[[], bool],
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies."""
-        flying: dict[Future[list[Line]], tuple[Job, ...]] = {}
+        flying: dict[Future[Sequence[Line]], tuple[Job, ...]] = {}
         with _pool(self._workers) as pool:
             try:
                 while (waiting and not is_stopped()) or flying:
@@ -146,7 +150,7 @@ class PoolEngine:
 
     def _sorted_out(
         self,
-        flying: dict[Future[list[Line]], tuple[Job, ...]],
+        flying: dict[Future[Sequence[Line]], tuple[Job, ...]],
         waiting: deque[Job],
         suspects: deque[Job],
         kills: dict[str, int],
@@ -176,10 +180,10 @@ class PoolEngine:
                 try:
                     while suspects and not is_stopped():
                         job = suspects[0]
-                        line = pool.submit(run_in_worker, job, True).result()
+                        lines = pool.submit(run_group, (job,), True).result()
                         suspects.popleft()
                         self._failed_starts = 0
-                        yield line
+                        yield from lines
                 except BrokenProcessPool:
                     if not _took_marker(suspects[0]):
                         # The worker died while it started: the recording had no part in it.
@@ -204,29 +208,27 @@ class PoolEngine:
             )
 
 
-def run_group(jobs: tuple[Job, ...]) -> list[Line]:
-    """Run jobs of one group, one after the other; see `run_in_worker`."""
-    return [run_in_worker(job, False) for job in jobs]
-
-
-def run_in_worker(job: Job, is_alone: bool) -> Line:
-    """Run a job, with a file that says so as long as it runs.
+def run_group(jobs: tuple[Job, ...], is_alone: bool = False) -> Sequence[Line]:
+    """Run jobs one after the other in a worker.
 
     Args:
-        job: The job.
-        is_alone: Whether no other job runs beside it.
+        jobs: The jobs of one batch.
+        is_alone: Whether no other jobs run beside them.
 
     Returns:
-        What happened.
+        What happened, when the episodes are on the disk.
     """
+    return synced(jobs[0].folder, [_run_marked(job, is_alone) for job in jobs])
+
+
+def _run_marked(job: Job, is_alone: bool) -> Line:
+    """Run a job, with a file that says so as long as it runs."""
     marker = _marker(job)
     content = {"key": job.task.key, "alone": is_alone, "out": job.task.out}
     try:
-        marker.write_text(json.dumps(content), encoding="utf-8")
-    except FileNotFoundError:
-        marker.parent.mkdir(exist_ok=True)
-        marker.write_text(json.dumps(content), encoding="utf-8")
-    try:
+        with writing(marker, "--out"):
+            marker.parent.mkdir(exist_ok=True)
+            marker.write_text(json.dumps(content), encoding="utf-8")
         return run_job(job)
     finally:
         marker.unlink(missing_ok=True)

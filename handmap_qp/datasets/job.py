@@ -9,18 +9,17 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from functools import lru_cache
-from io import BytesIO
 from pathlib import Path
 from time import process_time
 
 import msgspec
-import numpy as np
 
 from handmap_qp.arguments import MappingArguments
+from handmap_qp.datasets.episode_files import save_episode
 from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
-from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand, urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.mapper import HandMapper
@@ -28,7 +27,6 @@ from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording
-from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.person import Person, measure_person
 from handmap_qp.trackers.plausibility import check_recording
@@ -120,11 +118,16 @@ def run_job(job: Job) -> Line:
         job: The job.
 
     Returns:
-        What happened, for the manifest. An error of any kind is a line, never an exception.
+        What happened, for the manifest. An error of the recording is a line, never an exception.
+
+    Raises:
+        DiskFullError: If the disk is full: no other recording of the batch can be written either.
     """
     started = process_time()
     try:
         return _run(job, started)
+    except DiskFullError:
+        raise
     except HandmapError as error:
         text = " ".join(str(error).split())
     except Exception as error:  # a bug must not end the batch
@@ -145,11 +148,11 @@ def _run(job: Job, started: float) -> Line:
     robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
     recording, trajectory, person = map_episode(recording, robot, job.options)
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
-    file = job.folder / task.out
-    file.parent.mkdir(parents=True, exist_ok=True)
-    save_episode(file, trajectory, task.side)
+    digest = save_episode(job.folder / task.out, trajectory, task.side)
     line = job.line("done", cpu_s=process_time() - started)
-    return msgspec.structs.replace(line, frames=len(recording), metrics=metrics, out=task.out)
+    return msgspec.structs.replace(
+        line, frames=len(recording), metrics=metrics, out=task.out, sha256=digest
+    )
 
 
 def map_episode(
@@ -194,21 +197,3 @@ def _meter(robot: Hand) -> GapMeter | None:
         return GapMeter(robot)
     except HandmapError:
         return None
-
-
-def save_episode(file: Path, trajectory: Trajectory, side: Side) -> None:
-    """Write the columns of an episode, without those that a reader can compute again.
-
-    They are not compressed: that would save a fifth of the space, and take as long as reading the
-    recording.
-
-    Raises:
-        InvalidInputError: If the file cannot be written.
-    """
-    left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
-    columns = {name: a for name, a in trajectory.columns.items() if name not in left_out}
-    # Written at once: the parts of an archive, one by one, take twice as long.
-    archive = BytesIO()
-    np.savez(archive, allow_pickle=False, **columns, side=np.array(side))
-    with replaced_file(file, "--out") as stream:
-        stream.write(archive.getbuffer())

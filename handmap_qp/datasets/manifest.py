@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal, Self
@@ -15,6 +16,7 @@ from typing import IO, Any, Literal, Self
 import msgspec
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
 
 Status = Literal["done", "failed", "killed"]
@@ -41,6 +43,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         kills: How often the worker died over it.
         metrics: Numbers about the episode, by name (`handmap_qp.datasets.measures`).
         out: The file written, below the folder of the batch.
+        sha256: Its digest, as `sha256sum` prints it; empty in manifests up to version 0.2.
         error: Why it failed.
     """
 
@@ -58,6 +61,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
     kills: int = 0
     metrics: dict[str, float | None] = {}
     out: str = ""
+    sha256: str = ""
     error: str = ""
 
     @property
@@ -93,18 +97,16 @@ class Manifest:
         self._stream: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
-        try:
-            stream = self.file.open("a+b")
-        except OSError as error:
-            problem = f"{self.file}: cannot be written: {error.strerror or error}"
-            raise InvalidInputError(argument="--out", problem=problem) from error
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            stream.close()
-            problem = f"{self.file}: another handmap batch writes to it"
-            raise InvalidInputError(argument="--out", problem=problem) from error
-        _cut_torn_line(stream)
+        with ExitStack() as opened, writing(self.file, "--out"):
+            stream = opened.enter_context(self.file.open("a+b"))
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                problem = f"{self.file}: another handmap batch writes to it"
+                raise InvalidInputError(argument="--out", problem=problem) from error
+            _cut_torn_line(stream)
+            sync(self.file.parent)
+            opened.pop_all()
         self._stream = stream
         return self
 
@@ -115,24 +117,23 @@ class Manifest:
         trace: TracebackType | None,
     ) -> None:
         if self._stream is not None:
-            self._stream.close()
+            # What could not be written would be written again, and fail again.
+            with suppress(OSError):
+                self._stream.close()
             self._stream = None
 
     def append(self, line: Line) -> None:
         """Append a line, and see that it is on the disk.
 
         Raises:
-            InvalidInputError: If it cannot be written.
+            InvalidInputError: If it cannot be written, as where the disk is full.
         """
         if self._stream is None:
             raise InvalidInputError(argument="manifest", problem="is not open")
-        try:
+        with writing(self.file, "--out"):
             self._stream.write(msgspec.json.encode(line) + b"\n")
             self._stream.flush()
             os.fsync(self._stream.fileno())
-        except OSError as error:
-            problem = f"{self.file}: cannot be written: {error.strerror or error}"
-            raise InvalidInputError(argument="--out", problem=problem) from error
 
 
 def manifest_name(shard: tuple[int, int]) -> str:

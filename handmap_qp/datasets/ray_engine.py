@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from handmap_qp.datasets.engines import IN_FLIGHT
+from handmap_qp.datasets.episode_files import synced
 from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
-from handmap_qp.errors import MissingExtraError
+from handmap_qp.errors import DiskFullError, MissingExtraError
 from handmap_qp.output_files import remove_torn
 from handmap_qp.trackers.formats.isolation import read_in_this_process
 
@@ -81,6 +82,9 @@ class RayEngine:
                 job = flying.pop(reference)
                 try:
                     yield ray.get(reference)
+                except DiskFullError as error:
+                    # Ray's own class of it has the worker's traceback in its text.
+                    raise getattr(error, "cause", error) from None
                 except ray.exceptions.RayError:
                     key = job.task.key
                     remove_torn(job.folder / job.task.out)
@@ -96,4 +100,4 @@ class RayEngine:
 def _run_in_worker(job: Job) -> Line:
     """Run a job in a process that Ray watches."""
     read_in_this_process()
-    return run_job(job)
+    return synced(job.folder, [run_job(job)])[0]

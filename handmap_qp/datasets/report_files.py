@@ -8,8 +8,7 @@ from pathlib import Path
 
 from handmap_qp.datasets.measures import MEASURES
 from handmap_qp.datasets.report import Quality, filter_text, markdown
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import replaced_file
+from handmap_qp.output_files import make_folder, replaced_file
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""
@@ -33,11 +32,7 @@ def write_report(folder: Path, quality: Quality, worst: int, *, draws: bool) -> 
         MissingExtraError: If pictures are wanted, and matplotlib or trimesh is not installed.
     """
     out = folder / FOLDER
-    try:
-        out.mkdir(exist_ok=True)
-    except OSError as error:
-        problem = f"{out}: cannot be made: {error.strerror or error}"
-        raise InvalidInputError(argument="DIR", problem=problem) from error
+    make_folder(out, "DIR")
     pictures = _draw(out, folder, quality, min(worst, _MOST_DRAWN)) if draws else []
     texts = {
         "report.md": markdown(quality, worst, [file.name for file in pictures]),

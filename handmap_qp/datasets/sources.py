@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.spec import Side
@@ -60,28 +62,49 @@ class Task:
         return f"episodes/{self.file.name}{tail}.npz"
 
 
-def find_files(inputs: Sequence[Path]) -> tuple[InputFile, ...]:
+class Listing(NamedTuple):
+    """The files to map.
+
+    Attributes:
+        files: The files, by name.
+        repeated: Paths left out because they lead to files or folders that are listed already, by
+            links or because they were named twice.
+    """
+
+    files: tuple[InputFile, ...]
+    repeated: tuple[Path, ...]
+
+
+def find_files(inputs: Sequence[Path], out: Path | None = None) -> Listing:
     """Find the files to map: those named, and those of a known form below folders that are named.
+
+    Each file is listed once, whatever names and links lead to it.
 
     Args:
         inputs: Files, data sets and folders.
-
-    Returns:
-        The files, by name.
+        out: Folder of the batch, whose files are left out where it is below a folder of these.
 
     Raises:
         InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
             the same name below different folders.
     """
     files: dict[str, InputFile] = {}
+    repeated: list[Path] = []
+    own = None if out is None else _identity(out)
+    seen = {own}
+
+    def is_new(path: Path) -> bool:
+        key = _identity(path)
+        if key in seen:
+            repeated.extend([path] if key != own else [])
+            return False
+        seen.add(key)
+        return True
+
     for given in inputs:
-        found = list(_files_of(given))
-        if not found:
-            raise InvalidInputError(
-                argument="INPUT", problem=f"{given}: has no files of a known form"
-            )
-        for file in found:
-            if file.name in files and files[file.name].path != file.path:
+        before = len(files) + len(repeated)
+        for file in _files_of(given, is_new):
+            if file.name in files:
                 raise InvalidInputError(
                     argument="INPUT",
                     expected="files of different names",
@@ -89,7 +112,11 @@ def find_files(inputs: Sequence[Path]) -> tuple[InputFile, ...]:
                     advice="name the folder above both",
                 )
             files[file.name] = file
-    return tuple(files[name] for name in sorted(files))
+        if len(files) + len(repeated) == before:
+            raise InvalidInputError(
+                argument="INPUT", problem=f"{given}: has no files of a known form"
+            )
+    return Listing(tuple(files[name] for name in sorted(files)), tuple(repeated))
 
 
 def tasks_of(
@@ -136,26 +163,33 @@ def _tasks_of_file(file: InputFile) -> list[Task]:
     ]
 
 
-def _files_of(given: Path) -> Iterator[InputFile]:
+def _files_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[InputFile]:
     if not given.exists():
         raise InvalidInputError(argument="INPUT", problem=f"{given}: no such file or folder")
-    if not given.is_dir() or _is_set(given):
-        yield _stamped(given.name, given)
-        return
     suffixes = {suffix for form in FORMATS for suffix in form.suffixes}
-    folders = [given]
-    while folders:
-        for path in sorted(folders.pop().iterdir()):
-            if path.name.startswith("."):
-                continue
-            name = path.relative_to(given).as_posix()
-            if path.is_dir():
-                if _is_set(path):
-                    yield _stamped(name, path)
-                else:
-                    folders.append(path)
-            elif path.suffix.lower() in suffixes:
-                yield _stamped(name, path)
+    # Links come last, so that they do not change the names of the files they lead to.
+    waiting, links = deque([given]), deque[Path]()
+    while waiting or links:
+        path = (waiting or links).popleft()
+        is_folder = path.is_dir() and not _is_set(path)
+        is_file = path is given or path.is_dir() or path.suffix.lower() in suffixes
+        if not (is_folder or is_file) or not is_new(path):
+            continue
+        if is_folder:
+            for inside in sorted(path.iterdir()):
+                if not inside.name.startswith("."):
+                    (links if inside.is_symlink() else waiting).append(inside)
+        else:
+            name = given.name if path is given else path.relative_to(given).as_posix()
+            yield _stamped(name, path)
+
+
+def _identity(path: Path) -> object:
+    """Return what all names of a file or folder share; links that lead nowhere share nothing."""
+    if not path.exists():
+        return path
+    stat = path.stat()
+    return stat.st_dev, stat.st_ino
 
 
 def _is_set(folder: Path) -> bool:

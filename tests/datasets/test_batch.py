@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batch_cases import KillingFormat, die_at_once, piece, with_format, write_pieces
+from batch_cases import (
+    OPTIONS,
+    KillingFormat,
+    batch,
+    die_at_once,
+    episodes,
+    piece,
+    with_format,
+    write_pieces,
+)
 from patience import wait_until
 
 from handmap_qp import InvalidInputError, load_hand
@@ -21,9 +30,8 @@ from handmap_qp.arguments import MappingArguments
 from handmap_qp.cli import main
 from handmap_qp.datasets import engines
 from handmap_qp.datasets.assemble import assemble
-from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
-from handmap_qp.datasets.engines import Engine, PoolEngine, SerialEngine
-from handmap_qp.datasets.job import JobOptions
+from handmap_qp.datasets.batch import plan_batch, run_batch
+from handmap_qp.datasets.engines import PoolEngine, SerialEngine
 from handmap_qp.datasets.manifest import MOST_KILLS, Line, Manifest, read_manifests
 from handmap_qp.datasets.measures import MEASURES
 from handmap_qp.datasets.report_pictures import _worst_sample
@@ -38,18 +46,6 @@ pytestmark = pytest.mark.slow
 
 LONG = 240.0
 """Timeout for batches in processes of their own on a busy machine [s]."""
-OPTIONS = JobOptions({"right": "three_finger"})
-
-
-def batch(
-    inputs: Path, out: Path, options: JobOptions = OPTIONS, engine: Engine | None = None
-) -> Tally:
-    return run_batch(plan_batch([inputs], out, options), out, engine or SerialEngine())
-
-
-def episodes(out: Path) -> dict[str, bytes]:
-    files = (out / "episodes").rglob("*.npz")
-    return {file.relative_to(out).as_posix(): file.read_bytes() for file in files}
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +82,7 @@ def test_an_episode_has_what_a_reader_needs(serial: Path) -> None:
 
 
 def test_tasks_come_longest_first_and_shards_share_nothing(inputs: Path) -> None:
-    files = find_files([inputs])
+    files = find_files([inputs]).files
     whole = tasks_of(files)
     assert [task.frames for task in whole] == [14, 13, 12]
     parts = [task.key for part in (1, 2, 3) for task in tasks_of(files, (part, 3))]
