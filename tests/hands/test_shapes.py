@@ -15,11 +15,14 @@ from handmap_qp import hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, named_pairs
 
-HANDS = [name for name in hand_names() if not name.endswith("_left")]
+# How exact pads are on meshes of other packages is not known.
+OWN = [name for name in hand_names() if hand_files()[name].name == "hand.yaml"]
+HANDS = [name for name in OWN if not name.endswith("_left")]
 
 
 @cache
