@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.clock import SampleClock, Tick
-from handmap_qp.trackers.landmarks import PalmShape, landmarks_at_rest
+from handmap_qp.trackers.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
 from handmap_qp.trackers.motion import (
     FINGER_LIMITS,
     PALM_LIMITS,
@@ -129,6 +131,10 @@ class _Usual(NamedTuple):
     lengths: float = _BONE_USUAL
 
 
+STRICT = _Usual(0.0, 0.0, 0.0, 0.0)
+"""Of a tracker that does not tremble: what is not odd then never is."""
+
+
 class GuardState(NamedTuple):
     """What the guard remembers; replaced as a whole.
 
@@ -235,13 +241,13 @@ class StreamGuard:
         if not sample.valid or sample.confidence == 0.0:
             return None, "missing"
         if sight is None:
-            landmarks, size = sample.landmarks, self._palm.size_of(sample.landmarks)
-            sight = Sight(size, is_zero(size, landmarks), first_track(now, landmarks))
+            landmarks, size = sample.landmarks, float(palm_sizes(sample.landmarks[PALM]))
+            sight = Sight(size, bool(is_zero(size, landmarks)), first_track(now, landmarks))
         if sight.is_zero:
             return sight, "zero"
         return sight, "" if self.fits_size(sight.size) else "size"
 
-    def fits_size(self, size: float) -> bool:
+    def fits_size(self, size: float | np.ndarray) -> bool | np.ndarray:
         """Tell whether a palm of an RMS radius [m] is about as large as the person's."""
         return self._palm.fits_size(size)
 
@@ -315,27 +321,32 @@ def _info(tick: Tick) -> Rule:
 def _is_other(before: Track, sample: Track, usual: _Usual) -> bool:
     """Tell whether a sample shows the hand turned, mirrored or of other lengths than before."""
     change = change_between(before, sample, 1.0)
-    return change.is_turned or _is_stretched(change, usual)
+    return bool(change.is_turned) or bool(_is_stretched(change, usual))
 
 
-def _is_stretched(change: Change, usual: _Usual) -> bool:
+def _is_stretched(change: Change, usual: _Usual) -> np.ndarray:
     return change.lengths > max(BONE_STEP, _BONE_EXCESS * usual.lengths)
+
+
+def is_odd(change: Change, usual: _Usual) -> np.ndarray:
+    """Tell which changes no hand makes, shape (...), given the tracker's usual ones."""
+    return (
+        change.is_turned
+        | _is_stretched(change, usual)
+        | (change.palm > max(PALM_LIMITS.acceleration, _EXCESS * usual.palm))
+        | (change.turn > max(TURN_LIMITS.acceleration, _EXCESS * usual.turn))
+        | (change.fingers > max(FINGER_LIMITS.acceleration, _EXCESS * usual.fingers))
+        | change.is_too_fast
+    )
 
 
 def _named(change: Change, usual: _Usual) -> Rule:
     """Name a change that no hand makes; empty if hands do."""
+    if not is_odd(change, usual):
+        return ""
     if change.is_turned:
         return "flip"
-    if _is_stretched(change, usual):
-        return "outlier"
-    is_sudden = (
-        change.palm > max(PALM_LIMITS.acceleration, _EXCESS * usual.palm)
-        or change.turn > max(TURN_LIMITS.acceleration, _EXCESS * usual.turn)
-        or change.fingers > max(FINGER_LIMITS.acceleration, _EXCESS * usual.fingers)
-    )
-    if not (is_sudden or change.is_too_fast):
-        return ""
-    return "outlier" if change.is_alone else "jump"
+    return "outlier" if change.is_alone or _is_stretched(change, usual) else "jump"
 
 
 def _learnt(usual: _Usual, change: Change, before: Track) -> _Usual:
@@ -351,5 +362,5 @@ def _learnt(usual: _Usual, change: Change, before: Track) -> _Usual:
     )
 
 
-def _median(estimate: float, value: float, least: float) -> float:
+def _median(estimate: float, value: np.ndarray, least: float) -> float:
     return max(least, estimate * (1.0 + _RATE if value > estimate else 1.0 - _RATE))

@@ -53,19 +53,9 @@ class PalmShape:
         self.points = landmarks_at_rest(human)[PALM]
         self._size = float(palm_sizes(self.points))
 
-    def size_of(self, landmarks: np.ndarray) -> float:
-        """Return the RMS distance of the palm's landmarks from their centre [m].
-
-        Args:
-            landmarks: Of one sample [m], shape (21, 3).
-        """
-        offsets = landmarks[PALM]
-        offsets = offsets - offsets.mean(axis=0)
-        return math.sqrt(float(np.einsum("ij,ij->", offsets, offsets)) / len(PALM))
-
-    def fits_size(self, size: float) -> bool:
-        """Tell whether `size_of` gave the size of a hand about as large as this one [m]."""
-        return _PALM_RATIOS[0] * self._size <= size <= _PALM_RATIOS[1] * self._size
+    def fits_size(self, size: float | np.ndarray) -> bool | np.ndarray:
+        """Tell whether `palm_sizes` gave the size of a hand about as large as this one [m]."""
+        return (size >= _PALM_RATIOS[0] * self._size) & (size <= _PALM_RATIOS[1] * self._size)
 
     def fits(self, landmarks: np.ndarray) -> np.ndarray:
         """Tell whether landmarks belong to a hand about as large as this one.
@@ -85,8 +75,7 @@ class PalmShape:
         if array.shape[-2:] != (LANDMARK_COUNT, 3):
             expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
             raise InvalidInputError(argument="landmarks", expected=expected, got=got)
-        sizes = palm_sizes(array[..., PALM, :])
-        return (sizes >= _PALM_RATIOS[0] * self._size) & (sizes <= _PALM_RATIOS[1] * self._size)
+        return np.asarray(self.fits_size(palm_sizes(array[..., PALM, :])))
 
     def check(self, landmarks: np.ndarray) -> None:
         """Reject landmarks of a hand that is much larger or smaller.

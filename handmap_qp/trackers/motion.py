@@ -1,4 +1,8 @@
-"""The motion from one sample of landmarks to the next, by which `trackers.guard` judges samples."""
+"""The motion from one sample of landmarks to the next, by which `trackers.guard` judges samples.
+
+All of it holds for samples of any number, along the same leading axes of all arrays: of none for a
+live sample, of time for a recording.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.trackers.landmarks import PALM
-from handmap_qp.transform import determinant, nearest_rotation, svd3
+from handmap_qp.transform import lengths, nearest_rotations
 
 FLIP = math.radians(60.0)
 """A turn by more than this between two samples is a flip."""
@@ -49,6 +53,8 @@ ALONE = 3.0
 class Track(NamedTuple):
     """A sample and the motion that led to it; velocities are zero for a first sample.
 
+    Shapes are those of one sample.
+
     Attributes:
         time: Its instant, in the time of the clock [s].
         points: Landmarks from the palm's centre [m], shape (21, 3).
@@ -60,13 +66,13 @@ class Track(NamedTuple):
         lengths: The distances that cannot change [m], shape (23,).
     """
 
-    time: float
+    time: np.ndarray
     points: np.ndarray
     centre: np.ndarray
     velocity: np.ndarray
     turning: np.ndarray
     bending: np.ndarray
-    dt: float
+    dt: np.ndarray
     lengths: np.ndarray
 
 
@@ -85,13 +91,13 @@ class Change(NamedTuple):
     """
 
     track: Track
-    palm: float
-    turn: float
-    fingers: float
-    lengths: float
-    is_turned: bool
-    is_alone: bool
-    is_too_fast: bool
+    palm: np.ndarray
+    turn: np.ndarray
+    fingers: np.ndarray
+    lengths: np.ndarray
+    is_turned: np.ndarray
+    is_alone: np.ndarray
+    is_too_fast: np.ndarray
 
 
 class Sight(NamedTuple):
@@ -116,70 +122,81 @@ class Sight(NamedTuple):
     measures: np.ndarray | None = None
 
 
-def is_zero(size: float, landmarks: np.ndarray) -> bool:
-    """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
+def is_zero(size: float | np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """Tell whether landmarks (..., 21, 3) lie in one place, or all but one at the origin, (...)."""
     # One landmark may be the origin of the tracker's world.
-    return size < ZERO_SIZE or int(landmarks.any(axis=1).sum()) < len(landmarks) - 1
+    seen = landmarks.any(axis=-1).sum(axis=-1)
+    return (np.asarray(size) < ZERO_SIZE) | (seen < landmarks.shape[-2] - 1)
 
 
-def first_track(now: float, landmarks: np.ndarray) -> Track:
-    """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
-    centre = landmarks[PALM].mean(axis=0)
-    points = landmarks - centre
-    return Track(now, points, centre, STILL, STILL, UNBENT, 0.0, fixed_lengths(landmarks))
+def first_track(now: float | np.ndarray, landmarks: np.ndarray) -> Track:
+    """Return landmarks (..., 21, 3) [m] at times (...) [s] as samples without motion."""
+    centre = landmarks[..., PALM, :].mean(axis=-2)
+    points = landmarks - centre[..., None, :]
+    still, dt = np.zeros_like(centre), np.zeros(centre.shape[:-1])
+    unbent, fixed = np.zeros_like(points), fixed_lengths(landmarks)
+    return Track(np.asarray(now), points, centre, still, still, unbent, dt, fixed)
 
 
-def is_same_hand(before: Track, sample: Track) -> bool:
-    """Tell whether two samples have exactly the same landmarks."""
-    is_same = (before.points == sample.points).all() and (before.centre == sample.centre).all()
-    return bool(is_same)
+def is_same_hand(before: Track, sample: Track) -> np.ndarray:
+    """Tell whether two samples have exactly the same landmarks, shape (...)."""
+    is_same = (before.points == sample.points).all(axis=(-2, -1))
+    return is_same & (before.centre == sample.centre).all(axis=-1)
 
 
-def change_between(track: Track, sample: Track, dt: float) -> Change:
+def change_between(track: Track, sample: Track, dt: float | np.ndarray) -> Change:
     """Measure the motion from a track to a sample, dt [s] later."""
+    return change_of(track, *motion_between(track, sample, dt))
+
+
+def motion_between(
+    track: Track, sample: Track, dt: float | np.ndarray
+) -> tuple[Track, np.ndarray, np.ndarray]:
+    """Return the sample with its motion, its bending in former axes, and the palm's turn [rad]."""
+    dt = np.asarray(dt)
     # Kabsch: the rotation that takes the palm before to the palm now.
-    rotation = nearest_rotation(sample.points[PALM].T.dot(track.points[PALM]))
+    palms = sample.points[..., PALM, :], track.points[..., PALM, :]
+    rotation = nearest_rotations(palms[0].swapaxes(-1, -2) @ palms[1])
     angle, turn = _angle(rotation)
-    velocity = (sample.centre - track.centre) / dt
-    turning = turn / dt
-    bending = (sample.points.dot(rotation) - track.points) / dt
-    if track.dt > 0.0:
-        span = 0.5 * (dt + track.dt)
-        palm = _length(velocity - track.velocity) / span
-        turned = _length(turning - track.turning) / span
-        slips = bending - track.bending
-    else:
-        # No motion is known before: speeds decide.
-        palm = turned = 0.0
-        span, slips = dt, np.zeros_like(bending)
-    by_landmark = np.einsum("ij,ij->i", slips, slips)
-    order = np.partition(by_landmark, -2)
-    fingers, next_most = math.sqrt(order[-1]) / span, math.sqrt(order[-2]) / span
-    fastest = math.sqrt(np.einsum("ij,ij->i", bending, bending).max())
-    is_too_fast = (
-        _length(velocity) > PALM_LIMITS.speed
-        or angle / dt > TURN_LIMITS.speed
-        or fastest > FINGER_LIMITS.speed
-    )
+    bending = (sample.points @ rotation - track.points) / dt[..., None, None]
     moved = sample._replace(
-        velocity=velocity, turning=turning, bending=bending.dot(rotation.T), dt=dt
+        velocity=(sample.centre - track.centre) / dt[..., None],
+        turning=turn / dt[..., None],
+        bending=bending @ rotation.swapaxes(-1, -2),
+        dt=dt,
     )
+    return moved, bending, angle
+
+
+def change_of(track: Track, moved: Track, bending: np.ndarray, angle: np.ndarray) -> Change:
+    """Compare the motion of `motion_between` with the one before it, which led to the track."""
+    # No motion is known before a first sample: speeds decide.
+    is_known = np.asarray(track.dt) > 0.0
+    span = np.where(is_known, 0.5 * (moved.dt + track.dt), moved.dt)
+    slips = lengths(bending - track.bending) * is_known[..., None]
+    order = np.partition(slips, -2, axis=-1)
+    fingers = order[..., -1] / span
     return Change(
         moved,
-        palm,
-        turned,
+        is_known * lengths(moved.velocity - track.velocity) / span,
+        is_known * lengths(moved.turning - track.turning) / span,
         fingers,
-        float(np.abs(sample.lengths - track.lengths).max()),
-        is_turned=angle > FLIP or _is_mirrored(track.points, sample.points),
-        is_alone=fingers > ALONE * next_most,
-        is_too_fast=is_too_fast,
+        np.abs(moved.lengths - track.lengths).max(axis=-1),
+        is_turned=(angle > FLIP) | _is_mirrored(track.points, moved.points),
+        is_alone=fingers > ALONE * order[..., -2] / span,
+        is_too_fast=(lengths(moved.velocity) > PALM_LIMITS.speed)
+        | (angle / moved.dt > TURN_LIMITS.speed)
+        | (lengths(bending).max(axis=-1) > FINGER_LIMITS.speed),
     )
 
 
-def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
+def _is_mirrored(before: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Tell whether a reflection lays one hand better on the other than any rotation does."""
-    covariance = points.T.dot(before)
-    return determinant(covariance) < 0.0 and bool(svd3(covariance)[1][2] > MIRROR)
+    covariance = points.swapaxes(-1, -2) @ before
+    found = np.linalg.det(covariance) < 0.0
+    if found.any():
+        found &= np.linalg.svd(covariance, compute_uv=False)[..., 2] > MIRROR
+    return found
 
 
 def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
@@ -188,18 +205,12 @@ def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("...ij,...ij->...i", spans, spans))
 
 
-def _angle(rotation: np.ndarray) -> tuple[float, np.ndarray]:
+def _angle(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the angle of a rotation, and its rotation vector; only the angle near 180 degrees."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    angle = math.acos(min(1.0, max(-1.0, 0.5 * (a + e + i - 1.0))))
-    sine = math.sin(angle)
-    scale = 0.5 * (angle / sine if sine > 1e-6 else 1.0)
-    return angle, scale * np.array([h - f, c - g, d - b])
+    axis = 0.5 * (rotation[..., _LAST, _NEXT] - rotation[..., _NEXT, _LAST])
+    sine = lengths(axis)
+    angle = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
+    return angle, axis * np.where(sine > 1e-6, angle / np.maximum(sine, 1e-6), 1.0)[..., None]
 
 
-def _length(vector: np.ndarray) -> float:
-    return math.sqrt(vector.dot(vector))
-
-
-STILL = np.zeros(3)
-UNBENT = np.zeros((21, 3))
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])

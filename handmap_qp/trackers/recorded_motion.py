@@ -15,27 +15,22 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.trackers.clock import SampleClock
-from handmap_qp.trackers.guard import BONE_STEP, StreamGuard, Verdict
+from handmap_qp.trackers.guard import STRICT, StreamGuard, Verdict, is_odd
 from handmap_qp.trackers.landmarks import PALM, palm_sizes
 from handmap_qp.trackers.motion import (
-    ALONE,
-    FINGER_LIMITS,
-    FLIP,
-    MIRROR,
-    PALM_LIMITS,
-    STILL,
-    TURN_LIMITS,
-    UNBENT,
-    ZERO_SIZE,
     Change,
     Sight,
     Track,
+    change_of,
+    first_track,
     fixed_lengths,
+    is_same_hand,
+    is_zero,
+    motion_between,
 )
 from handmap_qp.trackers.plausibility import examine, recorded_measures
 from handmap_qp.trackers.recording import Recording, recording_samples
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
-from handmap_qp.transform import nearest_rotations
+from handmap_qp.trackers.sample import HumanSample
 
 
 class RecordedSamples:
@@ -57,7 +52,7 @@ class RecordedSamples:
         self.confidence = np.where(recording.valid | (recording.confidence is None), share, 0.0)
         self._lengths = fixed_lengths(self.landmarks)
         self._clock = _clock_columns(recording.time)
-        self._motion = _motion_of(recording, self._lengths, self._clock)
+        self._motion = _motion_of(recording, self._clock)
         self._verdicts: dict[tuple[str, bytes], list[Verdict]] = {}
 
     @cached_property
@@ -71,7 +66,7 @@ class RecordedSamples:
 
         None where the hand was not seen.
         """
-        return _sights(self._recording, self._lengths, self._clock, self._motion)
+        return _sights(self._recording, self._motion)
 
     def judged(self, human: Hand) -> list[Verdict]:
         """Judge all samples as a live stream.
@@ -90,7 +85,7 @@ class RecordedSamples:
         guard.check_side(self._recording.side)
         off = self._lengths - guard.lengths
         consistency = np.sqrt(np.einsum("ti,ti->t", off, off) / off.shape[1]).tolist()
-        if self._is_calm and all(map(guard.fits_size, self._motion.range_of_sizes)):
+        if self._is_calm and np.all(guard.fits_size(self._motion.sizes)):
             return [
                 Verdict("", False, False, dt, own)
                 for dt, own in zip(self._clock.dt, consistency, strict=True)
@@ -105,9 +100,7 @@ class RecordedSamples:
             return verdicts
         # Of another person, whose palm is as large, the lengths of the bones alone differ.
         return [
-            verdict
-            if math.isnan(verdict.consistency)
-            else Verdict(*verdict[:4], own, verdict.finding)
+            verdict if math.isnan(verdict.consistency) else verdict._replace(consistency=own)
             for verdict, own in zip(known, consistency, strict=True)
         ]
 
@@ -123,16 +116,8 @@ class RecordedSamples:
         is_seen = len(motion.seen) == len(self._recording) and not motion.is_zero.any()
         if not is_seen or changes is None or self._clock.has_rules:
             return False
-        return not (
-            changes.is_same.any()
-            or changes.is_turned.any()
-            or changes.is_too_fast.any()
-            or (changes.lengths > BONE_STEP).any()
-            or (changes.palm > PALM_LIMITS.acceleration).any()
-            or (changes.turn > TURN_LIMITS.acceleration).any()
-            or (changes.fingers > FINGER_LIMITS.acceleration).any()
-            or examine(self._recording).has_doubts
-        )
+        has_oddities = motion.is_same.any() or is_odd(changes, STRICT).any()
+        return not (has_oddities or examine(self._recording).has_doubts)
 
 
 # A recording is judged twice: while its person is measured, and while it is mapped.
@@ -170,162 +155,69 @@ def _clock_columns(stamps: np.ndarray) -> _Clock:
     return _Clock(np.array(times), np.array(shortest), [tick.dt for tick in ticks], rules)
 
 
-class _Changes(NamedTuple):
-    """Columns of `Change`, and of the `Track` after it, of n samples but the first."""
-
-    velocity: np.ndarray
-    turning: np.ndarray
-    bending: np.ndarray
-    dt: np.ndarray
-    palm: np.ndarray
-    turn: np.ndarray
-    fingers: np.ndarray
-    lengths: np.ndarray
-    is_turned: np.ndarray
-    is_alone: np.ndarray
-    is_too_fast: np.ndarray
-    is_same: np.ndarray
-
-
 class _Motion(NamedTuple):
     """The samples in which the hand was seen, by column.
 
     Attributes:
         seen: Their indices, shape (m,).
         sizes: RMS radius of the palm [m], shape (m,).
-        centres: Centre of the palm [m], shape (m, 3).
-        points: Landmarks from there [m], shape (m, 21, 3).
         is_zero: Where landmarks lie in one place or at the origin, shape (m,).
+        fresh: All of them without motion.
         changes: Motion between those that are not zero; None if there are fewer than two.
+        is_same: Where it is exactly none.
     """
 
     seen: np.ndarray
     sizes: np.ndarray
-    centres: np.ndarray
-    points: np.ndarray
     is_zero: np.ndarray
-    changes: _Changes | None
-
-    @property
-    def range_of_sizes(self) -> tuple[float, float]:
-        """Least and largest size [m]."""
-        return float(self.sizes.min()), float(self.sizes.max())
+    fresh: Track
+    changes: Change | None = None
+    is_same: np.ndarray = np.zeros(0, dtype=bool)
 
 
-def _motion_of(recording: Recording, lengths: np.ndarray, clock: _Clock) -> _Motion:
+def _motion_of(recording: Recording, clock: _Clock) -> _Motion:
     """Measure all samples of a recording."""
     is_seen = recording.valid
     if recording.confidence is not None:
         is_seen = is_seen & (recording.confidence != 0.0)
     seen = np.flatnonzero(is_seen)
     landmarks = recording.landmarks[seen]
-    palms = landmarks[:, PALM]
-    sizes, centres = palm_sizes(palms), palms.mean(axis=1)
-    points = landmarks - centres[:, None]
-    count = np.count_nonzero(landmarks.any(axis=2), axis=1)
-    is_zero = (sizes < ZERO_SIZE) | (count < LANDMARK_COUNT - 1)
-    hands, changes = np.flatnonzero(~is_zero), None
-    if len(hands) > 1:
-        index = seen[hands]
-        steps = np.maximum(np.diff(clock.times[index]), clock.shortest[index[1:]])
-        changes = _changes(points[hands], centres[hands], lengths[index], steps)
-    return _Motion(seen, sizes, centres, points, is_zero, changes)
+    sizes = palm_sizes(landmarks[:, PALM])
+    fresh = first_track(clock.times[seen], landmarks)
+    found = _Motion(seen, sizes, is_zero(sizes, landmarks), fresh)
+    hands = np.flatnonzero(~found.is_zero)
+    if len(hands) < 2:
+        return found
+    before, after = (Track(*(column[k] for column in fresh)) for k in (hands[:-1], hands[1:]))
+    steps = np.maximum(after.time - before.time, clock.shortest[seen[hands[1:]]])
+    moved, *turns = motion_between(before, after, steps)
+    columns = zip(before, moved, strict=True)
+    track = Track(*(np.concatenate([start[:1], own[:-1]]) for start, own in columns))
+    changes = change_of(track, moved, *turns)
+    return found._replace(changes=changes, is_same=is_same_hand(before, after))
 
 
-def _sights(
-    recording: Recording, lengths: np.ndarray, clock: _Clock, motion: _Motion
-) -> tuple[Sight | None, ...]:
+def _sights(recording: Recording, motion: _Motion) -> tuple[Sight | None, ...]:
     """Return the measures of all samples one by one; see `RecordedSamples.sights`."""
-    measures, seen = recorded_measures(recording), motion.seen
-    rows = zip(
-        clock.times[seen].tolist(), motion.points, motion.centres, lengths[seen], strict=True
-    )
-    fresh = [
-        Track(time, own, centre, STILL, STILL, UNBENT, 0.0, fixed)
-        for time, own, centre, fixed in rows
-    ]
+    measures = recorded_measures(recording)[motion.seen]
     sights: list[Sight | None] = [None] * len(recording)
-    sizes, zeros = motion.sizes.tolist(), motion.is_zero.tolist()
-    for i, size, zero, track in zip(seen, sizes, zeros, fresh, strict=True):
-        sights[i] = Sight(size, zero, track, measures=measures[i])
-    hands, changes = np.flatnonzero(~motion.is_zero).tolist(), motion.changes
+    sizes, zeros, changes = motion.sizes.tolist(), motion.is_zero.tolist(), motion.changes
+    columns = zip(motion.seen, sizes, zeros, _rows(motion.fresh), measures, strict=True)
+    for i, size, zero, track, row in columns:
+        sights[i] = Sight(size, zero, track, measures=row)
+    hands = [(i, sight) for i, sight in enumerate(sights) if sight and not sight.is_zero]
     if changes is None:
         return tuple(sights)
-    before = fresh[hands[0]]
-    motions = zip(
-        changes.velocity, changes.turning, changes.bending, changes.dt.tolist(), strict=True
-    )
-    numbers = zip(*(column.tolist() for column in changes[4:]), strict=True)
-    for k, moves, (*scalars, is_same) in zip(hands[1:], motions, numbers, strict=True):
-        track, i = fresh[k], seen[k]
-        moved = Track(track.time, track.points, track.centre, *moves, track.lengths)
-        sights[i] = Sight(
-            sizes[k], False, track, before, Change(moved, *scalars), is_same, measures[i]
-        )
-        before = moved
+    before = hands[0][1].fresh
+    numbers = zip(*(column.tolist() for column in (*changes[1:], motion.is_same)), strict=True)
+    moves = zip(hands[1:], _rows(changes.track), numbers, strict=True)
+    for (i, sight), track, (*values, is_same) in moves:
+        change = Change(track, *values)
+        sights[i] = sight._replace(before=before, change=change, is_same=is_same)
+        before = track
     return tuple(sights)
 
 
-def _changes(
-    points: np.ndarray, centres: np.ndarray, lengths: np.ndarray, dt: np.ndarray
-) -> _Changes:
-    """Measure the motion of every sample but the first as `change_between`, and if it is none.
-
-    Args:
-        points: Landmarks from the palm's centre [m], shape (n, 21, 3).
-        centres: The centres [m], shape (n, 3).
-        lengths: The distances that cannot change [m], shape (n, 23).
-        dt: Time steps [s], shape (n - 1,).
-    """
-    before, after = points[:-1], points[1:]
-    rotations = nearest_rotations(after[:, PALM].transpose(0, 2, 1) @ before[:, PALM])
-    angles, turns = _angles(rotations)
-    velocity, turning = np.diff(centres, axis=0) / dt[:, None], turns / dt[:, None]
-    bending = (after @ rotations - before) / dt[:, None, None]
-    bent = bending @ rotations.transpose(0, 2, 1)
-    # No motion is known before the first change: speeds decide.
-    span = np.concatenate([dt[:1], 0.5 * (dt[1:] + dt[:-1])])
-    palm, turn = np.zeros(len(dt)), np.zeros(len(dt))
-    palm[1:] = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / span[1:]
-    turn[1:] = np.linalg.norm(np.diff(turning, axis=0), axis=1) / span[1:]
-    slips = np.zeros(bending.shape[:2])
-    slips[1:] = np.linalg.norm(bending[1:] - bent[:-1], axis=2)
-    most, next_most = np.partition(slips, (-2, -1), axis=1)[:, :-3:-1].T / span
-    fastest = np.linalg.norm(bending, axis=2).max(axis=1)
-    is_too_fast = (
-        (np.linalg.norm(velocity, axis=1) > PALM_LIMITS.speed)
-        | (angles / dt > TURN_LIMITS.speed)
-        | (fastest > FINGER_LIMITS.speed)
-    )
-    return _Changes(
-        velocity,
-        turning,
-        bent,
-        dt,
-        palm,
-        turn,
-        most,
-        np.abs(np.diff(lengths, axis=0)).max(axis=1),
-        (angles > FLIP) | _are_mirrored(before, after),
-        most > ALONE * next_most,
-        is_too_fast,
-        (before == after).all(axis=(1, 2)) & (centres[:-1] == centres[1:]).all(axis=1),
-    )
-
-
-def _angles(rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles (n,) and rotation vectors (n, 3) of rotations; only the angle near 180 deg."""
-    trace = np.trace(rotations, axis1=1, axis2=2)
-    angles = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
-    sines = np.sin(angles)
-    scale = np.where(sines > 1e-6, angles / np.where(sines > 1e-6, sines, 1.0), 1.0)
-    skew = rotations - rotations.transpose(0, 2, 1)
-    return angles, 0.5 * scale[:, None] * np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], 1)
-
-
-def _are_mirrored(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Tell where a reflection lays one hand better on the other than any rotation does, (n,)."""
-    covariances = after.transpose(0, 2, 1) @ before
-    found = np.linalg.det(covariances) < 0.0
-    found[found] = np.linalg.svd(covariances[found], compute_uv=False)[:, 2] > MIRROR
-    return found
+def _rows(tracks: Track) -> list[Track]:
+    """Return the tracks of samples by themselves."""
+    return [Track(*row) for row in zip(*tracks, strict=True)]

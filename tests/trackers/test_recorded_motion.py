@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from faulty_recordings import DEMO, faulty
+from hypothesis import given
+from hypothesis import strategies as st
+from pinocchio import exp3
 
 from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.trackers.guard import StreamGuard
 from handmap_qp.trackers.landmarks import scaled_human
+from handmap_qp.trackers.motion import change_between, first_track
 from handmap_qp.trackers.recorded_motion import RecordedSamples
 from handmap_qp.trackers.recording import recording_samples
 
@@ -54,6 +58,49 @@ def test_motion_by_column_is_that_of_samples(human: Hand) -> None:
         last = guard.state.last
         assert sight is not None
         assert last is not None
+        if sight.change is not None and sight.before is not None:
+            one = change_between(sight.before, sight.fresh, sight.change.track.dt)
+            np.testing.assert_allclose(
+                np.array(sight.change[1:], float), np.array(one[1:], float), rtol=1e-6, atol=1e-6
+            )
         expected = last if sight.change is None else sight.change.track
         for own, other in zip(last, expected, strict=True):
             np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-9)
+
+
+@given(
+    steps=st.tuples(st.floats(0.005, 0.05), st.floats(0.005, 0.05)),
+    acceleration=st.tuples(*[st.floats(-5.0, 5.0)] * 3),
+    speed=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
+)
+def test_the_change_of_a_palms_speed_is_its_acceleration_at_any_times(
+    steps: tuple[float, float],
+    acceleration: tuple[float, float, float],
+    speed: tuple[float, float, float],
+) -> None:
+    times = np.cumsum([0.0, *steps])
+    palm, (a, v) = DEMO.landmarks[0], np.array([acceleration, speed])
+    first, second, third = (first_track(t, palm + v * t + 0.5 * a * t**2) for t in times)
+    change = change_between(first, second, steps[0])
+    # A first motion has nothing to be compared with.
+    assert change.palm == change.turn == change.fingers == 0.0
+    change = change_between(change.track, third, steps[1])
+    assert change.palm == pytest.approx(np.linalg.norm(a), abs=1e-9)
+    np.testing.assert_allclose(
+        change.track.velocity, v + a * (steps[0] + 0.5 * steps[1]), atol=1e-9
+    )
+    assert change.turn < 1e-6
+    assert change.fingers < 1e-6
+
+
+def test_a_turn_is_measured_about_its_axis_and_fingers_in_the_axes_of_the_palm() -> None:
+    hand, turning, dt = DEMO.landmarks[0], np.array([3.0, -4.0, 5.0]), 0.02
+    rotation = exp3(dt * turning)
+    moved = hand.copy()
+    moved[8] += rotation.T @ [0.0, 0.0, 0.004]  # of the index fingertip, in the world after it
+    change = change_between(first_track(0.0, hand), first_track(dt, moved @ rotation.T), dt)
+    np.testing.assert_allclose(change.track.turning, turning, atol=1e-9)
+    speeds = np.linalg.norm(change.track.bending, axis=1)
+    assert speeds[8] == pytest.approx(0.2)
+    np.testing.assert_allclose(change.track.bending[8], [0.0, 0.0, 0.2], atol=1e-9)
+    np.testing.assert_allclose(np.delete(speeds, 8), 0.0, atol=1e-9)
