@@ -126,13 +126,15 @@ class Gate:
         """
         self.motion, self.near = Motion.at_rest(q, self._limits.size), None
 
-    def bounds(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next displacement, shape (nv,) each.
 
         Args:
             dt: Time for it [s].
+            share: Share of the speed limits to use, as far as braking allows.
         """
-        return self._box(dt)[:2]
+        lower, upper = self._box(dt)[:2]
+        return (lower, upper) if share == 1.0 else self._limits.slowed(lower, upper, share * dt)
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""

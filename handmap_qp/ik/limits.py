@@ -169,6 +169,13 @@ class BoxLimits:
             np.minimum(most[1], highest[1]) + _ROUNDING * dt,
         )
 
+    def slowed(
+        self, lower: np.ndarray, upper: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the part of a box (nv,) that is reached in a time [s], or its nearest corner."""
+        farthest = self._speeds[0] * dt
+        return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)
+
     @property
     def size(self) -> int:
         """Number of coordinates, nv."""

@@ -286,6 +286,7 @@ class PointIk:
         rest: np.ndarray | None = None,
         tasks: Sequence[Task] = (),
         margins: np.ndarray | None = None,
+        speed: float = 1.0,
     ) -> IkResult:
         """Move the hand towards its targets for one sample.
 
@@ -298,6 +299,8 @@ class PointIk:
                 [rad or m], shape (n,); the hand's rest posture if omitted.
             tasks: Further terms of the cost.
             margins: Distance that each pair of `contacts` keeps [m]; the hand's own if omitted.
+            speed: Share of the speed limits to use. Braking from a higher speed takes the time that
+                the acceleration limit asks for.
 
         Returns:
             The result. On `failed`, the configuration is the one before the call, except for
@@ -308,7 +311,7 @@ class PointIk:
         dt, start = max(dt, SHORTEST_DT), gate.motion.q
         self._catch_up()
         stopping = 0.0 if collisions is None else gate.stopping(dt)
-        lower, upper = gate.bounds(dt)
+        lower, upper = gate.bounds(dt, speed)
         target = self._pose_of(wrist_target)
         resting = (self.hand.rest if rest is None else rest)[self._order]
         first = total = self._zero_step

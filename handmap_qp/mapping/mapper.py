@@ -285,7 +285,9 @@ class HandMapper:
         )
         return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
 
-    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
+    def map_sample(
+        self, sample: HumanSample, *, dt: float | None = None, arrival: float | None = None
+    ) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
         The guard judges the sample by named rules (`trackers.guard.RULES`). The robot brakes and
@@ -295,6 +297,8 @@ class HandMapper:
         Args:
             sample: The sample. Its time stamps say how much time has passed.
             dt: Time that the step may account for [s]; that of the time stamps if omitted.
+            arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
+                time stamps; not checked if omitted.
 
         Returns:
             Every stage of the step; of a held one, targets and points are the robot's own.
@@ -309,7 +313,7 @@ class HandMapper:
         started = perf_counter()
         dt = None if dt is None else _check_dt(dt)
         reader, guard, before = self._landmarks, self._guard, self._guard.state
-        verdict = guard.check(sample)
+        verdict = guard.check(sample, arrival=arrival)
         if verdict.is_held:
             return self._held(verdict, sample.confidence, dt, started)
         try:
@@ -371,9 +375,8 @@ class HandMapper:
         """Map a sample that makes sense; its targets may be known unless the robot comes back."""
         rejoin = self._rejoin.start(pose) if verdict.is_return else self._rejoin
         moved, rejoin = rejoin.advance(pose, verdict.dt)
-        step = self._map(
-            moved, _granted(verdict, dt), (), started, foreseen if moved is pose else None
-        )
+        asked = foreseen if moved is pose else None
+        step = self._map(moved, _granted(verdict, dt), (), started, asked, verdict.speed)
         self._rejoin = rejoin
         return msgspec.structs.replace(
             step, verdict=verdict, confidence=confidence, is_gliding=rejoin.is_fading
@@ -426,6 +429,7 @@ class HandMapper:
         out_of_range: tuple[str, ...],
         started: float,
         foreseen: Targets | None = None,
+        speed: float = 1.0,
     ) -> MapStep:
         """Map one sample with known points: targets by the method, motion by the QP."""
         dt = self.dt if dt is None else _check_dt(dt)
@@ -451,6 +455,7 @@ class HandMapper:
                 rest=course.map.rest,
                 tasks=tasks,
                 margins=asked.margins,
+                speed=speed,
             )
         configuration = plan.ik.configuration
         robot = plan.bound.robot

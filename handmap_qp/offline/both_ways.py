@@ -87,9 +87,9 @@ class _MarginMapper(HandMapper):
         super().__init__(human, robot, method, ik=ik)
         self.margins: list[np.ndarray | None] = []
 
-    def map_sample(self, sample: HumanSample, *, dt: float | None = None) -> MapStep:
+    def map_sample(self, sample: HumanSample, **times: float | None) -> MapStep:
         """Map one sample; see `HandMapper.map_sample`."""
-        return self._noted(super().map_sample(sample, dt=dt))
+        return self._noted(super().map_sample(sample, **times))
 
     def map_recorded(self, recorded: RecordedSamples) -> Iterator[MapStep]:
         """Map a recording; see `HandMapper.map_recorded`."""

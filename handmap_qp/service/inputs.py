@@ -118,7 +118,9 @@ class SampleForm:
         )
 
 
-def map_sample(hands: Hands, sample: Step, form: SampleForm, dt: float) -> MappedSample:
+def map_sample(
+    hands: Hands, sample: Step, form: SampleForm, dt: float, arrival: float | None = None
+) -> MappedSample:
     """Map a sample that `SampleForm.check` accepted.
 
     Args:
@@ -126,12 +128,13 @@ def map_sample(hands: Hands, sample: Step, form: SampleForm, dt: float) -> Mappe
         sample: The sample.
         form: What the session's samples hold.
         dt: Time that the command may account for [s].
+        arrival: When it arrived, on a monotonic clock [s]; None for simulated time.
 
     Raises:
         HandmapError: If the sample cannot be used; the mapper is then unchanged.
     """
     if hands.palm is not None:
-        return _map_landmarks(hands, hands.palm, form.human_sample(sample), dt)
+        return _map_landmarks(hands, hands.palm, form.human_sample(sample), dt, arrival)
     wrist = to_matrix(sample.wrist)
     if sample.points is not None:
         return MappedSample(hands.mapper.map_points(sample.points, wrist, dt=dt))
@@ -141,9 +144,11 @@ def map_sample(hands: Hands, sample: Step, form: SampleForm, dt: float) -> Mappe
     return MappedSample(step, human_q=q)
 
 
-def _map_landmarks(hands: Hands, palm: PalmShape, sample: HumanSample, dt: float) -> MappedSample:
+def _map_landmarks(
+    hands: Hands, palm: PalmShape, sample: HumanSample, dt: float, arrival: float | None
+) -> MappedSample:
     """Map landmarks as they were measured, or hold where they make no sense."""
-    step = hands.mapper.map_sample(sample, dt=dt)
+    step = hands.mapper.map_sample(sample, dt=dt, arrival=arrival)
     if step.rule == "size":
         # Other units than metres are a mistake of the client, which must know.
         palm.check(sample.landmarks)

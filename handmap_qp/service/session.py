@@ -230,7 +230,8 @@ class Session:
                 return self._calibrate(self._calibration, sample, now)
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
-            mapped = map_sample(self._hands, sample, self._form, self._dt)
+            arrival = now if self.request.time_from == "server" else None
+            mapped = map_sample(self._hands, sample, self._form, self._dt, arrival)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error

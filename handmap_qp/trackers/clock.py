@@ -6,6 +6,7 @@ that looks at the stream counts in the time that this clock gives, and never in 
 
 from __future__ import annotations
 
+import math
 from typing import Literal, NamedTuple
 
 TimeRule = Literal["", "duplicate", "disorder", "gap", "clock_jump"]
@@ -28,6 +29,11 @@ _SHARE = 0.05
 """Share of a new interval in the usual period."""
 _SHORTEST = 0.5
 """Least interval that speeds are computed from, over the usual period: stamps jitter."""
+
+_RATE_WINDOW = 0.5
+"""Time of arrival between two comparisons of the clocks [s]."""
+_LARGEST_DRIFT = 0.3
+"""Drift of stamps against arrival that a clock or a growing delay may have [s/s]."""
 
 
 class Tick(NamedTuple):
@@ -95,3 +101,37 @@ class SampleClock(NamedTuple):
     def shortest(self) -> float:
         """Least time that speeds are computed over [s]: jitter of stamps is not speed."""
         return _SHORTEST * self.period
+
+
+class RateCheck:
+    """Tells whether time stamps run as fast as their samples arrive.
+
+    The clocks are compared each half second, by the last sample before. Two in a row must drift the
+    same way: a stall of the network, the burst behind it and a clock that is set do not.
+    """
+
+    def __init__(self) -> None:
+        self._start, self._lead, self._former, self._drift = math.nan, 0.0, math.nan, 0.0
+        self._rate: float | None = None
+
+    def update(self, stamp: float, arrival: float) -> float | None:
+        """Take the next sample.
+
+        Args:
+            stamp: Its time stamp [s].
+            arrival: When it arrived, on a monotonic clock [s].
+
+        Returns:
+            Seconds of stamps in a second of arrival, if two half seconds in a row differ from it by
+            more than 30 %; None otherwise.
+        """
+        self._start = arrival if math.isnan(self._start) else self._start
+        elapsed = arrival - self._start
+        if elapsed >= _RATE_WINDOW:
+            # NaN, before there is a former half second, is no drift.
+            drift, before = (self._lead - self._former) / elapsed, self._drift
+            is_off = drift * before > 0.0 and min(abs(drift), abs(before)) > _LARGEST_DRIFT
+            self._rate = 1.0 + drift if is_off else None
+            self._start, self._former, self._drift = arrival, self._lead, drift
+        self._lead = stamp - arrival
+        return self._rate

@@ -16,7 +16,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.clock import SampleClock, Tick
+from handmap_qp.trackers.clock import RateCheck, SampleClock, Tick
 from handmap_qp.trackers.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
 from handmap_qp.trackers.motion import (
     FINGER_LIMITS,
@@ -54,31 +54,37 @@ Rule = Literal[
     "side",
     "flexion",
     "wrist",
+    "unproven",
 ]
 """Name of what is wrong with a sample; empty if nothing is."""
 
 RULES: dict[Rule, str] = {
     "missing": "the tracker did not see the hand, or its confidence is 0",
     "zero": "landmarks lie in one place or at the origin, as trackers send when they see no hand",
-    "size": "the palm is less than half or more than twice as large as the person's",
+    "size": "the palm is less than half or more than twice as large as the person's, or the hand's "
+    "size changed for a while",
     "outlier": "one landmark left its place on the hand: lengths of bones changed at once",
     "jump": "the hand moved faster, or from one speed to another, than hands do",
     "flip": "the hand turned over or became its mirror image from one sample to the next",
-    "frozen": "the landmarks have repeated exactly for 0.25 s",
+    "frozen": "the landmarks have repeated exactly for 0.25 s, or one finger for a while",
     "gap": "no sample came for more than 0.25 s; it is followed where the hand has not moved",
     "settling": "the samples make sense again, but not yet for long enough",
     "duplicate": "the time stamp is the same as that of the sample before",
     "disorder": "the time stamp is earlier than that of the sample before",
     "clock_jump": "the tracker's clock was set; the hand is where it was and is followed",
-    "time": "for a while: time stamps are not in seconds",
+    "time": "for a while: time stamps are not in seconds, or do not run as samples arrive",
     "unit": "for a while: landmarks are not in metres",
     "order": "for a while: landmarks are in another order",
     "side": "for a while: landmarks are those of the other hand, or of a mirrored world",
     "flexion": "for a while: fingers bend backwards",
     "wrist": "for a while: the wrist's orientation does not follow the palm of the landmarks",
+    "unproven": "the wrist has not followed a palm that turned yet; it is followed at a quarter of "
+    "the speed limits",
 }
 """The rules, in words."""
 
+UNPROVEN_SPEED = 0.25
+"""Share of the speed limits at which the robot follows a wrist that is not proven yet."""
 FROZEN_AFTER = 0.25
 """Landmarks that repeat exactly for longer are frozen [s]."""
 SETTLING = 0.1
@@ -120,6 +126,11 @@ class Verdict(NamedTuple):
     dt: float
     consistency: float
     finding: Finding | None = None
+
+    @property
+    def speed(self) -> float:
+        """Share of the robot's speed limits at which the sample may be followed."""
+        return UNPROVEN_SPEED if self.rule == "unproven" else 1.0
 
 
 class _Usual(NamedTuple):
@@ -179,16 +190,20 @@ class StreamGuard:
         self.state = GuardState()
         self._side: Side = "left" if human.side == "left" else "right"
         self._input = InputCheck(self._side)
+        self._rate = RateCheck()
         self._palm = PalmShape(human)
         self.lengths = fixed_lengths(landmarks_at_rest(human))
 
-    def check(self, sample: HumanSample, sight: Sight | None = None) -> Verdict:
+    def check(
+        self, sample: HumanSample, sight: Sight | None = None, *, arrival: float | None = None
+    ) -> Verdict:
         """Judge the next sample of the stream.
 
         Args:
             sample: The sample.
             sight: What it shows, where that has been measured for a whole recording
                 (`trackers.recorded_motion`).
+            arrival: When it arrived, on a monotonic clock [s]; None for a recording.
 
         Returns:
             Whether the robot may follow it, and what is wrong with it.
@@ -204,6 +219,12 @@ class StreamGuard:
         if tick.rule in ("duplicate", "disorder"):
             self.state = state
             return Verdict(tick.rule, True, False, tick.dt, math.nan)
+        rate = None if arrival is None else self._rate.update(sample.time, arrival)
+        if rate is not None:
+            self.state = _holding(state, "time")
+            problem = f"time stamps run at {rate:.3g} times the speed at which samples arrive"
+            finding = Finding("time", problem, "give the time of the tracker's clock in seconds")
+            return Verdict("time", True, False, tick.dt, math.nan, finding)
         sight, unusable = self._seen(sample, sight, now)
         if unusable in ("", "size"):
             measures = None if sight is None else sight.measures
@@ -218,7 +239,8 @@ class StreamGuard:
         verdict, self.state = self._follow(sight, state, tick, was_late)
         if self.state.cause and not state.cause:
             self._input.alert()
-        return verdict
+        is_unproven = sample.wrist is not None and not self._input.is_wrist_proven
+        return verdict._replace(rule="unproven") if is_unproven and not verdict.is_held else verdict
 
     def check_side(self, side: Side) -> None:
         """Reject samples of the other hand.

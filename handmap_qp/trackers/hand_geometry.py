@@ -49,10 +49,17 @@ _LARGEST_DEVIATION = 5.0  # widths; one pair far off counts no more than this
 # A tracker's bones change by up to 18 % from sample to sample (MediaPipe); the distance between
 # landmarks of two fingers changes by far more.
 _RIGID_SPREAD = 0.2
+_LEAST_TREMBLING = 2e-4  # of a squared bone: 3 um of 30 mm
+_STUCK = 0.01  # of the usual trembling; rounded to 1 mm, and at rest, bones keep 0.1 of it
 _QUARTILES_APART = 1.349  # standard deviations, of a normal distribution
 
+HYPEREXTENSION = (0.75, 0.20)
+"""Farthest that people's MCP and PIP joints bend backwards, as the mean sine of four fingers.
+
+49 and 12 degrees. MCPs reach 45 degrees by themselves (e-hand.com, normal range of motion).
+"""
 # Sizes of the features of `palmar_evidence`, at which they are taken as certain.
-_FEATURE_SIZES = np.array([0.10, 0.05, 0.20, 0.20, 0.30])
+_FEATURE_SIZES = np.array([0.10, 0.05, 0.20, HYPEREXTENSION[1], 0.10])
 
 
 class PalmarEvidence(NamedTuple):
@@ -61,7 +68,8 @@ class PalmarEvidence(NamedTuple):
     Attributes:
         palm: From the thumb's base and the arch of the knuckles, from -2 to 2, shape (T,).
         thumb: From the thumb's MCP joint, from -1 to 1, shape (T,).
-        fingers: From the bends of the fingers, from -2 to 2, shape (T,).
+        fingers: From the bends of the fingers, from -2 to 2, shape (T,). PIP joints count in full
+            at the limit of people's hyperextension, MCP joints from 0 there to full at 58 degrees.
     """
 
     palm: np.ndarray
@@ -144,6 +152,31 @@ def all_distances(landmarks: np.ndarray) -> Distances:
     medians[_ROWS, _COLUMNS] = medians[_COLUMNS, _ROWS] = found.medians
     spreads[_ROWS, _COLUMNS] = spreads[_COLUMNS, _ROWS] = found.spreads
     return Distances(medians, spreads)
+
+
+def log_size(distances: Distances) -> float:
+    """Return the logarithm of a hand's size, the median over `own_distances` of all pairs."""
+    return median(distances.medians - _CENTRES)
+
+
+def stuck_fingers(landmarks: np.ndarray, measures: np.ndarray) -> np.ndarray:
+    """Tell which fingers repeat to rounding while the landmarks of most others tremble.
+
+    A finger that is held still trembles too. Of a tracker with rigid bones nothing can be told.
+
+    Args:
+        landmarks: Some samples [m], shape (T, 21, 3).
+        measures: Of `sample_measures`, shape (T, 28).
+
+    Returns:
+        True or False for each finger, shape (5,).
+    """
+    bones = measures[:, :20].reshape(-1, 5, 4)[:, :, 2:]
+    trembling = (np.ptp(bones, axis=0) / bones.mean(axis=0)).max(axis=1)
+    usual = median(trembling)
+    # Rounded landmarks of a hand at rest repeat in the tracker's world too.
+    is_carried = np.ptp(landmarks[:, 4::4], axis=0).max(axis=1) > 0.0
+    return (trembling < _STUCK * usual) & is_carried & (usual > _LEAST_TREMBLING)
 
 
 def own_misfit(distances: Distances) -> float:
@@ -240,7 +273,9 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     features[:, 1] = -0.5 * (heights[:, 9] + heights[:, 13])
     features[:, 2] = heights[:, 2]
     features[:, 3] = bends.mean(axis=1)
-    features[:, 4] = (heights[:, 8::4] - heights[:, 5::4]).mean(axis=1)
+    # Up to people's hyperextension, an MCP joint may be bent to either side.
+    bent = np.einsum("tfi,ti->tf", bones[:, :, 0], palmar).mean(axis=1)
+    features[:, 4] = bent - np.minimum(np.maximum(bent, -HYPEREXTENSION[0]), HYPEREXTENSION[0])
     scores = np.minimum(np.maximum(features / _FEATURE_SIZES, -1.0), 1.0)
     return PalmarEvidence(scores[:, :2].sum(axis=1), scores[:, 2], scores[:, 3:].sum(axis=1))
 

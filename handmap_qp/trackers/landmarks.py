@@ -24,9 +24,9 @@ FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
 """First joint of every finger: thumb CMC and the four MCPs."""
 TIPS = np.array([4, 8, 12, 16, 20])
 """The fingertips."""
-HAND_LENGTHS = (0.08, 0.35)
-"""Lengths that a hand may have [m]: from a baby's to somewhat more than the longest on record
-(0.32). Landmarks outside them are in other units than metres."""
+HAND_LENGTHS = (0.12, 0.25)
+"""Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to
+more than those of nearly all men. Adults that were tracked have 0.175 to 0.195."""
 _PALM_RATIOS = (0.5, 2.0)
 """Size of a sample's palm over the hand's own, which is constant; 0.87 to 1.12 in recordings."""
 _BENT = math.sin(math.radians(15.0))

@@ -39,7 +39,7 @@ class Person:
             to 0.04. It depends on the tracker too.
 
     Raises:
-        InvalidInputError: If the hand is shorter than 0.08 m or longer than 0.35 m, or the gap is
+        InvalidInputError: If the hand's length is outside `landmarks.HAND_LENGTHS`, or the gap is
             out of its range.
     """
 

@@ -11,19 +11,24 @@ asks which mistake explains it, and names it. `check_recording` does the same fo
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.trackers.hand_geometry import (
     MEASURES,
+    Distances,
+    log_size,
     measured_distances,
     median,
     own_misfit,
     sample_measures,
+    stuck_fingers,
 )
 from handmap_qp.trackers.landmark_order import find_order, prepare
 from handmap_qp.trackers.recording import Recording
@@ -32,9 +37,10 @@ from handmap_qp.trackers.units import find_length_unit, find_time_unit
 from handmap_qp.trackers.wrist_axes import WristCheck
 from handmap_qp.transform import frozen
 
-Mistake = Literal["time", "unit", "order", "side", "flexion", "wrist"]
-"""Kinds of mistakes: the unit of time, the unit of length, the order of landmarks, the other hand
-or a mirrored world, fingers that bend backwards, the wrist's orientation."""
+Mistake = Literal["time", "unit", "order", "side", "flexion", "size", "frozen", "wrist"]
+"""Kinds of mistakes: the unit or rate of time, the unit of length, the order of landmarks, the
+other hand or a mirrored world, fingers that bend backwards, a size that changes, a finger that
+repeats, the wrist's orientation."""
 
 _BATCH = 16  # samples, while the finding is new
 _BATCH_TIME = 0.25  # s; a slow tracker's batch ends sooner
@@ -44,9 +50,11 @@ _CALM_FACTOR = 2  # of number and time of a batch from then on
 _ALERT_BATCH = 6  # least number of samples, after `alert`
 _ALERT_TIME = 0.19  # s; two such batches are shorter than the guard's hold after a flip
 _SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
-_BACKWARDS_BEYOND = -0.45  # of 2 (`PalmarEvidence.fingers`)
+_BACKWARDS = -0.95  # of 2 (`PalmarEvidence.fingers`): beyond the hyperextension of people
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
 _SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
+_FIRST_SIZES = 8  # batches at the start that say how large the hand is
+_RESIZED = 1.25  # times as large as at the start, or as small; 0.86 to 1.06 in recordings
 _REFUSED_SHARE = 0.25  # of a recording's valid samples
 
 
@@ -109,11 +117,17 @@ class InputCheck:
         self.has_doubts = False
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
+        self._sizes: list[float] = []
 
     @property
     def finding(self) -> Finding | None:
         """What is wrong with the input; None if it is plausible, or if too little was seen."""
         return self._finding
+
+    @property
+    def is_wrist_proven(self) -> bool:
+        """Whether the wrist has followed a palm that turned (`WristCheck.is_proven`)."""
+        return self._wrist.is_proven
 
     def update(
         self,
@@ -161,7 +175,8 @@ class InputCheck:
         duration = self._times[count - 1] - self._times[0]
         if self._calm < 0 or self._finding is not None:
             return count == _BATCH or (count >= _ALERT_BATCH and duration >= _ALERT_TIME)
-        factor = _CALM_FACTOR if self._calm >= _CALM else 1
+        is_new = self._calm < _CALM or (self._has_wrists and not self._wrist.is_proven)
+        factor = 1 if is_new else _CALM_FACTOR
         return count == factor * _BATCH or (
             count >= factor * _LEAST_BATCH and duration >= factor * _BATCH_TIME
         )
@@ -226,12 +241,30 @@ class InputCheck:
         if guess is not None:
             return self._order_finding(guess.name)
         fingers = median(self._sign * measures[:, -1])
-        if fingers < _BACKWARDS_BEYOND and total - fingers > _OTHERWISE_RIGHT:
-            return _BACKWARDS
+        if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
+            return _BENT_BACK
         if total < -_SURE_SIDE:
             return self._other_side(landmarks, wrists)
         if not is_known:
             self._misfit = misfit
+        stuck = np.flatnonzero(stuck_fingers(landmarks, measures))
+        if len(stuck):
+            problem = f"the {FINGERS[stuck[0]]} finger repeats exactly while the others tremble"
+            return Finding("frozen", problem, "check the tracker's sensor or model of that finger")
+        return self._changed(distances, landmarks, wrists)
+
+    def _changed(
+        self, distances: Distances, landmarks: np.ndarray, wrists: np.ndarray | None
+    ) -> Finding | None:
+        """Compare the hand's size with that of the first batches, and its palm with the wrist."""
+        size = log_size(distances)
+        if len(self._sizes) < _FIRST_SIZES:
+            self._sizes.append(size)
+        ratio = math.exp(size - median(np.array(self._sizes)))
+        if not 1.0 / _RESIZED < ratio < _RESIZED:
+            problem = f"the hand is {ratio:.3g} times as large as it was at first"
+            advice = "measure the person again, and open a session for each person"
+            return Finding("size", problem, advice)
         if wrists is not None and (mistake := self._wrist.examine(landmarks, wrists)):
             return Finding("wrist", *mistake)
         return None
@@ -262,7 +295,7 @@ class InputCheck:
 
 _SAY = "say that the hand is the {} one"
 _NEGATE = "negate one axis of the data if its coordinates are left-handed"
-_BACKWARDS = Finding(
+_BENT_BACK = Finding(
     "flexion",
     "the fingers bend backwards, to the back of the hand",
     "turn the sign of the flexion angles, or of the axis that points out of the palm",

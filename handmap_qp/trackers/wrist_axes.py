@@ -25,7 +25,7 @@ def axes_convention(distal: np.ndarray, dorsal: np.ndarray) -> np.ndarray:
     return np.stack([cross(distal, dorsal), distal, dorsal])
 
 
-_CONVENTIONS = np.array(
+CONVENTIONS = np.array(
     [
         axes_convention(_Y, _Z),  # ours
         axes_convention(_X, _Z),  # from Leap's direction and palm normal
@@ -42,6 +42,10 @@ _CONVENTIONS = np.array(
 _FARTHEST = np.cos(np.radians(22.0))
 # A wrist that follows the palm keeps its rotation to it: up to 5 degrees in recordings.
 _STEADY = np.cos(np.radians(12.0))
+# A palm that has turned by more proves a wrist whose rotation to it changed by less than this share
+# of the turn: that of a wrist that stands still changes by all of it, an inverse one's by twice it.
+_TURNED = np.radians(12.0)
+_KEPT = 0.4
 _FARTHEST_APART = 0.10  # m, of the wrist's landmark from the pose
 
 
@@ -68,11 +72,17 @@ class WristCheck:
 
     Args:
         sign: 1 for a right hand, -1 for a left one.
+
+    Attributes:
+        is_proven: Whether the wrist, in the axes of the human model, has followed a palm that
+            turned by 12 degrees, and has not lost it since.
     """
 
     def __init__(self, sign: float) -> None:
         self._sign = sign
-        self._relative: np.ndarray | None = None
+        # Mean palm, and mean rotation from wrist to palm, of the batch to compare with.
+        self._start: tuple[np.ndarray, np.ndarray] | None = None
+        self.is_proven = False
 
     def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> tuple[str, str] | None:
         """Compare wrist poses with the palm that the landmarks show.
@@ -87,16 +97,25 @@ class WristCheck:
         Returns:
             Problem and advice; None if they belong together.
         """
+        mistake = self._mistake(landmarks, wrists)
+        self.is_proven &= mistake is None
+        return mistake
+
+    def _mistake(self, landmarks: np.ndarray, wrists: np.ndarray) -> tuple[str, str] | None:
         apart = median(_lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
             return problem, "give both in metres and in the same world"
         palms, rotations = palm_axes(landmarks, self._sign), wrists[:, :, :3]
         mean, steadiness = _mean_relative(palms, rotations)
-        first = mean if self._relative is None else self._relative
-        is_steady = min(steadiness, _cosine(mean, first)) > _STEADY
+        palm = nearest_rotation(palms.sum(axis=0))
+        start = self._start or (palm, mean)
+        is_steady = min(steadiness, _cosine(mean, start[1])) > _STEADY
         if is_steady and _is_known(mean):
-            self._relative = first
+            self._start = start
+            is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
+            turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
+            self.is_proven |= bool(is_ours and turn > _TURNED and change < _KEPT * turn)
             return None
         for name, others in _reinterpreted(rotations):
             other, steadiness = _mean_relative(palms, others)
@@ -104,7 +123,7 @@ class WristCheck:
                 problem = f"the wrist's orientation does not follow the palm, but {name} would"
                 return problem, "check the order of the quaternion and the direction of the pose"
         if is_steady:
-            self._relative = first
+            self._start = start
             return None
         return (
             "the wrist's orientation does not follow the palm that the landmarks show",
@@ -128,11 +147,11 @@ def _mean_relative(palms: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray
 
 
 def _cosine(a: np.ndarray, b: np.ndarray) -> float:
-    return float((np.vdot(a, b) - 1.0) / 2.0)
+    return min(max(float((np.vdot(a, b) - 1.0) / 2.0), -1.0), 1.0)
 
 
 def _is_known(relative: np.ndarray) -> bool:
-    traces = np.einsum("gik,ik->g", _CONVENTIONS, relative)
+    traces = np.einsum("gik,ik->g", CONVENTIONS, relative)
     return float((traces.max() - 1.0) / 2.0) > _FARTHEST
 
 
@@ -147,7 +166,7 @@ def _reinterpreted(rotations: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """
     from scipy.spatial.transform import Rotation
 
-    for convention in _CONVENTIONS:
+    for convention in CONVENTIONS:
         xyzw = Rotation.from_matrix(rotations @ convention).as_quat()
         for name, roll in _ROLLS:
             yield name, Rotation.from_quat(np.roll(xyzw, roll, axis=1)).as_matrix()

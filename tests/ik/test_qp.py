@@ -357,3 +357,28 @@ def test_a_wrist_must_be_where_the_arm_ends(mount: str, link: str) -> None:
             mount="floating" if mount == "floating" else "fixed",
             urdf_text=ARM.urdf_text,
         )
+
+
+@given(generator=generators, share=st.floats(0.0, 1.0), dt=st.floats(1e-4, 0.1))
+def test_a_slower_box_is_in_the_box_and_keeps_the_share_where_braking_allows(
+    generator: np.random.Generator, share: float, dt: float
+) -> None:
+    hand = HAND
+    limits = BoxLimits(hand, max_acceleration=10.0)
+    q = any_posture(hand, generator, outside=0.2)
+    velocity = generator.uniform(-3.0, 3.0, limits.size)
+    full = limits.bounds(q, dt, velocity)
+    lower, upper = limits.slowed(*full, share * dt)
+    assert (full[0] <= lower).all()
+    assert (lower <= upper).all()
+    assert (upper <= full[1]).all()
+    farthest = BoxLimits(hand).bounds(hand.configuration_vector(hand.rest, np.eye(4)), share * dt)[
+        1
+    ]
+    speeds = limits.slowed(*(np.full(limits.size, sign * np.inf) for sign in (-1, 1)), share * dt)[
+        1
+    ]
+    assert (farthest <= speeds).all()
+    # Beyond the share only as far as the full box makes it go.
+    np.testing.assert_array_equal(upper[upper > speeds], full[0][upper > speeds])
+    np.testing.assert_array_equal(lower[lower < -speeds], full[1][lower < -speeds])

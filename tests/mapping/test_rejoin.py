@@ -10,9 +10,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, load_hand
+from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.mapping.rejoin import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.trackers.guard import UNPROVEN_SPEED
 from handmap_qp.trackers.injection import inject, parse_faults
 from handmap_qp.trackers.sample import HumanSample
 from handmap_qp.transform import affine
@@ -159,3 +160,42 @@ def test_another_way_back_is_an_error() -> None:
     ) as caught:
         HandMapper(HUMAN, ROBOT, rejoin="leap")  # ty: ignore[invalid-argument-type]
     assert caught.value.option == "rejoin"
+
+
+@pytest.mark.parametrize("max_acceleration", [None, 60.0])
+@pytest.mark.parametrize("is_identity", [False, True])
+def test_the_robot_is_slow_until_the_wrist_is_proven(
+    max_acceleration: float | None, is_identity: bool
+) -> None:
+    robot = load_hand("three_finger")
+    ik = IkOptions(max_acceleration=max_acceleration)
+    mapper, random = HandMapper(HUMAN, robot, "object", ik=ik), np.random.default_rng(4)
+    q, rules = [], []
+    for i in range(180):
+        t = i / RATE
+        closed = 0.5 - 0.5 * np.cos(8.0 * t)
+        # The palm turns from 0.75 s on.
+        wrist = affine(
+            pin.exp3(np.array([0.0, min(2.0 * max(t - 0.75, 0.0), 1.0), 0.0])), np.zeros(3)
+        )
+        points = HUMAN.points(HUMAN.rest + closed * 0.6 * (HUMAN.upper_limits - HUMAN.rest), wrist)
+        points += random.normal(0.0, 1e-4, points.shape)
+        given = np.eye(4) if is_identity else wrist
+        step = mapper.map_sample(HumanSample(t, "right", points, given))
+        q.append(step.command.q)
+        rules.append(step.rule)
+    speeds = np.diff(np.array(q), axis=0) * RATE
+    shares = np.abs(speeds / robot.velocity_limits).max(axis=1)
+    is_slow = np.array(rules[1:]) == "unproven"
+    assert is_slow[:60].all()
+    assert shares[is_slow].max() <= UNPROVEN_SPEED * (1.0 + 1e-9)
+    # The fingers ask for more than that, before and after.
+    assert shares[is_slow].max() == pytest.approx(UNPROVEN_SPEED)
+    if is_identity:
+        assert {"", "wrist"} & set(rules) == {"wrist"}
+        return
+    assert rules[-1] == ""
+    assert shares[~is_slow].max() > 1.5 * UNPROVEN_SPEED
+    if max_acceleration is not None:
+        changes = np.abs(np.diff(speeds, axis=0)) * RATE
+        assert changes.max() <= max_acceleration * (1.0 + 1e-6)

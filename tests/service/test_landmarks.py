@@ -9,6 +9,7 @@ import pytest
 from person_cases import worn
 from service_tools import CACHE, Sampler, human_q, make_session, opening, run_now
 
+from handmap_qp import load_hand
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
@@ -204,3 +205,23 @@ def contact_gap_of(session: Session) -> float:
     options = session._choice.options
     assert isinstance(options, Teleoperation)
     return options.contact_gap
+
+
+@pytest.mark.parametrize(("time_from", "is_found"), [("server", True), ("client", False)])
+def test_stamps_that_run_faster_than_samples_arrive_are_named_on_the_servers_clock(
+    time_from: str, is_found: bool
+) -> None:
+    session = make_session(input="landmarks", hand_length=0.19, time_from=time_from)
+    sample, person = Sampler(), HumanLengths.from_hand_length(0.19)
+    human = load_hand("human", points="landmarks", lengths=person)
+    rules = []
+    for i in range(150):
+        points = human.points(
+            human.rest + 0.1 * np.sin(0.1 * i) * (human.upper_limits - human.rest)
+        )
+        landmarks = tuple(map(tuple, points.tolist()))
+        rules.append(session.step(sample(2.0 * i * PERIOD, landmarks=landmarks), i * PERIOD).rule)
+    assert set(rules) == ({"", "time"} if is_found else {""})
+    if is_found:
+        assert 0.5 < rules.index("time") * PERIOD < 1.6
+        assert rules[-1] == "time"

@@ -306,7 +306,9 @@ def test_landmarks_are_mapped_as_they_come(
         message = msgspec.structs.replace(message, wrist=to_pose(wrist))
         command = session.step(message, i * PERIOD)
         step = mapper.map_landmarks(recording.landmarks[i], wrist, dt=command.dt)
-        if "slewing" not in command.flags:
+        # This wrist does not turn with the palm, so the session follows it more slowly.
+        assert command.rule == ("unproven" if has_wrist else "")
+        if not {"slewing", "unproven"} & set(command.flags):
             np.testing.assert_allclose(command.q, step.command.q, atol=1e-9)
         assert command.detail is not None
         assert command.detail.human_q is None

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.trackers.clock import GAP, LONGEST_STEP, SampleClock, Tick
+from handmap_qp.trackers.clock import GAP, LONGEST_STEP, RateCheck, SampleClock, Tick
 
 PERIOD = 0.01
 
@@ -93,3 +93,43 @@ def test_jitter_does_not_shorten_the_time_that_speeds_are_computed_over() -> Non
     for stamp in regular(200):
         _, clock = clock.advance(stamp)
     assert clock.shortest == pytest.approx(0.5 * PERIOD, rel=0.05)
+
+
+def rates(stamps: np.ndarray, arrivals: np.ndarray) -> list[float | None]:
+    check = RateCheck()
+    return [check.update(*pair) for pair in zip(stamps.tolist(), arrivals.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize("rate", [10.0, 2.0, 0.5, -1.0])
+@pytest.mark.parametrize("period", [1 / 200, 1 / 30])
+def test_stamps_that_run_at_another_rate_are_found_and_so_is_their_end(
+    rate: float, period: float
+) -> None:
+    arrivals = np.arange(0.0, 6.0, period)
+    stamps = np.where(arrivals < 3.0, rate * arrivals, 3.0 * rate + arrivals - 3.0)
+    found = np.array([each is not None for each in rates(stamps, arrivals)])
+    assert arrivals[found][0] <= 1.6
+    assert found[(arrivals > 1.7) & (arrivals < 3.0)].all()
+    assert not found[arrivals > 4.1].any()
+    wrong = [each for each in rates(stamps[arrivals < 3.0], arrivals[arrivals < 3.0]) if each]
+    np.testing.assert_allclose(wrong, rate, atol=0.1 * abs(rate))
+
+
+def test_delays_of_a_network_are_no_other_rate() -> None:
+    stamps, random = np.arange(0.0, 20.0, PERIOD), np.random.default_rng(2)
+    late = random.exponential(0.05, len(stamps))
+    # Stalls of 0.2 to 2 s, each with a burst behind it; a clock that is set; a lasting delay.
+    arrivals = stamps + late
+    for start, duration in ((2.0, 0.2), (5.0, 0.6), (8.0, 2.0)):
+        arrivals = np.where(stamps >= start, np.maximum(arrivals, start + duration), arrivals)
+    arrivals = np.maximum.accumulate(arrivals + np.where(stamps > 14.0, 0.4, 0.0))
+    assert set(rates(stamps, arrivals)) == {None}
+    # A clock that is set forth and back, and delays that are often long.
+    swinging = stamps + np.where(np.floor(stamps / 0.5) % 2.0 == 0.0, 0.4, 0.0)
+    assert set(rates(swinging, stamps)) == {None}
+    for seed in range(5):
+        random = np.random.default_rng(seed)
+        delayed = stamps + random.exponential(0.1, len(stamps)) * (random.random(len(stamps)) < 0.3)
+        assert set(rates(stamps, np.maximum.accumulate(delayed))) == {None}
+    for shift in (-3600.0, 0.7, 3600.0):
+        assert set(rates(stamps + np.where(stamps > 16.0, shift, 0.0), arrivals)) == {None}

@@ -137,7 +137,7 @@ def test_what_is_not_as_long_as_a_hand_is_not_measured(scale: float) -> None:
     recording, _, _ = synthetic("right", lengths)
     scaled = replace(recording, landmarks=scale * recording.landmarks)
     message = (
-        rf"landmarks: expected metres .* 0\.08 to 0\.35 m .* got {scale * lengths.hand_length:.3g}$"
+        rf"landmarks: expected metres .* 0\.12 to 0\.25 m .* got {scale * lengths.hand_length:.3g}$"
     )
     for use in (measure_hand, fit_recording):
         with pytest.raises(InvalidInputError, match=message):

@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pinocchio import exp3
 
 from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand, read_recording
+from handmap_qp.trackers.guard import StreamGuard, Verdict
 from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
+from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.plausibility import (
     Finding,
     InputCheck,
@@ -254,3 +257,195 @@ def test_real_image_landmarks_are_no_world_landmarks(recordings: Path) -> None:
         assert finding is not None
         assert finding.kind == "unit"
         assert word in finding.problem
+
+
+def guarded(take: Any, *, has_wrist: bool = True) -> list[Verdict]:
+    """Judge a take as a live stream of the person in it."""
+    guard = StreamGuard(scaled_human(as_recording(take), points="landmarks"))
+    return [
+        guard.check(HumanSample(time, take.side, landmarks, wrist if has_wrist else None))
+        for time, landmarks, wrist in zip(
+            take.time.tolist(), take.landmarks, take.wrist, strict=True
+        )
+    ]
+
+
+@pytest.mark.parametrize("degrees", [10, 20, 30])
+@pytest.mark.parametrize(("side", "length"), [("right", None), ("left", 0.16), ("right", 0.21)])
+def test_people_whose_fingers_bend_back_at_the_knuckles_are_followed(
+    lies: ModuleType, degrees: int, side: str, length: float | None
+) -> None:
+    take = lies.model_take(
+        side, length, seed=degrees, duration=8.0, hyperextension=np.radians(degrees)
+    )
+    assert examine_recording(as_recording(take)) is None
+    assert not any(verdict.is_held for verdict in guarded(take))
+
+
+@pytest.mark.parametrize("start", [0.13, 0.4, 1.0, 1.6])
+def test_fingers_that_are_splayed_backwards_for_a_moment_are_followed(start: float) -> None:
+    human, time = load_hand("human", points="landmarks"), np.arange(0.0, 3.0, 1.0 / 60.0)
+    flared, random = human.rest.copy(), np.random.default_rng(5)
+    for i, name in enumerate(human.joint_names):
+        if not name.startswith("thumb"):
+            flared[i] = {"MCP_f": -0.6, "MCP_a": 1.5 * human.rest[i]}.get(
+                name.split("_", 1)[1][:5], 0.0
+            )
+    shares = np.interp(time - start, [0.0, 0.15, 0.65, 0.8], [0.0, 1.0, 1.0, 0.0])
+    shares = shares**2 * (3.0 - 2.0 * shares)
+    guard = StreamGuard(human)
+    for t, share in zip(time.tolist(), shares, strict=True):
+        points = human.points(human.rest + share * (flared - human.rest))
+        sample = HumanSample(t, "right", points + random.normal(0.0, 3e-4, points.shape))
+        assert guard.check(sample).rule == ""
+
+
+@pytest.mark.parametrize("size", [0.5, 1.6])
+def test_sizes_that_no_operator_has_are_refused(take: Any, size: float) -> None:
+    scaled = take._replace(landmarks=size * take.landmarks, wrist=take.wrist.copy())
+    scaled.wrist[:, :3, 3] *= size
+    finding = find(scaled)
+    assert finding is not None
+    assert finding.kind == "unit"
+    with pytest.raises(InvalidInputError, match=r"a hand of 0\.12 to 0\.25 m"):
+        scaled_human(as_recording(scaled))
+
+
+@pytest.mark.parametrize("end", [0.6, 1.5])
+def test_a_hand_that_changes_its_size_is_held_and_one_that_trembles_is_not(
+    lies: ModuleType, end: float
+) -> None:
+    take = lies.model_take("right", 0.19 if end < 1.0 else 0.16, 2, duration=12.0, noise=0.003)
+    sizes = np.interp(take.time, [2.0, 8.0], [1.0, end])
+    wrist = take.landmarks[:, :1]
+    grown = wrist + sizes[:, None, None] * (take.landmarks - wrist)
+    verdicts = guarded(take._replace(landmarks=grown), has_wrist=False)
+    found = np.array([verdict.finding is not None for verdict in verdicts])
+    ratio = np.maximum(sizes, 1.0 / sizes)
+    assert not found[ratio < 1.2].any()
+    assert found[ratio > 1.35].all()
+    kinds = {v.finding.kind for v in verdicts if v.finding is not None}
+    assert kinds <= {"size", "unit"}
+    assert verdicts[int(found.argmax())].rule == "size"
+    assert not any(verdict.finding for verdict in guarded(take, has_wrist=False))
+
+
+@pytest.mark.parametrize("base", [1, 5, 17])
+def test_a_finger_that_repeats_is_found_and_one_that_is_held_still_is_not(
+    lies: ModuleType, base: int
+) -> None:
+    take = lies.model_take("right", 0.185, 6, duration=4.0)
+    finding = find(lies._frozen(take, base))
+    assert finding is not None
+    assert finding.kind == "frozen"
+    assert ("thumb", "index", "middle", "ring", "little")[base // 4] in finding.problem
+    # Held still, the landmarks of the finger have the noise of the others; rounded, a hand at rest
+    # repeats most of the time.
+    still = lies._frozen(take, base).landmarks
+    still = still + np.random.default_rng(1).normal(0.0, 5e-4, still.shape)
+    assert find(take._replace(landmarks=still)) is None
+    resting = take.landmarks[:1] + np.random.default_rng(1).normal(0.0, 2e-4, still.shape)
+    for step in (1e-3, 1e-4):
+        rounded = np.round(resting / step) * step
+        assert (
+            find(take._replace(landmarks=rounded, wrist=np.tile(take.wrist[0], (240, 1, 1))))
+            is None
+        )
+
+
+def test_a_finger_of_a_rigid_model_may_rest_at_its_limit(lies: ModuleType) -> None:
+    take = lies.model_take("right", 0.185, 6, duration=4.0, noise=0.0)
+    rounded = take._replace(landmarks=take.landmarks.astype(np.float32).astype(float))
+    for own in (take, rounded):
+        assert find(lies._frozen(own, 5)) is None
+
+
+def test_a_resting_finger_in_the_middle_of_its_grid_is_not_frozen(take: Any) -> None:
+    # Rounded to 1 mm, the landmarks of one finger do not change while the others flicker.
+    random, noise = np.random.default_rng(3), np.full((21, 1), 6e-4)
+    noise[6:9] = 1e-4
+    place = np.round(take.landmarks[0] / 1e-3) * 1e-3
+    landmarks = np.round((place + random.normal(size=(240, 21, 3)) * noise) / 1e-3) * 1e-3
+    assert (np.ptp(landmarks[:, 6:9], axis=0) == 0.0).all()
+    check = InputCheck(take.side)
+    for i, own in enumerate(landmarks):
+        assert check.update(i / 60.0, own) is None
+
+
+@pytest.mark.parametrize(("degrees", "is_backwards"), [(45, False), (65, True)])
+def test_knuckles_bend_backwards_no_farther_than_peoples(degrees: int, is_backwards: bool) -> None:
+    human, random = load_hand("human", points="landmarks"), np.random.default_rng(7)
+    straight = human.rest.copy()
+    for i, name in enumerate(human.joint_names):
+        straight[i] *= name.startswith("thumb")
+    landmarks = human.points(straight)
+    # The model stops at 45 degrees: turn each finger about the axis of its MCP joint.
+    turn = exp3(np.array([np.radians(degrees), 0.0, 0.0]))
+    for base in (5, 9, 13, 17):
+        bones = landmarks[base + 1 : base + 4] - landmarks[base]
+        landmarks[base + 1 : base + 4] = landmarks[base] + bones @ turn.T
+    check = InputCheck("right")
+    for i in range(90):
+        check.update(i / 60.0, landmarks + random.normal(0.0, 3e-4, (21, 3)))
+    assert ("" if check.finding is None else check.finding.kind) == "flexion" * is_backwards
+
+
+def test_a_wrist_is_followed_at_full_speed_once_it_has_turned_with_the_palm(
+    lies: ModuleType,
+) -> None:
+    take = lies.model_take("right", 0.185, 3, duration=6.0)
+    rules = [verdict.rule for verdict in guarded(take)]
+    proven = rules.index("")
+    assert set(rules[:proven]) == {"unproven"}
+    assert take.time[proven] < 1.5
+    assert set(rules[proven:]) == {""}
+    # A hand that has not turned proves nothing, and without a wrist there is nothing to prove.
+    still = take._replace(
+        landmarks=take.landmarks[:1]
+        + np.random.default_rng(0).normal(0.0, 5e-4, take.landmarks.shape),
+        wrist=np.tile(take.wrist[0], (len(take.time), 1, 1)),
+    )
+    assert {verdict.rule for verdict in guarded(still)} == {"unproven"}
+    assert {verdict.rule for verdict in guarded(take, has_wrist=False)} == {""}
+
+
+def test_a_wrong_wrist_is_never_followed_at_full_speed(lies: ModuleType) -> None:
+    for seed in range(3):
+        take = lies.model_take("left", 0.185, seed, duration=6.0)
+        for lie in lies.live_lies():
+            if lie.kind == "wrist":
+                verdicts = guarded(lie.tell(take))
+                assert all(v.is_held or v.rule == "unproven" for v in verdicts), lie.name
+                assert any(v.rule == "wrist" for v in verdicts), lie.name
+
+
+def test_a_wrist_that_follows_half_of_a_turn_or_a_small_one_is_not_proven() -> None:
+    human, random = load_hand("human", points="landmarks"), np.random.default_rng(2)
+    for share, degrees, is_proven in ((0.5, 20.0, False), (0.9, 20.0, True), (1.0, 8.0, False)):
+        check = InputCheck("right")
+        for i in range(240):
+            # There and back: half of 20 degrees stays within the tolerance of 12.
+            angle = np.radians(degrees) * np.sin(np.pi * i / 240.0)
+            palm, wrist = np.eye(4), np.eye(4)
+            palm[:3, :3] = exp3(np.array([0.0, angle, 0.0]))
+            wrist[:3, :3] = exp3(np.array([0.0, share * angle, 0.0]))
+            landmarks = human.points(human.rest, palm) + random.normal(0.0, 3e-4, (21, 3))
+            assert check.update(i / 60.0, landmarks, wrist) is None
+        assert check.is_wrist_proven == is_proven
+
+
+def test_a_wrist_that_stops_turning_is_slowed_down_at_once_and_held(lies: ModuleType) -> None:
+    take = lies.model_take("right", 0.185, 3, duration=6.0)
+    wrist = take.wrist.copy()
+    wrist[180:, :3, :3] = wrist[180, :3, :3]
+    verdicts = guarded(take._replace(wrist=wrist))
+    palms = lies.palm_axes(take.landmarks, 1.0)
+    turned = np.array(
+        [np.arccos(np.clip((np.vdot(p, palms[180]) - 1.0) / 2.0, -1, 1)) for p in palms]
+    )
+    far = 180 + int(np.argmax(turned[180:] > np.radians(12.0)))
+    rules = [verdict.rule for verdict in verdicts]
+    # Two batches of 32 samples that show it: the first slows down, the second holds.
+    assert rules[170] == ""
+    assert rules.index("unproven", 180) <= far + 64
+    assert rules.index("wrist", 180) <= far + 96
