@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -16,6 +18,7 @@ from handmap_qp.trackers.angle_layout import AngleLayout
 from handmap_qp.trackers.landmark_order import named_orders
 from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.trackers.layout import load_layout
+from handmap_qp.trackers.wrist_axes import CONVENTIONS, palm_axes
 from handmap_qp.transform import affine
 
 _RATE = 60.0
@@ -101,6 +104,92 @@ def all_lies() -> list[Lie]:
     ]
 
 
+def live_lies() -> list[Lie]:
+    """Return mistakes that show only in the course of a live stream."""
+    return [
+        Lie("inverse wrist", "wrist", _inverse),
+        Lie("identity wrist", "wrist", _identity),
+        *(Lie(f"rotated world {k}", "wrist", partial(_rotated_world, seed=k)) for k in range(4)),
+        Lie("size x 0.5", "unit", lambda take: _scaled(take, 0.5)),
+        Lie("size to x 1.5", "size", _growing),
+        *(
+            Lie(f"time x {rate:g}", "time", partial(_at_rate, rate=rate))
+            for rate in (10.0, 2.0, 0.5)
+        ),
+        Lie("frozen index", "frozen", partial(_frozen, base=5)),
+        Lie("frozen little finger", "frozen", partial(_frozen, base=17)),
+    ]
+
+
+def _identity(take: Take) -> Take:
+    wrist = take.wrist.copy()
+    wrist[:, :3, :3] = np.eye(3)
+    return take._replace(wrist=wrist)
+
+
+def _rotated_world(take: Take, seed: int) -> Take:
+    """Rotate the wrist's world about the wrist, at random."""
+    wrist = take.wrist.copy()
+    wrist[:, :3, :3] = Rotation.random(random_state=seed).as_matrix() @ wrist[:, :3, :3]
+    return take._replace(wrist=wrist)
+
+
+def _growing(take: Take) -> Take:
+    """Let the hand grow to 1.5 times its size, from 2 s to 8 s after the start."""
+    sizes = np.interp(take.time - take.time[0], [2.0, 8.0], [1.0, 1.5])[:, None, None]
+    wrist = take.landmarks[:, :1]
+    return take._replace(landmarks=wrist + (take.landmarks - wrist) * sizes)
+
+
+def _at_rate(take: Take, rate: float) -> Take:
+    return take._replace(time=take.time[0] + rate * (take.time - take.time[0]))
+
+
+def _frozen(take: Take, base: int) -> Take:
+    """Let the palm carry a finger as it is after 1 s."""
+    landmarks = take.landmarks.copy()
+    palms = palm_axes(landmarks, 1.0 if take.side == "right" else -1.0)
+    first = int(np.searchsorted(take.time, take.time[0] + 1.0))
+    finger = (landmarks[first, base + 1 : base + 4] - landmarks[first, base]) @ palms[first]
+    moved = finger @ palms[first:].transpose(0, 2, 1)
+    landmarks[first:, base + 1 : base + 4] = landmarks[first:, base : base + 1] + moved
+    return take._replace(landmarks=landmarks)
+
+
+def with_our_axes(take: Take) -> Take:
+    """Turn the wrist's axes of a known tracker to ours, as a live client has to."""
+    palms = palm_axes(take.landmarks, 1.0 if take.side == "right" else -1.0)
+    rotations = take.wrist[:, :3, :3]
+    mean = np.einsum("tji,tjk->ik", palms, rotations)
+    convention = CONVENTIONS[np.einsum("gik,ik->g", CONVENTIONS, mean).argmax()]
+    wrist = take.wrist.copy()
+    wrist[:, :3, :3] = rotations @ convention.T
+    return take._replace(wrist=wrist)
+
+
+def pose_take(file: Path, side: Side, names: Sequence[str] = ()) -> Take:
+    """Move a hand from each pose of a file to the next in half a second, and hold it as long.
+
+    Args:
+        file: Poses, with arrays `landmarks` and `names`.
+        side: Which hand.
+        names: Beginnings of the names of the poses to take; all if omitted.
+    """
+    arrays = np.load(file)
+    is_taken = [str(name).startswith(tuple(names) or "") for name in arrays["names"]]
+    poses = arrays["landmarks"][is_taken].astype(float)
+    time = np.arange(0.0, len(poses) - 1.0, 1.0 / _RATE)
+    share = np.clip(2.0 * (time % 1.0) - 0.5, 0.0, 1.0)
+    blend = (share**3 * (10.0 + share * (6.0 * share - 15.0)))[:, None, None]
+    first = time.astype(int)
+    landmarks = poses[first] + blend * (poses[first + 1] - poses[first])
+    landmarks += np.random.default_rng(0).normal(0.0, 3e-4, landmarks.shape)
+    wrist = np.tile(np.eye(4), (len(time), 1, 1))
+    wrist[:, :3, :3] = palm_axes(landmarks, 1.0 if side == "right" else -1.0)
+    wrist[:, :3, 3] = landmarks[:, 0]
+    return Take(f"{file.stem} {side}", time, landmarks, wrist, side)
+
+
 def angles_in_degrees() -> AngleLayout:
     """Return the layout of the human model's joints, in degrees."""
     layout = load_layout("angles20")
@@ -112,7 +201,8 @@ def is_visible(lie: Lie, take: Take) -> bool:
     """Tell whether a mistake changes these samples enough to mislead anyone.
 
     A wrist that is turned by half a turn is its own inverse, and straight fingers do not bend
-    backwards: below 20 degrees, or 15 mm at the fingertips, such a mistake is not counted.
+    backwards: below 20 degrees, or 15 mm at the fingertips, such a mistake is not counted. Nor are
+    fingers whose PIP joints bend by less than 15 degrees: people can bend them backwards so far.
     """
     told = lie.tell(take)
     if lie.kind == "wrist":
@@ -120,7 +210,11 @@ def is_visible(lie: Lie, take: Take) -> bool:
         return bool(np.median(Rotation.from_matrix(turns).magnitude()) > np.radians(20.0))
     if lie.kind == "flexion":
         moved = np.linalg.norm(told.landmarks - take.landmarks, axis=2)[:, 8::4].mean(axis=1)
-        return bool(np.median(moved) > 0.015)
+        bones = np.diff(take.landmarks[:, 5:].reshape(-1, 4, 4, 3), axis=2)
+        bones /= np.linalg.norm(bones, axis=3, keepdims=True)
+        cosines = np.einsum("tfi,tfi->tf", bones[:, :, 0], bones[:, :, 1])
+        bends = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).mean(axis=1)
+        return bool(np.median(moved) > 0.015 and np.median(bends) > 15.0)
     return True
 
 
@@ -130,7 +224,13 @@ def synthetic_takes() -> list[Take]:
 
 
 def model_take(
-    side: Side, hand_length: float | None, seed: int, *, duration: float = 20.0, noise: float = 5e-4
+    side: Side,
+    hand_length: float | None,
+    seed: int,
+    *,
+    duration: float = 20.0,
+    noise: float = 5e-4,
+    hyperextension: float = 0.0,
 ) -> Take:
     """Move the human model through random gestures, held and blended, while its wrist travels.
 
@@ -140,11 +240,13 @@ def model_take(
         seed: Seed of the gestures, the wrist and the noise.
         duration: Length of the motion [s].
         noise: Standard deviation of every coordinate [m].
+        hyperextension: Bend of the MCP joints to the back, of fingers that are not bent [rad].
     """
     lengths = None if hand_length is None else HumanLengths.from_hand_length(hand_length)
     hand = load_hand(human_name(side), points="landmarks", lengths=lengths)
     rng = np.random.default_rng(seed)
-    keys = [_gesture(rng, hand.rest, hand.joint_names) for _ in range(int(duration) + 2)]
+    names = hand.joint_names
+    keys = [_gesture(rng, hand.rest, names, hyperextension) for _ in range(int(duration) + 2)]
     time = np.arange(int(duration * _RATE)) / _RATE
     turns = Rotation.from_rotvec(rng.normal(0.0, 0.8, (int(duration) + 2, 3)))
     start = Rotation.from_quat(rng.normal(size=4))
@@ -167,10 +269,14 @@ def model_take(
         landmarks.append(points + rng.normal(0.0, noise, points.shape))
         wrists.append(pose)
     name = f"model {side} " + ("own" if hand_length is None else f"{1e3 * hand_length:.0f} mm")
+    if hyperextension:
+        name += f", MCPs {-np.degrees(hyperextension):.0f} deg"
     return Take(name, time, np.array(landmarks), np.array(wrists), side)
 
 
-def _gesture(rng: np.random.Generator, rest: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+def _gesture(
+    rng: np.random.Generator, rest: np.ndarray, names: tuple[str, ...], hyperextension: float
+) -> np.ndarray:
     """Return a posture: each finger straight, half bent or curled; the thumb near its rest."""
     q = rest.copy()
     bends = rng.choice([0.0, 0.15, 0.5, 1.0], size=4)
@@ -185,6 +291,8 @@ def _gesture(rng: np.random.Generator, rest: np.ndarray, names: tuple[str, ...])
             finger = ("index", "middle", "ring", "little").index(name.partition("_")[0])
             full = {"MCP": 1.4, "PIP": 1.6, "DIP": 1.0}[name.split("_")[1]]
             q[i] = full * bends[finger]
+            if name.endswith("MCP_flexion") and bends[finger] < 0.3:
+                q[i] -= hyperextension
     return q
 
 
