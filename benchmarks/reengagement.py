@@ -23,7 +23,6 @@ import numpy as np
 from checker import Checker
 
 from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.library import described_hands
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.hand_cache import HandCache
@@ -51,7 +50,7 @@ class Run:
         start: Time in the recording at the beginning [s].
     """
 
-    cache = HandCache(list(described_hands().values()))
+    cache = HandCache()
 
     def __init__(
         self, robot: str, recording: Recording, limit: float | None, start: float, **choices: Any
