@@ -75,7 +75,7 @@ class Checker:
         self._force = max(self._force, np.inf if limit is None else limit)
         velocity, noise = moved / dt, self._rounding * (1.0 / dt + 1.0 / self._dt)
         change = (np.abs(velocity - self._last) - noise) / (self._force * dt)
-        self._note("acceleration", float(np.nanmax(change)), 1.0 + _SHARE)
+        self._note("acceleration", float(np.fmax.reduce(change)), 1.0 + _SHARE)
         velocity[:6] = np.where(is_ambiguous, np.nan, velocity[:6])
         if self._meter is not None and moved.any():
             count = int(np.abs(moved).max() / _STEP) + 2

@@ -236,7 +236,7 @@ def measure(robot: str, recording: Recording, limit: float | None, places: int) 
     for name, cause in EVENTS.items():
         worst, violations, jerk = dict[str, float](), 0, 0.0
         for place in range(places):
-            run = Run(robot, recording, limit, 0.5 + 1.37 * place)
+            run = Run(robot, recording, limit, 0.5 + 1.37 * place, robot_wrist=_HERE)
             judge = Judge(run, named_pairs(hand))
             run.lead(_BEFORE)
             judge.take()

@@ -14,11 +14,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from handmap_qp import MissingExtraError, hand_names, load_hand
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.shape_pairs import all_pairs
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -73,6 +76,103 @@ def test_a_violation_would_be_seen(hostile: ModuleType) -> None:
     tally.check_finite(np.array([np.nan]))
     assert tally.not_finite == 1
     assert not tally.is_exact
+
+
+@pytest.fixture
+def planted(hostile: ModuleType) -> Any:
+    """Return a judge, a robot that starts at rest, and its rest posture."""
+    hand = load_hand("three_finger", mount="fixed")
+    checker = hostile.Checker(hand, all_pairs(hand, find_fingers(hand)))
+    checker.start(hand.rest)
+    return checker, hand, hand.rest
+
+
+def found(checker: Any) -> set[str]:
+    return {what for what, count in checker.violations.items() if count}
+
+
+def test_the_judge_finds_nothing_in_a_motion_within_all_limits(planted: Any) -> None:
+    checker, _, q = planted
+    steps = [0.5 * 0.01**2 * k for k in (1, 2, 3, 2, 1, 0)]
+    for step in steps:
+        q = q + step
+        checker.take(q, 0.01, 0.5)
+    assert checker.commands == len(steps)
+    assert not found(checker)
+    assert checker.worst["acceleration"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_judge_finds_a_position_beyond_a_limit_by_one_rounding(planted: Any) -> None:
+    checker, hand, q = planted
+    at = q.copy()
+    at[0] = hand.upper_limits[0]
+    checker.take(at, 10.0)
+    assert not found(checker)
+    at[0] = np.nextafter(at[0], np.inf)
+    checker.take(at, 10.0)
+    assert found(checker) == {"position"}
+    # A robot that starts outside may stay, but not go on.
+    checker.violations.clear()
+    checker.take(at, 10.0)
+    assert not found(checker)
+
+
+def test_the_judge_finds_speed_and_acceleration(planted: Any) -> None:
+    checker, hand, q = planted
+    checker.take(q + hand.velocity_limits * 0.01 * (1.0 + 1e-5), 0.01)
+    assert found(checker) == {"speed"}
+    checker.start(q)
+    checker.violations.clear()
+    checker.take(q + 2.0 * 0.01**2 * (1.0 + 1e-5), 0.01, 2.0)
+    assert found(checker) == {"acceleration"}
+    # A stop within one sample, after two samples at the limit.
+    checker.start(q)
+    checker.violations.clear()
+    checker.take(q + 2.0 * 0.01**2, 0.01, 2.0)
+    checker.take(q + 6.0 * 0.01**2, 0.01, 2.0)
+    assert not found(checker)
+    checker.take(q + 6.0 * 0.01**2, 0.01, 2.0)
+    assert found(checker) == {"acceleration"}
+
+
+def test_the_judge_counts_by_the_largest_limit_since_the_robot_stood(planted: Any) -> None:
+    checker, _, q = planted
+    checker.take(q + 20.0 * 0.01**2, 0.01, 20.0)
+    checker.take(q + 20.0 * 0.01**2, 0.01, 1.0)
+    assert not found(checker)
+    checker.take(q + 20.0 * 0.01**2, 0.01, 1.0)
+    checker.take(q + 22.0 * 0.01**2, 0.01, 1.0)
+    assert found(checker) == {"acceleration"}
+
+
+def test_the_judge_finds_overlaps_between_commands_too(planted: Any) -> None:
+    checker, hand, _ = planted
+    rng = np.random.default_rng(0)
+    meter = checker._meter
+    while True:
+        ends = [rng.uniform(hand.lower_limits, hand.upper_limits) for _ in range(2)]
+        middle = 0.5 * (ends[0] + ends[1])
+        if max(map(meter.depth, ends)) == 0.0 and meter.depth(middle) > 2e-3:
+            break
+    checker.start(ends[0])
+    checker.take(ends[1], 10.0)
+    assert found(checker) == {"overlap"}
+
+
+def test_the_judge_finds_a_number_that_is_none(planted: Any) -> None:
+    checker, _, q = planted
+    checker._meter = None
+    checker.take(q * np.nan, 0.01)
+    assert {"position", "speed"} <= found(checker)
+
+
+def test_the_judge_finds_a_wrist_that_jumps(hostile: ModuleType) -> None:
+    hand = load_hand("three_finger")
+    checker, wrist = hostile.Checker(hand), np.eye(4)
+    checker.start(hand.configuration_vector(hand.rest, wrist))
+    wrist[0, 3] = hand.spec.wrist.max_linear_speed * 0.01 * 1.01
+    checker.take(hand.configuration_vector(hand.rest, wrist), 0.01)
+    assert found(checker) == {"speed"}
 
 
 @pytest.mark.slow

@@ -1,17 +1,24 @@
-"""Self-collision with acceleration limits: a stop without overlap is possible at all times."""
+"""The gate: limits are exact, and a stop inside them, clear of overlaps, is always possible."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 from marks import slow
 
 from handmap_qp import Hand, IkOptions, MissingExtraError, load_hand
 from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.distances import ShapeDistances
 from handmap_qp.ik.qp import PointIk
 
 TOLERANCE = 1e-4
@@ -95,7 +102,6 @@ def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
             )
             ik, rested = ik.with_options(options), bool(rng.integers(2))
             if rested:
-                # From another limit, the hand may come faster than it can brake.
                 ik.place(ik.configuration.q.copy())
                 last = np.zeros_like(last)
         if i % 7 == 0:
@@ -113,8 +119,9 @@ def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
             change = np.abs(velocity - last).max() / dt
             fastest = max(fastest, change / options.max_acceleration)
         last = velocity
-        outside = np.maximum(hand.lower_limits - after[hand.q_indices], 0.0)
-        assert (outside <= 1e-9).all()
+        angles = after[hand.q_indices]
+        assert (angles >= hand.lower_limits).all()
+        assert (angles <= hand.upper_limits).all()
     assert nearest > -TOLERANCE
     assert 0.5 < fastest <= 1.0 + 1e-6
 
@@ -195,3 +202,177 @@ def test_a_floating_hand_is_guarded_alike(case: Case) -> None:
         after = case.hand.configuration_vector(ik.configuration.q[floating.q_indices])
         nearest = min(nearest, case.nearest(after))
     assert nearest > -TOLERANCE
+
+
+class Fixed:
+    """A solver of the QP whose answer is given."""
+
+    def __init__(self, step: np.ndarray) -> None:
+        self.step = step
+
+    def solve(self, *_: object) -> np.ndarray:
+        """Return the step."""
+        return self.step
+
+
+def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand, rng, dt = case.hand, np.random.default_rng(7), 0.2
+    ik, found = PointIk(hand, IkOptions(max_iterations=1), contacts=case.limit()), 0
+    while found < 5:
+        q, joint = case.random_q(rng), rng.integers(len(hand.joint_names))
+        q[joint] = np.nextafter(hand.upper_limits[joint], np.inf)
+        step = np.zeros(len(q))
+        step[hand.joint_columns[joint]] = -rng.uniform(0.3, 1.0) * hand.velocity_limits[joint] * dt
+        start = hand.configuration_vector(q)
+        if case.nearest(start) < 1e-3 or case.nearest(start + step) > -2e-3:
+            continue
+        found += 1
+        ik.place(start)
+        monkeypatch.setattr(ik, "_solver", Fixed(step))
+        ik.solve(ik.configuration.points.copy(), None, dt)
+        end = ik.configuration.q
+        assert min(case.nearest(end), case.nearest_between(start, end)) > -TOLERANCE
+
+
+def speed_up(ik: PointIk, targets: np.ndarray, dt: float) -> None:
+    """Move towards targets until a joint is faster than 1 rad/s."""
+    for _ in range(60):
+        ik.solve(targets, None, dt)
+        if np.abs(ik.gate.motion.velocity).max() > 1.0:
+            return
+    pytest.fail("the hand never moved fast")
+
+
+@pytest.mark.parametrize("avoids", [True, False])
+def test_a_limit_lowered_while_moving_breaks_no_limit_and_the_stop_is_bounded(
+    case: Case, avoids: bool
+) -> None:
+    hand, rng, dt = case.hand, np.random.default_rng(8), 1.0 / 60.0
+    elsewhere = hand.configuration()
+    for high, low in ((20.0, 0.5), (100.0, 1.0), (None, 2.0)):
+        ik = PointIk(
+            hand, IkOptions(max_acceleration=high), contacts=case.limit() if avoids else None
+        )
+        ik.place(hand.configuration_vector(hand.rest))
+        elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+        speed_up(ik, elsewhere.points, dt)
+        for k in range(60):
+            if k == 1:
+                ik = ik.with_options(IkOptions(max_acceleration=low))
+            velocity = ik.gate.motion.velocity
+            if rng.random() < 0.3:
+                ik.solve(elsewhere.points, None, dt)
+            else:
+                ik.hold(dt)
+            if high is not None:
+                change = np.abs(ik.gate.motion.velocity - velocity).max()
+                assert change <= high * dt * (1.0 + 1e-9)
+            angles = ik.configuration.q[hand.q_indices]
+            assert (angles >= hand.lower_limits).all()
+            assert (angles <= hand.upper_limits).all()
+            assert (ik.gate.motion.stop_times <= 0.5 * (1.0 + 1e-9)).all()
+        for _ in range(31):
+            ik.hold(dt)
+        assert not ik.gate.motion.displacement.any()
+
+
+def test_a_stop_takes_no_longer_and_leads_no_farther_than_stated(case: Case) -> None:
+    hand, dt = case.hand, 1.0 / 60.0
+    elsewhere = hand.configuration()
+    elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+    for most in (0.5, 5.0, 50.0):
+        ik = PointIk(hand, IkOptions(max_acceleration=most))
+        ik.place(hand.configuration_vector(hand.lower_limits))
+        for _ in range(60):
+            ik.solve(elsewhere.points, None, dt)
+        start, count = ik.configuration.q.copy(), 0
+        assert ik.gate.motion.is_braking
+        while ik.hold(dt).displacement.any():
+            count += 1
+        assert count * dt <= LONGEST_STOP
+        moved = np.abs(ik.configuration.q - start)[hand.q_indices]
+        assert (moved <= hand.stop_distances).all()
+
+
+def test_a_hand_that_was_held_sets_out_from_rest(case: Case) -> None:
+    hand, dt, most = case.hand, 1.0 / 60.0, 10.0
+    ik, elsewhere = PointIk(hand, IkOptions(max_acceleration=most)), hand.configuration()
+    ik.place(hand.configuration_vector(hand.rest))
+    elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+    speed_up(ik, elsewhere.points, dt)
+    velocity = ik.gate.motion.velocity
+    for _ in range(40):
+        before = ik.configuration.q.copy()
+        ik.hold(dt)
+        after = (ik.configuration.q - before) / dt
+        assert (np.abs(after - velocity) <= most * dt * (1.0 + 1e-9) + 1e-9).all()
+        velocity = after
+    assert not velocity.any()
+    before = ik.configuration.q.copy()
+    ik.solve(elsewhere.points, None, dt)
+    # From rest, x = a dt^2 in one sample.
+    assert 0.0 < np.abs(ik.configuration.q - before).max() <= most * dt**2 * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("shortest", [1e-300, 1e-12, 1e-7])
+def test_after_a_sample_of_no_time_the_acceleration_limit_still_holds(
+    case: Case, shortest: float
+) -> None:
+    hand, dt, most = case.hand, 1.0 / 60.0, 10.0
+    ik, elsewhere = PointIk(hand, IkOptions(max_acceleration=most)), hand.configuration()
+    ik.place(hand.configuration_vector(hand.lower_limits))
+    elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+    for _ in range(5):
+        ik.solve(elsewhere.points, None, dt)
+    before = ik.configuration.q.copy()
+    ik.solve(elsewhere.points, None, dt)
+    velocity, before = (ik.configuration.q - before) / dt, ik.configuration.q.copy()
+    ik.solve(elsewhere.points, None, shortest)
+    assert np.abs(ik.configuration.q - before).max() <= 1e-5
+    before = ik.configuration.q.copy()
+    ik.solve(elsewhere.points, None, dt)
+    after = (ik.configuration.q - before) / dt
+    # An ulp of an angle in 1 us is a speed of some 1e-10 rad/s.
+    assert (np.abs(after - velocity) <= most * (dt + 1e-6) * (1.0 + 1e-6)).all()
+
+
+def test_a_displacement_that_is_not_a_number_is_not_taken(case: Case) -> None:
+    hand = case.hand
+    gate = PointIk(hand, IkOptions(max_acceleration=5.0)).gate
+    gate.place(hand.configuration_vector(hand.rest))
+    bad = np.full(len(hand.joint_names), np.nan)
+    taken = gate.admit(bad, bad, 0.01)
+    assert (np.abs(taken) <= 5.0 * 0.01**2 * (1.0 + 1e-9)).all()
+    assert np.isfinite(gate.motion.q).all()
+
+
+def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
+    # A pendulum passes a floor: apart at both ends, 2.5 mm inside it between. Its normal never
+    # turns, so the bound is as large as the bend itself.
+    length, radius, angle, gap = 0.1, 0.01, 0.3, 2e-3
+    model, geometry = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "pivot")
+    model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "another")
+    inertia = pin.Inertia.FromSphere(1.0, radius)
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    height = -length * np.cos(angle) - radius - gap
+    down = pin.SE3(np.eye(3), np.array([0.0, 0.0, -length]))
+    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, height - 0.05]))
+    shapes = ((joint, down, coal.Sphere(radius)), (0, floor, coal.Box(1.0, 1.0, 0.1)))
+    for i, (parent, placement, shape) in enumerate(shapes):
+        shape.computeLocalAABB()
+        geometry.addGeometryObject(pin.GeometryObject(f"shape {i}", parent, placement, shape))
+    geometry.addCollisionPair(pin.CollisionPair(0, 1))
+    distances = ShapeDistances(model, geometry)
+    hand: Any = SimpleNamespace(model=model, expansion=None)
+    path, start = ClearPath(hand, distances), np.array([-angle, 0.0])
+    data = model.createData()
+    pin.forwardKinematics(model, data, start)
+    placed: Any = SimpleNamespace(q=start, data=data)
+    near = distances.measure(placed, np.inf)
+    assert near.distances[0] == pytest.approx(gap, abs=1e-6)
+    assert not path.is_clear(start, near, np.array([2.0 * angle, 0.0]))
+    # A part that ends before the floor rises into the way is clear.
+    assert path.is_clear(start, near, np.array([0.02, 0.0]))

@@ -97,3 +97,49 @@ def test_a_rejected_configuration_changes_nothing() -> None:
             mapper.configure(wrong, ik=IkOptions(damping=5.0))
     assert (mapper.options, mapper.ik) == (fixed, IkOptions())
     np.testing.assert_array_equal(mapper.map_step(*sample(0.0)).targets, before.targets)
+
+
+def test_velocity_outlives_a_change_of_method_and_a_lowered_limit() -> None:
+    # Forgotten, it would let a robot that moves stop or turn within one sample.
+    high, low, dt = 20.0, 0.5, 1.0 / 60.0
+    changes: tuple[dict[str, Any], ...] = (
+        {"method": "object", "ik": IkOptions(max_acceleration=high)},
+        {"method": MappingOptions(scale=1.1)},
+        {"ik": IkOptions(max_acceleration=low)},
+    )
+    for change in changes:
+        mapper = HandMapper(HUMAN, ALLEGRO, "paper", ik=IkOptions(max_acceleration=high))
+        mapper.map_step(*sample(0.0), dt=dt)
+        q, velocity, fastest = mapper.motion.q[ALLEGRO.q_indices], None, 0.0
+        for k in range(80):
+            if k == 12:
+                mapper.configure(**change)
+            command = mapper.map_step(*sample(1.5 if k < 40 else 0.0), dt=dt).command
+            last, velocity, q = velocity, (command.q - q) / dt, command.q
+            fastest = max(fastest, np.abs(velocity).max())
+            if last is not None:
+                assert np.abs(velocity - last).max() <= high * dt * (1.0 + 1e-9), k
+            assert (q >= ALLEGRO.lower_limits).all()
+            assert (q <= ALLEGRO.upper_limits).all()
+        assert fastest > 1.0
+
+
+def test_a_released_robot_brakes_within_its_limit_and_sets_out_from_rest() -> None:
+    most, dt = 20.0, 1.0 / 60.0
+    mapper = HandMapper(HUMAN, ALLEGRO, "paper", ik=IkOptions(max_acceleration=most))
+    mapper.map_step(*sample(0.0), dt=dt)
+    q, last, moved = mapper.motion.q[ALLEGRO.q_indices], np.zeros(16), []
+    for k in range(80):
+        if k == 12:
+            mapper.release()
+        if k == 50:
+            mapper.clutch()
+        step = mapper.map_step(*sample(0.1 * k), dt=dt)
+        assert (step.status == "released") == (12 <= k < 50)
+        velocity, q = (step.command.q - q) / dt, step.command.q
+        assert np.abs(velocity - last).max() <= most * dt * (1.0 + 1e-9), k
+        last = velocity
+        moved.append(np.abs(velocity).max())
+    assert moved[11] > 1.0
+    assert 0.0 < moved[12] < moved[11]
+    assert moved[49] == 0.0

@@ -199,3 +199,22 @@ def test_the_robot_is_slow_until_the_wrist_is_proven(
     if max_acceleration is not None:
         changes = np.abs(np.diff(speeds, axis=0)) * RATE
         assert changes.max() <= max_acceleration * (1.0 + 1e-6)
+
+
+def test_a_held_robot_brakes_within_its_acceleration_limit() -> None:
+    most = 20.0
+    options = IkOptions(max_acceleration=most, avoids_self_collision=True)
+    mapper = HandMapper(HUMAN, ROBOT, "teleoperation", ik=options)
+    samples = []
+    for i in range(150):
+        share = 0.5 - 0.5 * np.cos(2.0 * np.pi * i / 50.0)
+        q = HUMAN.rest + share * 0.6 * (HUMAN.upper_limits - HUMAN.rest)
+        is_seen = not 62 <= i < 110
+        samples.append(HumanSample(i / RATE, "right", HUMAN.points(q, np.eye(4)), valid=is_seen))
+    steps = [mapper.map_sample(sample) for sample in samples]
+    speed = np.diff([step.command.q for step in steps], axis=0) * RATE
+    assert np.abs(np.diff(speed, axis=0)).max() * RATE <= most * (1.0 + 1e-6)
+    held = [i for i, step in enumerate(steps) if step.is_held]
+    # It moves on for some samples, and stands then.
+    assert np.abs(speed[held[0] - 1]).max() > 0.1
+    assert np.abs(speed[held[-1] - 1]).max() < 1e-12

@@ -18,6 +18,7 @@ from service_tools import (
     speeds,
 )
 
+from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.service.messages import Pose
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
@@ -218,3 +219,92 @@ def test_another_preset_keeps_the_acceleration_limit() -> None:
     about = session.state(1, "", 0, 0.0).about
     assert about is not None
     assert about.ik["max_acceleration"] is None
+
+
+@pytest.mark.parametrize(("high", "low"), [(20.0, 0.5), (100.0, 1.0), (None, 0.5)])
+@pytest.mark.parametrize("cause", ["stop", "silence", "step"])
+def test_a_limit_lowered_while_the_robot_moves_leads_no_joint_out_of_its_limits(
+    high: float | None, low: float, cause: str
+) -> None:
+    session, sample = make_session(ik={"max_acceleration": high}), Sampler()
+    now = follow(session, sample, 0.0, 30)
+    for _ in range(5):
+        session.step(sample(now, human_q(4.5)), now := now + PERIOD)
+    last = np.array(session.posture[0])
+    session.step(sample(now, human_q(4.5)), now := now + PERIOD)
+    robot, q = session.robot, np.array(session.posture[0])
+    velocity, start = (q - last) / PERIOD, q
+    assert np.abs(velocity).max() > 0.5
+    session.configure(change(ik={"max_acceleration": low}))
+    if cause == "stop":
+        session.stop()
+    for k in range(90):
+        now += PERIOD
+        command = (
+            session.step(sample(now, human_q(4.5)), now) if cause == "step" else session.tick(now)
+        )
+        if command is None:
+            continue
+        last, q = q, np.array(command.q)
+        before, velocity = velocity, (q - last) / command.dt
+        assert (q >= robot.lower_limits).all()
+        assert (q <= robot.upper_limits).all()
+        if high is not None:
+            assert np.abs(velocity - before).max() <= high * command.dt * (1.0 + 1e-6)
+        if cause == "stop" and k * PERIOD > LONGEST_STOP:
+            assert not velocity.any()
+    if cause == "stop":
+        assert (np.abs(q - start) <= robot.stop_distances).all()
+
+
+def test_the_bound_of_a_stop_is_told_when_a_session_opens() -> None:
+    session = make_session()
+    opened = session.opened(1, 0)
+    assert opened.stop_time == LONGEST_STOP
+    assert opened.stop_distance == tuple(session.robot.stop_distances.tolist())
+    ranges = session.robot.upper_limits - session.robot.lower_limits
+    assert (np.array(opened.stop_distance) <= ranges).all()
+
+
+def test_a_takeover_of_a_robot_that_brakes_goes_on_braking() -> None:
+    most = 5.0
+    session, sample = make_session(ik={"max_acceleration": most}), Sampler()
+    now = follow(session, sample, 0.0, 30)
+    session.stop()
+    command = session.tick(now := now + PERIOD)
+    assert command is not None
+    last, velocity = np.array(command.q), session.motion.velocity[session.robot.joint_columns]
+    assert np.abs(velocity).max() > 0.2
+    request = opening(ik={"max_acceleration": most})
+    after = Session(
+        request,
+        prepare_hands(request, CACHE),
+        "test",
+        now,
+        former=session.record,
+        motion=session.motion,
+    )
+    for _ in range(40):
+        command = after.tick(now := now + PERIOD)
+        if command is not None:
+            before, velocity = velocity, (np.array(command.q) - last) / command.dt
+            last = np.array(command.q)
+            assert np.abs(velocity - before).max() <= most * command.dt * (1.0 + 1e-6)
+    assert not velocity.any()
+
+
+def test_a_return_with_an_acceleration_limit_ends_at_rest_and_stands() -> None:
+    session, sample = (
+        make_session(
+            watchdog=0.1, return_after=0.1, return_speed=1.0, ik={"max_acceleration": 20.0}
+        ),
+        Sampler(),
+    )
+    now = follow(session, sample, 0.0)
+    flags: list[tuple[str, ...]] = []
+    for _ in range(600):
+        if (command := session.tick(now := now + PERIOD)) is not None:
+            flags.append(command.flags)
+    arrival = next(i for i, each in enumerate(flags) if "at_rest" in each)
+    assert all("at_rest" in each for each in flags[arrival:])
+    assert np.array_equal(session.posture[0], session.robot.rest)
