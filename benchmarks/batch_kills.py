@@ -3,7 +3,8 @@
     python benchmarks/batch_kills.py --recordings FOLDER --count 1000
 
 Makes recordings from real ones, maps them one after the other, then again with two workers while
-workers and parents are killed by SIGKILL at random places, and compares every byte of all episodes.
+workers and parents are killed by SIGKILL at random places and finished episodes are emptied, cut,
+damaged or deleted, and compares every byte of all episodes.
 With --ray, a third time under Ray.
 """
 
@@ -37,6 +38,7 @@ class Attack:
         workers: Workers killed.
         parents: Parents killed.
         starts: How often the batch was started.
+        damaged: Episodes damaged between two starts.
         orphans: Workers that lived on 20 s after their parent was killed.
         cpu: Useful CPU time and all CPU time of the runs that ended by themselves [s].
     """
@@ -44,6 +46,7 @@ class Attack:
     workers: int = 0
     parents: int = 0
     starts: int = 0
+    damaged: int = 0
     orphans: int = 0
     cpu: list[tuple[float, float]] = field(default_factory=list)
 
@@ -81,7 +84,7 @@ def run(inputs: Path, folder: Path, given: argparse.Namespace) -> bool:
     attack = attacked(inputs, folder / "killed", random.Random(given.seed), given.every)
     say(
         f"attacked: {attack.workers} workers and {attack.parents} parents killed, "
-        f"{attack.starts} starts, {attack.orphans} orphans"
+        f"{attack.damaged} episodes damaged, {attack.starts} starts, {attack.orphans} orphans"
     )
     for useful, everything in attack.cpu:
         say(f"  a run that ended by itself: {useful:.1f} of {everything:.1f} s CPU in the jobs")
@@ -112,6 +115,7 @@ def attacked(inputs: Path, out: Path, rng: random.Random, every: float) -> Attac
             [*command(inputs, out), "--workers", "2"], stdout=subprocess.PIPE, text=True
         )
         attack.starts += 1
+        parents = attack.parents
         while process.poll() is None:
             try:
                 process.wait(rng.expovariate(1.0 / every))
@@ -134,6 +138,24 @@ def attacked(inputs: Path, out: Path, rng: random.Random, every: float) -> Attac
                 attack.cpu.append((result["cpu_s"], result["all_cpu_s"]))
             if not result["done"]:
                 return attack
+        elif attack.parents > parents:
+            attack.damaged += damage(sorted((out / "episodes").rglob("*.npz")), rng)
+
+
+def damage(episodes: list[Path], rng: random.Random) -> int:
+    """Empty, cut, delete or alter one episode; return how many."""
+    left = [file for file in episodes if file.stat().st_size]
+    if not left:
+        return 0
+    file = rng.choice(left)
+    data = bytearray(file.read_bytes())
+    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    how = rng.randrange(4)
+    if how:
+        file.write_bytes((data, b"", data[: len(data) // 2])[how - 1])
+    else:
+        file.unlink()
+    return 1
 
 
 def compare(serial: Path, other: Path, count: int) -> bool:

@@ -26,6 +26,7 @@ from handmap_qp.datasets.engines import run_group
 from handmap_qp.datasets.episode_files import is_intact, read_episode
 from handmap_qp.datasets.manifest import Manifest, read_manifests
 from handmap_qp.datasets.sources import find_files
+from handmap_qp.errors import DiskFullError
 
 # Whole hands, and disks that are made for a test: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -307,6 +308,43 @@ def test_a_disk_may_be_full_at_any_moment(
         assert not capsys.readouterr().err
         assert episodes(out) == episodes(whole)
     assert at > 12, "each episode has three moments of its own, and the manifest one for each"
+
+
+def test_a_manifest_on_a_full_disk_is_one_error(out: Path) -> None:
+    line = read_manifests(out)["take1.npz::"]
+    with pytest.raises(DiskFullError, match="No space left"), Manifest(out) as manifest:  # noqa: PT012
+        assert manifest._stream is not None
+        manifest._stream.close()
+        # What cannot be written stays in the stream, which fails again when it is closed.
+        manifest._stream = open("/dev/full", "ab")  # noqa: SIM115
+        manifest.append(line)
+
+
+def test_room_for_hdf5_is_checked_before_each_episode(
+    inputs: Path,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    pytest.importorskip("h5py")
+    assert run(inputs, out, "--format", "robomimic") == 0
+    before = (out / "episodes.hdf5").read_bytes()
+    sizes: list[int] = []
+
+    def full(handle: int, start: int, size: int) -> None:
+        sizes.append(size)
+        if len(sizes) == 3:
+            raise OSError(errno.ENOSPC, "")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    assert run(inputs, out, "--format", "robomimic") == 1
+    assert "episodes.hdf5: cannot be written: No space left" in capsys.readouterr().err
+    assert (out / "episodes.hdf5").read_bytes() == before
+    assert not list(out.glob(".*.part"))
+    sizes[:] = [0] * 3
+    assert run(inputs, out, "--format", "robomimic") == 0
+    assert len(sizes) == 6
+    assert sum(sizes) > len(before)
 
 
 @pytest.mark.parametrize(
