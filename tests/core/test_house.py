@@ -78,6 +78,12 @@ def test_types_are_clean() -> None:
     assert "WARN" not in done.stderr, done.stderr
 
 
+@pytest.mark.slow
+def test_sizes_are_within_their_budget() -> None:
+    done = run(sys.executable, ROOT / ".ci" / "house.py")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_top_level_holds_nothing_else() -> None:
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
