@@ -5,7 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_qp import HandMapper, IkOptions, InvalidOptionsError, MappingOptions, load_hand
+from handmap_qp import (
+    HandMapper,
+    IkOptions,
+    InvalidOptionsError,
+    MappingOptions,
+    load_hand,
+)
 from handmap_qp.transform import affine
 
 HUMAN = load_hand("human")

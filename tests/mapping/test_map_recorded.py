@@ -7,7 +7,7 @@ import pytest
 from faulty_recordings import DEMO, faulty
 from marks import slow
 
-from handmap_qp import HandMapper, InvalidInputError, load_hand
+from handmap_qp import HandMapper, InvalidInputError, Method, Teleoperation, load_hand
 from handmap_qp.trackers.recorded_motion import RecordedSamples
 from handmap_qp.trackers.recording import Recording
 
@@ -17,8 +17,15 @@ FAULTS = "dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05"
 
 
 @pytest.mark.parametrize("robot", ["three_finger", *map(slow, ["allegro_right", "panda_gripper"])])
-@pytest.mark.parametrize("method", ["teleoperation", "paper"])
-def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: str) -> None:
+@pytest.mark.parametrize(
+    "method",
+    [
+        "teleoperation",
+        "paper",
+        pytest.param(Teleoperation(scale=0.5), id="half_scale", marks=pytest.mark.slow),
+    ],
+)
+def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: Method | str) -> None:
     recorded, hand = RecordedSamples(faulty(FAULTS)), load_hand(robot)
     live = HandMapper(HUMAN, hand, method)
     expected = [live.map_sample(sample) for sample in recorded.samples]
@@ -34,7 +41,7 @@ def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: str) -> N
         assert (margins is None) == (others is None)
         if margins is not None and others is not None:
             np.testing.assert_allclose(margins, others, atol=1e-12)
-        if method == "teleoperation" and not step.is_held:
+        if method != "paper" and not step.is_held:
             for name in ("palm", "gaps", "pinching", "extensions"):
                 one, two = (getattr(s.asked.diagnostics, name) for s in (step, other))
                 np.testing.assert_allclose(one, two, atol=1e-12)

@@ -218,3 +218,21 @@ def test_a_held_robot_brakes_within_its_acceleration_limit() -> None:
     # It moves on for some samples, and stands then.
     assert np.abs(speed[held[0] - 1]).max() > 0.1
     assert np.abs(speed[held[-1] - 1]).max() < 1e-12
+
+
+def test_a_clutch_ends_the_way_back() -> None:
+    """The next sample is the reference as the tracker sees it, and the robot stays where it is."""
+    samples = lost_between(0.15, 1.0)
+    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
+    steps = (mapper.map_sample(sample) for sample in samples)
+    gliding = next(step for step in steps if step.is_gliding)
+    mapper.clutch()
+    after = list(steps)
+    assert not any(step.is_gliding for step in after)
+    seen = samples[-len(after) :]
+    for sample, step in zip(seen, after, strict=True):
+        np.testing.assert_allclose(step.human_points, sample.landmarks, atol=1e-12)
+    for step in (after[0], after[-1]):
+        np.testing.assert_allclose(
+            step.wrist_target[:3, 3], gliding.command.wrist[:3, 3], atol=1e-6
+        )

@@ -382,3 +382,44 @@ def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
     np.testing.assert_allclose(half, 0.5 * full, atol=1e-12)
     np.testing.assert_allclose(same, rotation, atol=1e-12)
     assert np.linalg.norm(full) > 0.1
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "three_finger"])
+def test_the_knuckles_of_both_hands_begin_in_one_place(name: str) -> None:
+    robot = load_hand(name)
+    mapper, pair = HandMapper(HUMAN, robot), hand_pair(HUMAN, robot)
+    wrist = affine(rotation_from_rpy(np.array([0.4, -0.3, 0.8])), np.array([0.3, 0.1, 1.0]))
+    step = mapper.map_step(OPEN, wrist)
+    palm = step.wrist_target @ robot.wrist_to_palm
+    human_palm = wrist @ HUMAN.wrist_to_palm
+    np.testing.assert_allclose(palm[:3, :3], human_palm[:3, :3], atol=1e-12)
+    # The two palms have their knuckles in different places, so one of them has to give way.
+    assert np.linalg.norm(pair.human_knuckles - pair.robot_knuckles) > 0.005
+    np.testing.assert_allclose(
+        transform_points(palm, pair.robot_knuckles[None]),
+        transform_points(human_palm, pair.human_knuckles[None]),
+        atol=1e-12,
+    )
+
+
+def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None:
+    """The heavier it is, the nearer the thumb's length comes to what the human's asks for."""
+    q = OPEN.copy()
+    for name, angle in {"thumb_MCP_flexion": 0.6, "thumb_IP_flexion": 0.9}.items():
+        q[HUMAN.joint_names.index(name)] = angle
+    method = Teleoperation(pinch_weight=0.0).bind(HUMAN, ALLEGRO)
+    pair, points = method.pair, HUMAN.points(q)
+    distances = np.zeros(len(method.row_weights))
+    distances[: len(pair.fingers)] = np.linalg.norm(
+        points[pair.tips] - points[pair.knuckles], axis=1
+    )
+    thumb = pair.fingers.index(THUMB)
+    asked = method.shares_and_aims(distances)[1][thumb] / pair.robot_reach[thumb]
+    shares = []
+    for weight in (0.0, 2.5, 10.0):
+        choices = Teleoperation(thumb_extension_weight=weight, pinch_weight=0.0)
+        shares.append(flexions(ALLEGRO, settled(HandMapper(HUMAN, ALLEGRO, choices), q).command.q))
+    errors = [abs(share[THUMB] - asked) for share in shares]
+    assert errors[0] > 1.5 * errors[1] > 2.0 * errors[2]
+    for finger in FINGERS[:3]:
+        assert shares[2][finger] == pytest.approx(shares[0][finger], abs=0.01)
