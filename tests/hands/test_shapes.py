@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
-from handmap_qp import hand_names, load_hand
+from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, find_fingers
 from handmap_qp.hands.hand import Hand
@@ -19,6 +19,7 @@ from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, named_pairs
+from handmap_qp.hands.spec import PalmSpec, WristSpec
 
 # How exact pads are on meshes of other packages is not known.
 OWN = [name for name in hand_names() if hand_files()[name].name == "hand.yaml"]
@@ -46,6 +47,34 @@ def test_reach_bounds_every_posture(name: str) -> None:
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(chain.stretched))
         ends = [data.oMi[joint].act(offset) for joint, offset in (chain.knuckle, chain.tip)]
         assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(chain.reach, abs=1e-9)
+
+
+def test_the_reach_of_a_finger_that_is_bent_at_zero_is_the_length_of_its_links() -> None:
+    lengths, bends = (0.04, 0.03, 0.02), (0.2, 0.7, -0.5)
+    parts = ['<robot name="bent"><link name="palm"/>']
+    for i, (bend, before) in enumerate(zip(bends, (0.05, *lengths[:2]), strict=True)):
+        parts.append(
+            f'<link name="l{i}"/><joint name="j{i}" type="revolute">'
+            f'<parent link="{f"l{i - 1}" if i else "palm"}"/><child link="l{i}"/>'
+            f'<origin xyz="0 {before} 0" rpy="{bend} 0 0"/><axis xyz="1 0 0"/>'
+            '<limit lower="-1" upper="1" velocity="8" effort="1"/></joint>'
+        )
+    spec = HandSpec(
+        name="bent",
+        urdf="",
+        side="right",
+        palm=PalmSpec("palm", distal=(0.0, 1.0, 0.0), dorsal=(0.0, 0.0, 1.0)),
+        wrist=WristSpec("palm"),
+        joints=("j0", "j1", "j2"),
+        rest={"j0": 0.0, "j1": 0.0, "j2": 0.0},
+        points=(PointSpec("index_tip", "l2", (0.0, lengths[2], 0.0), finger="index"),),
+        sets={"tips": ("index_tip",)},
+        reference="tips",
+    )
+    chain = find_fingers(Hand(spec, urdf_text="".join([*parts, "</robot>"])))["index"]
+    assert chain.reach == pytest.approx(sum(lengths), abs=1e-6)
+    # Straight where the joints turn back what the URDF bends; the first one only turns the finger.
+    np.testing.assert_allclose(chain.stretched[1:], -np.array(bends[1:]), atol=2e-3)
 
 
 def test_a_round_fingertip_is_its_own_pad() -> None:

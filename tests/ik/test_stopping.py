@@ -12,10 +12,11 @@ import pinocchio as pin
 import pytest
 from marks import slow
 
-from handmap_qp import Hand, IkOptions, MissingExtraError, load_hand
+from handmap_qp import Hand, HandSpec, IkOptions, MissingExtraError, PointSpec, load_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.hands.spec import CollisionSpec, PalmSpec, WristSpec
 from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.distances import ShapeDistances
@@ -376,3 +377,48 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     assert not path.is_clear(start, near, np.array([2.0 * angle, 0.0]))
     # A part that ends before the floor rises into the way is clear.
     assert path.is_clear(start, near, np.array([0.02, 0.0]))
+
+
+@pytest.mark.parametrize("half_turn", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.3])
+def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
+    half_turn: float, share: float
+) -> None:
+    """On its arc a tip comes nearer by `lever (1 - cos(half_turn))` than at both ends."""
+    lever, radius = 0.1, 0.005
+    arc = lever * (1.0 - np.cos(half_turn))
+    clearance = share * arc + 1e-3 * (share > 1.0)
+    wall = lever * np.cos(half_turn) + radius + clearance
+    urdf = (
+        '<robot name="swing"><link name="palm"><collision>'
+        f'<origin xyz="{wall + 0.05} 0 0"/><geometry><box size="0.1 1 1"/></geometry></collision>'
+        '</link><link name="finger"><collision>'
+        f'<origin xyz="{lever} 0 0"/><geometry><sphere radius="{radius}"/></geometry></collision>'
+        '</link><joint name="swing" type="revolute"><parent link="palm"/><child link="finger"/>'
+        '<axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="8" effort="1"/></joint>'
+        '<link name="other"/><joint name="other" type="revolute"><parent link="palm"/>'
+        '<child link="other"/><limit lower="-2" upper="2" velocity="8" effort="1"/></joint></robot>'
+    )
+    spec = HandSpec(
+        name="swing",
+        urdf="",
+        side="right",
+        palm=PalmSpec("palm", distal=(0.0, 1.0, 0.0), dorsal=(0.0, 0.0, 1.0)),
+        wrist=WristSpec("palm", mount="fixed"),
+        joints=("swing", "other"),
+        rest={"swing": 0.0, "other": 0.0},
+        points=(PointSpec("tip", "finger", (lever, 0.0, 0.0)),),
+        sets={"tips": ("tip",)},
+        reference="tips",
+        collision=CollisionSpec(pairs=(("palm", "finger"),)),
+    )
+    hand = Hand(spec, urdf_text=urdf)
+    limit, configuration = CollisionLimit(hand), hand.configuration()
+    distances = []
+    for angle in (0.0, half_turn, -half_turn):
+        configuration.place_with_jacobians(hand.configuration_vector(np.array([angle, 0.0])))
+        distances.append(limit.distances(configuration)[0])
+    np.testing.assert_allclose(distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7)
+    start = limit.measure(configuration)
+    turn = 2.0 * half_turn * (hand.configuration_vector(np.array([1.0, 0.0])) == 1.0)
+    assert limit.path.is_clear(configuration.q, start, turn) == (share > 1.0)
