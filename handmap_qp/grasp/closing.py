@@ -1,4 +1,4 @@
-"""Close a hand on an object by its collision shapes: `close_hand`, or `HandCloser` for many poses.
+"""Close a hand on an object by its collision shapes: `HandCloser`.
 
 Fingers close one after the other, all closing joints of a finger at once. When a link touches the
 object, the joints that carry it stop. The others continue until each has stopped or reached its
@@ -215,39 +215,6 @@ class HandCloser:
                 Contact(name, (x, y, z), (a, b, c), finger_of.get(parts[part].parentJoint))
             )
         return tuple(contacts)
-
-
-def close_hand(
-    hand: Hand,
-    shape: Shape,
-    object_pose: PoseLike | None = None,
-    wrist_pose: np.ndarray | None = None,
-    *,
-    preshape: Preshape | None = None,
-    step: float = STEP,
-    margin: float = MARGIN,
-) -> Grasp:
-    """Close a hand on an object once.
-
-    Args:
-        hand: As for `HandCloser`.
-        shape: As for `HandCloser`.
-        object_pose: As for `HandCloser`.
-        wrist_pose: As for `HandCloser.close`.
-        preshape: As for `HandCloser`.
-        step: As for `HandCloser`.
-        margin: As for `HandCloser`.
-
-    Returns:
-        The grasp.
-
-    Raises:
-        InvalidInputError: As for `HandCloser` and `HandCloser.close`.
-        HandError: If the hand has no collision shapes, or they cannot be read.
-    """
-    return HandCloser(hand, shape, object_pose, preshape=preshape, step=step, margin=margin).close(
-        wrist_pose
-    )
 
 
 def _check_preshape(hand: Hand, preshape: Preshape) -> None:

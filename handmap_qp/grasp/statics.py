@@ -143,52 +143,6 @@ def quasistatic(
     return QuasiStatic(object_motion, forces, joint_motion, torques, synergy_motion)
 
 
-def grasp_stiffness(
-    jacobian: npt.ArrayLike,
-    grasp_matrix: npt.ArrayLike,
-    *,
-    contact_stiffness: Stiffness,
-    joint_stiffness: Stiffness,
-    synergies: npt.ArrayLike | None = None,
-    synergy_stiffness: Stiffness = np.inf,
-) -> np.ndarray:
-    """Stiffness of a grasp: wrench on the object per displacement, at constant references.
-
-    Args:
-        jacobian: J, shape (3 n_c, n_q).
-        grasp_matrix: G, shape (6, 3 n_c).
-        contact_stiffness: K_c, as for `quasistatic`.
-        joint_stiffness: K_q.
-        synergies: S, shape (n_q, n_z); none if omitted.
-        synergy_stiffness: K_z.
-
-    Returns:
-        `K = G C^-1 G^T` with C as in `quasistatic`: symmetric positive definite, shape (6, 6).
-
-    Raises:
-        InvalidInputError: As for `quasistatic`.
-    """
-    J, G = (
-        finite_array(jacobian, ("m", "n"), "jacobian"),
-        finite_array(grasp_matrix, ("m", "n"), "grasp_matrix"),
-    )
-    S = (
-        np.zeros((J.shape[1], 1))
-        if synergies is None
-        else finite_array(synergies, ("m", "n"), "synergies")
-    )
-    _check_sizes(J, G, S)
-    factor = _series_factor(
-        J,
-        J @ S,
-        _compliance(contact_stiffness, len(J), "contact_stiffness"),
-        _compliance(joint_stiffness, J.shape[1], "joint_stiffness"),
-        _compliance(synergy_stiffness, S.shape[1], "synergy_stiffness"),
-    )
-    stiffness = G @ scipy.linalg.cho_solve(factor, G.T)
-    return 0.5 * (stiffness + stiffness.T)
-
-
 def _series_factor(
     J: np.ndarray, JS: np.ndarray, contact: np.ndarray, joint: np.ndarray, synergy: np.ndarray
 ) -> Any:

@@ -270,35 +270,6 @@ class HandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.error(error.problem, key=error.key or key, value=error.value)
 
 
-def mounted(
-    hand: HandSpec,
-    arm: ArmSpec,
-    *,
-    xyz: Vector | None = None,
-    rpy: Vector | None = None,
-    name: str = "",
-) -> HandSpec:
-    """Describe a hand on an arm.
-
-    Args:
-        hand: The hand.
-        arm: The arm.
-        xyz: Origin of the hand's root link in the frame of the arm's tip [m]; the arm's own if
-            omitted.
-        rpy: Roll, pitch and yaw of the hand's root link there [rad]; the arm's own if omitted.
-        name: Name of the two; `ARM_HAND` if omitted.
-
-    Returns:
-        The description; the arm's joints come first in every `q`.
-
-    Raises:
-        HandError: If the two do not fit together.
-    """
-    pose = {"xyz": arm.xyz if xyz is None else xyz, "rpy": arm.rpy if rpy is None else rpy}
-    placed = msgspec.structs.replace(arm, **pose)
-    return msgspec.structs.replace(hand, name=name or f"{arm.name}_{hand.name}", arm=placed)
-
-
 def read_hand_spec(path: Path) -> HandSpec:
     """Read and check a `hand.yaml`.
 
@@ -312,25 +283,13 @@ def read_hand_spec(path: Path) -> HandSpec:
         HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
             key.
     """
-    return _read_spec(path, HandSpec)
+    file = Path(path)
+    document = _read_document(file) | {"file": str(file)}
 
+    def fail(problem: str, key: str | None, value: Any) -> HandError:
+        return HandError(problem, file=file, key=key, value=value)
 
-def read_arm_spec(path: Path) -> ArmSpec:
-    """Read an `arm.yaml`.
-
-    Mounting a hand on the arm checks whether it fits.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The spec, its `directory` set to the file's.
-
-    Raises:
-        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
-            key.
-    """
-    return _read_spec(path, ArmSpec)
+    return _convert(document, HandSpec, fail)
 
 
 def check_side(side: Any) -> None:
@@ -360,18 +319,6 @@ def check_point(point: PointSpec) -> PointSpec:
         if not is_valid:
             raise HandError(f"expected {expected}, got {value}", key=key, value=value)
     return checked
-
-
-def _read_spec(path: Path, kind: type[_Spec]) -> _Spec:
-    file = Path(path)
-    document = _read_document(file)
-    if kind is HandSpec:
-        document["file"] = str(file)
-
-    def fail(problem: str, key: str | None, value: Any) -> HandError:
-        return HandError(problem, file=file, key=key, value=value)
-
-    return _convert(document, kind, fail)
 
 
 _Fail = Callable[[str, str | None, Any], HandError]

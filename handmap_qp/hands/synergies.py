@@ -72,35 +72,6 @@ class Synergies:
         """
         return np.linalg.lstsq(self.matrix, frozen_floats(q, (20,), "q") - self.mean, rcond=None)[0]
 
-    def explained_variance(self, q: npt.ArrayLike) -> np.ndarray:
-        """Compute how much of a motion's variance the first synergies can reproduce.
-
-        The motion is taken about its own mean, and projected by least squares over the joint angles
-        onto the span of the first k synergies, for each k.
-
-        Args:
-            q: Joint angles over time [rad], shape (T, 20), T >= 2.
-
-        Returns:
-            Fractions in 0..1 that never fall, for k = 1..15, shape (15,).
-
-        Raises:
-            InvalidInputError: On a wrong shape, a number that is not finite, or a motion that
-                stands still.
-        """
-        postures = as_floats(q, "q", shape=("T", 20), is_finite=True)
-        if len(postures) < 2:
-            expected, got = "at least two postures", str(len(postures))
-            raise InvalidInputError(argument="q", expected=expected, value=q, got=got)
-        motion = postures - postures.mean(axis=0)
-        total = float(np.square(motion).sum())
-        if not total > 0.0:
-            got = "the same posture throughout"
-            raise InvalidInputError(argument="q", expected="a motion", value=q, got=got)
-        # The first k columns of an orthonormal factor span what the first k synergies span.
-        directions, _ = np.linalg.qr(self.matrix)
-        return np.clip(np.cumsum(np.square(motion @ directions).sum(axis=0)) / total, 0.0, 1.0)
-
 
 @cache
 def load_synergies() -> Synergies:

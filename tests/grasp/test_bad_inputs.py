@@ -10,13 +10,13 @@ import pytest
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp import Contact, Grasp, contact_jacobian, grasp_matrix
-from handmap_qp.grasp.closing import HandCloser, close_hand
+from handmap_qp.grasp.closing import HandCloser
 from handmap_qp.grasp.measures import cone_wrenches, ferrari_canny, grasp_quality
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.grasp.paper_cube import reference_grasp
 from handmap_qp.grasp.planning import plan_grasps
 from handmap_qp.grasp.preshape import Preshape, default_preshape, palm_centre
-from handmap_qp.grasp.statics import grasp_stiffness, quasistatic
+from handmap_qp.grasp.statics import quasistatic
 from handmap_qp.hands.library import load_hand
 
 HAND = load_hand("three_finger")
@@ -47,16 +47,6 @@ def respond(**changes: Any) -> Any:
         "synergy_stiffness": 4.0,
     }
     return quasistatic(**{**arguments, **changes})
-
-
-def stiffen(**changes: Any) -> Any:
-    arguments: dict[str, Any] = {
-        "jacobian": REFERENCE.jacobian,
-        "grasp_matrix": REFERENCE.matrix,
-        "contact_stiffness": 800.0,
-        "joint_stiffness": 1.5,
-    }
-    return grasp_stiffness(**{**arguments, **changes})
 
 
 def closer(**changes: Any) -> HandCloser:
@@ -107,7 +97,7 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "no synergy": (lambda: respond(synergies=np.zeros((8, 0))), "synergies"),
     "stiffness of words": (lambda: respond(contact_stiffness="hard"), "contact_stiffness"),
     "stiffness None": (lambda: respond(joint_stiffness=None), "joint_stiffness"),
-    "negative stiffness": (lambda: stiffen(joint_stiffness=-1.0), "joint_stiffness"),
+    "negative stiffness": (lambda: respond(joint_stiffness=-1.0), "joint_stiffness"),
     "shape of words": (lambda: closer(shape="ball"), "shape"),
     "step of words": (lambda: closer(step="fine"), "step"),
     "no step": (lambda: closer(step=0.0), "step"),
@@ -121,8 +111,8 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: palm_centre(HAND, Preshape(START, np.zeros(8), 0.0)),
         "preshape.direction",
     ),
-    "closing with a wrist of words": (lambda: close_hand(HAND, BALL, None, "w"), "wrist_pose"),  # ty: ignore[invalid-argument-type]
-    "closing inside the object": (lambda: close_hand(HAND, Sphere(1.0)), "wrist_pose"),
+    "closing with a wrist of words": (lambda: closer().close("w"), "wrist_pose"),  # ty: ignore[invalid-argument-type]
+    "closing inside the object": (lambda: closer(shape=Sphere(1.0)).close(), "wrist_pose"),
     "planning with a fixed wrist": (lambda: plan_grasps(FIXED, BALL), "hand"),
     "samples of words": (lambda: plan_grasps(HAND, BALL, samples="many"), "samples"),  # ty: ignore[invalid-argument-type]
     "samples of a half": (lambda: plan_grasps(HAND, BALL, samples=0.5), "samples"),  # ty: ignore[invalid-argument-type]

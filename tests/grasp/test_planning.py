@@ -17,7 +17,7 @@ from strategies import generators, motion_of, poses, rotations
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.experiments.contact_histogram import contact_histogram_figure
 from handmap_qp.grasp import Grasp
-from handmap_qp.grasp.closing import MARGIN, HandCloser, close_hand
+from handmap_qp.grasp.closing import MARGIN, HandCloser
 from handmap_qp.grasp.measures import (
     QUALITIES,
     SMALLER_IS_BETTER,
@@ -155,14 +155,14 @@ def test_joints_that_do_not_close_keep_their_angle(plan: Sequence[PlannedGrasp])
 def test_a_smaller_step_leads_to_the_same_grasp() -> None:
     hand = load("human")
     wrist = plan_grasps(hand, CUBE, samples=1, quality="msvg")[0].grasp.wrist_pose
-    coarse, fine = (close_hand(hand, CUBE, None, wrist, step=step) for step in (0.02, 0.002))
+    coarse, fine = (HandCloser(hand, CUBE, step=step).close(wrist) for step in (0.02, 0.002))
     # Joints of a finger stop one after another, each found to a microradian.
     np.testing.assert_allclose(coarse.q, fine.q, atol=2e-5)
 
 
 def test_a_hand_beside_the_object_closes_to_its_limits_and_has_no_contact() -> None:
     hand = load("three_finger")
-    grasp = close_hand(hand, CUBE, motion_of(np.eye(3), np.array([1.0, 0.0, 0.0])))
+    grasp = HandCloser(hand, CUBE, motion_of(np.eye(3), np.array([1.0, 0.0, 0.0]))).close()
     preshape = default_preshape(hand)
     assert grasp.contacts == ()
     np.testing.assert_array_equal(
@@ -175,7 +175,7 @@ def test_a_left_hand_closes_as_the_right_one_in_a_mirror() -> None:
     grasp = plan_grasps(right, CUBE, samples=1, quality="msvg")[0].grasp
     assert grasp.wrist_pose is not None
     R, t = grasp.wrist_pose[:3, :3], grasp.wrist_pose[:3, 3]
-    mirrored = close_hand(left, CUBE, None, motion_of(MIRROR @ R @ MIRROR, MIRROR @ t))
+    mirrored = HandCloser(left, CUBE).close(motion_of(MIRROR @ R @ MIRROR, MIRROR @ t))
     # Two solutions by the same iterative distance algorithm, each exact to a micrometre.
     np.testing.assert_allclose(mirrored.q, grasp.q, atol=1e-4)
     np.testing.assert_allclose(mirrored.points, grasp.points @ MIRROR, atol=1e-4)
@@ -200,7 +200,7 @@ def test_coupled_joints_stop_together() -> None:
 def test_closing_refuses_to_start_in_the_object() -> None:
     hand = load("three_finger")
     with pytest.raises(InvalidInputError, match="touches the object"):
-        close_hand(hand, CUBE, hand.frame_pose("finger1_tip", np.zeros(8)))
+        HandCloser(hand, CUBE, hand.frame_pose("finger1_tip", np.zeros(8))).close()
 
 
 def test_a_hand_without_collision_shapes_is_refused() -> None:

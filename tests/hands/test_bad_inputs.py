@@ -187,7 +187,6 @@ def test_other_arguments_are_named(case: str) -> None:
 SYNERGY_CALLS: dict[str, tuple[Callable[[Any], Any], dict[str, Any], str]] = {
     "posture": (SYNERGIES.posture, not_numbers(16), "z"),
     "coordinates": (SYNERGIES.coordinates, not_numbers(20), "q"),
-    "explained_variance": (SYNERGIES.explained_variance, not_numbers(20), "q"),
     "mean": (lambda mean: Synergies(SYNERGIES.matrix, mean), not_numbers(20), "mean"),
     "matrix": (lambda matrix: Synergies(matrix, SYNERGIES.mean), not_numbers(20), "matrix"),
     "bases": (lambda bases: HumanLengths(bases, LENGTHS.segments), not_numbers(15), "bases"),

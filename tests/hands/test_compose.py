@@ -12,12 +12,13 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_cases import arm_of, mounted
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import generators, rotations
 
 from handmap_qp import Hand, HandError, HandSpec, InvalidInputError, load_hand
-from handmap_qp.hands.spec import ArmSpec, LimitSpec, mounted, read_arm_spec, read_hand_spec
+from handmap_qp.hands.spec import ArmSpec, LimitSpec, read_hand_spec
 from handmap_qp.hands.urdf.files import read_urdf
 from handmap_qp.hands.urdf.joints import lock_joints
 from handmap_qp.hands.urdf.package_data import urdf_directory
@@ -27,10 +28,7 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.transform import rotation_from_rpy, rpy_from_rotation, transform_points
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"
-ARMS = {
-    name: read_arm_spec(urdf_directory() / "arms" / f"{name}.yaml")
-    for name in ("ur5", "panda", "xarm7")
-}
+ARMS = {name: arm_of(name) for name in ("ur5", "panda", "xarm7")}
 ALLEGRO = load_hand("allegro_right")
 MOUNT = (0.01, -0.02, 0.095), (0.3, -0.4, 0.5)
 ON_ARM = {
