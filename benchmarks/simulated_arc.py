@@ -22,10 +22,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from mapped_grasps import map_grasp, with_equal_palms
 
 from handmap_qp.experiments.followers import FingerMode
-from handmap_qp.experiments.section_four import Scene, Setting, run_experiment
+from handmap_qp.experiments.section_four import HandMotion, Scene, Setting, run_experiment
+from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Box
+from handmap_qp.grasp.statics import Stiffness, quasistatic
 from handmap_qp.hands.library import load_hand
 from handmap_qp.simulation.actuators import ActuatorKind, PositionActuators, TorqueActuators
 from handmap_qp.simulation.arc import (
@@ -33,15 +36,16 @@ from handmap_qp.simulation.arc import (
     ArcOutcome,
     carry,
     planned_scene,
-    predicted_force,
     soft_synergy,
 )
-from handmap_qp.simulation.mapped import chosen_methods, map_grasp, with_equal_palms
+from handmap_qp.simulation.mapped import chosen_methods
 from handmap_qp.simulation.physics import Physics
 from handmap_qp.tables import print_rows, progress
 
 CUBE, MASS, PHYSICS = Box((0.05, 0.05, 0.05)), 0.1, Physics()
 FINGERS = get_args(FingerMode)
+# Stiffness of contacts in the prediction by statics, far above the fingers' [N/m].
+_RIGID = 1e5
 
 
 class Case(NamedTuple):
@@ -65,6 +69,31 @@ class Case(NamedTuple):
     def is_lost(self) -> bool:
         """Whether one of the objects is lost."""
         return self.outcome.human.is_lost or self.outcome.robot.is_lost
+
+
+def predicted_force(grasp: Grasp, motion: HandMotion, start: float, stiffness: Stiffness) -> float:
+    """Predict the sum of the normal forces at the end of a motion by the statics.
+
+    Args:
+        grasp: The grasp at the start.
+        motion: Commands of the joints.
+        start: Sum of the normal forces at the start [N].
+        stiffness: Stiffness of the actuators [N m/rad], one number or shape (n, n).
+
+    Returns:
+        The sum at the end [N], by the linear model of `quasistatic` with rigid contacts.
+    """
+    change = motion.q[-1] - motion.q[0]
+    response = quasistatic(
+        grasp.jacobian,
+        grasp.matrix,
+        np.eye(len(change)),
+        contact_stiffness=_RIGID,
+        joint_stiffness=stiffness,
+        synergy_stiffness=np.inf,
+    )
+    forces = (response.contact_forces @ change).reshape(-1, 3)
+    return start + float(np.einsum("ci,ci->", forces, grasp.normals))
 
 
 def simulate(

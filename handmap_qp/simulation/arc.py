@@ -19,7 +19,6 @@ from handmap_qp.experiments.section_four import HandMotion, Run, Scene, Setting,
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.planning import plan_grasps
-from handmap_qp.grasp.statics import Stiffness, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
@@ -37,8 +36,6 @@ from handmap_qp.transform import inverse_pose, transform_points
 
 # Time to close, to rest, and to take the weight [s].
 _CLOSING, _RESTING, _LOADING = 0.2, 0.2, 0.3
-# Stiffness of contacts in the prediction by statics, far above the fingers' [N/m].
-_RIGID = 1e5
 # An object that leaves its place in the hand by more than this is lost [m].
 LOST = 0.05
 
@@ -157,31 +154,6 @@ def soft_synergy(synergy: int, physics: Physics) -> TorqueActuators:
     """
     matrix = load_synergies().matrix[:, [synergy - 1]]
     return TorqueActuators(matrix, physics.joint_stiffness)
-
-
-def predicted_force(grasp: Grasp, motion: HandMotion, start: float, stiffness: Stiffness) -> float:
-    """Predict the sum of the normal forces at the end of a motion by the statics.
-
-    Args:
-        grasp: The grasp at the start.
-        motion: Commands of the joints.
-        start: Sum of the normal forces at the start [N].
-        stiffness: Stiffness of the actuators [N m/rad], one number or shape (n, n).
-
-    Returns:
-        The sum at the end [N], by the linear model of `quasistatic` with rigid contacts.
-    """
-    change = motion.q[-1] - motion.q[0]
-    response = quasistatic(
-        grasp.jacobian,
-        grasp.matrix,
-        np.eye(len(change)),
-        contact_stiffness=_RIGID,
-        joint_stiffness=stiffness,
-        synergy_stiffness=np.inf,
-    )
-    forces = (response.contact_forces @ change).reshape(-1, 3)
-    return start + float(np.einsum("ci,ci->", forces, grasp.normals))
 
 
 def carry(

@@ -98,20 +98,6 @@ class Simulator:
         return self._pose_at(self.parts.object_q)
 
     @property
-    def object_velocity(self) -> np.ndarray:
-        """Velocity of the object's centre and its angular velocity, world axes, shape (6,)."""
-        v = np.zeros(6)
-        mujoco.mj_objectVelocity(
-            self.parts.model, self.data, mujoco.mjtObj.mjOBJ_BODY, self.parts.object, v, 0
-        )
-        return np.concatenate([v[3:], v[:3]])
-
-    @property
-    def efforts(self) -> np.ndarray:
-        """Torques of the actuators [N m], shape (n,)."""
-        return self.data.qfrc_actuator[self.parts.joint_v]
-
-    @property
     def command(self) -> np.ndarray:
         """Commanded joint angles [rad], shape (n,)."""
         assert self._target is not None, "reset first"

@@ -50,18 +50,6 @@ def holding_forces(grasp: Grasp, load: npt.ArrayLike, normal_force: float) -> np
     return np.linalg.solve(system, right)[: 3 * count].reshape(-1, 3)
 
 
-def friction_use(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
-    """Return the share |f_t| / f_n of every contact, infinite where it does not press.
-
-    Args:
-        grasp: The grasp.
-        forces: Forces of the hand on the object [N], shape (n_c, 3).
-    """
-    normal = np.einsum("ci,ci->c", forces, grasp.normals)
-    tangential = np.linalg.norm(forces - normal[:, None] * grasp.normals, axis=1)
-    return np.where(normal > 1e-9, tangential / np.maximum(normal, 1e-9), np.inf)
-
-
 def squeeze(grasp: Grasp, forces: np.ndarray, stiffness: Stiffness) -> np.ndarray:
     """Return the displacement of a command that makes contact forces.
 

@@ -15,6 +15,12 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
+from handmap_qp.experiments.section_four import HandMotion
+from handmap_qp.grasp.objects import Box
+from handmap_qp.hands.human import HUMAN_JOINTS
+from handmap_qp.hands.library import load_hand
+from handmap_qp.offline.compared_methods import own_method
+from handmap_qp.simulation.arc import planned_scene
 from handmap_qp.trackers.recording import HumanMotion
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -145,3 +151,36 @@ def test_robots_are_found_for_either_side(shared: dict[str, Any]) -> None:
     assert [point.finger for point in left] == ["thumb", "index", "middle"]
     assert [point.partner for point in left] == ["thumb_tip", "index_tip", "middle_tip"]
     assert [point.link for point in left] == [point.link for point in right]
+
+
+@pytest.mark.slow
+def test_a_mapped_grasp_starts_as_planned_and_does_what_the_human_does(
+    benchmark: Callable[[str], Any],
+) -> None:
+    """The human bends his index finger and moves his wrist, which does not turn."""
+    grasps = benchmark("mapped_grasps")
+    scene = grasps.with_equal_palms(
+        planned_scene(load_hand("allegro_right"), Box((0.05, 0.05, 0.05)), samples=4)
+    )
+    palms = [
+        (grasp.wrist_pose @ grasp.hand.wrist_to_palm)[:3, :3]
+        for grasp in (scene.human, scene.robot)
+        if grasp.wrist_pose is not None
+    ]
+    np.testing.assert_allclose(palms[0], palms[1], atol=1e-12)
+    human, grasp = scene.human, scene.robot
+    assert human.wrist_pose is not None
+    assert grasp.wrist_pose is not None
+    q, wrist = np.tile(human.q, (3, 1)), np.tile(human.wrist_pose, (3, 1, 1))
+    is_bent = [name in ("index_MCP_flexion", "index_PIP_flexion") for name in HUMAN_JOINTS]
+    q[:, is_bent] += np.array([[0.0], [0.15], [0.3]])
+    wrist[:, 1, 3] += (0.0, 0.02, 0.04)
+    motion = grasps.map_grasp(own_method("finger-vectors"), scene, HandMotion(q, wrist, wrist), 0.3)
+    np.testing.assert_array_equal(motion.q[0], grasp.q)
+    moved = motion.wrist - grasp.wrist_pose
+    np.testing.assert_allclose(moved[-1, :3, 3], [0.0, 0.04, 0.0], atol=2e-3)
+    np.testing.assert_allclose(moved[:, :3, :3], 0.0, atol=0.02)
+    # The index finger's joints come first; the little finger has none.
+    bent = np.abs(motion.q[-1] - motion.q[0])
+    assert bent[1:4].sum() > 0.2
+    assert bent[4:].max() < 0.1 * bent[1:4].sum()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from virtual_object_cases import HUMAN, rotation_of
+from virtual_object_cases import HUMAN, rotation_of, sphere_matrix
 
 from handmap_qp import HandMapper, InvalidOptionsError, VirtualEllipsoid, load_hand
 from handmap_qp.mapping.methods.virtual_ellipsoid import Ellipsoid, enclosing_ellipsoid
-from handmap_qp.mapping.methods.virtual_sphere import Sphere, sphere_matrix
+from handmap_qp.mapping.methods.virtual_sphere import Sphere
 
 
 @pytest.mark.parametrize("count", [4, 5, 9, 30])

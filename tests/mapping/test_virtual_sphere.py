@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mapping_cases import little_pose, near_rest
-from virtual_object_cases import HUMAN, closing, rotation_of
+from virtual_object_cases import HUMAN, closing, rotation_of, sphere_matrix
 
 from handmap_qp import (
     DegeneratePointsError,
@@ -21,7 +21,7 @@ from handmap_qp import (
     load_hand,
     load_synergies,
 )
-from handmap_qp.mapping.methods.virtual_sphere import Sphere, enclosing_ball, sphere_matrix
+from handmap_qp.mapping.methods.virtual_sphere import Sphere, enclosing_ball
 from handmap_qp.transform import transform_points
 
 THREE = load_hand("three_finger")

@@ -16,13 +16,10 @@ from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.experiments.section_four import HandMotion
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HUMAN_JOINTS
-from handmap_qp.offline.compared_methods import own_method
-from handmap_qp.simulation.arc import ArcOptions, Carried, carry, planned_scene
+from handmap_qp.simulation.arc import ArcOptions, Carried, carry
 from handmap_qp.simulation.commands import Commands
 from handmap_qp.simulation.film import Stage, film, picture
 from handmap_qp.simulation.grip import GripForce
-from handmap_qp.simulation.mapped import map_grasp, with_equal_palms
 from handmap_qp.simulation.page import travel, write_page
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.pinch import PinchScene, PinchTrial
@@ -144,34 +141,6 @@ def test_a_carried_object_goes_where_the_wrist_goes(carried: Carried) -> None:
     np.testing.assert_allclose(carried.rotation, np.eye(3), atol=0.03)
     assert carried.slip.max() < 2e-3
     assert (carried.episode.touching == 3).all()
-
-
-@pytest.mark.slow
-def test_a_mapped_grasp_starts_as_planned_and_does_what_the_human_does() -> None:
-    """The human bends his index finger and moves his wrist, which does not turn."""
-    scene = with_equal_palms(planned_scene(load_hand("allegro_right"), CUBE, samples=4))
-    palms = [
-        (grasp.wrist_pose @ grasp.hand.wrist_to_palm)[:3, :3]
-        for grasp in (scene.human, scene.robot)
-        if grasp.wrist_pose is not None
-    ]
-    np.testing.assert_allclose(palms[0], palms[1], atol=1e-12)
-    human, grasp = scene.human, scene.robot
-    assert human.wrist_pose is not None
-    assert grasp.wrist_pose is not None
-    q, wrist = np.tile(human.q, (3, 1)), np.tile(human.wrist_pose, (3, 1, 1))
-    is_bent = [name in ("index_MCP_flexion", "index_PIP_flexion") for name in HUMAN_JOINTS]
-    q[:, is_bent] += np.array([[0.0], [0.15], [0.3]])
-    wrist[:, 1, 3] += (0.0, 0.02, 0.04)
-    motion = map_grasp(own_method("finger-vectors"), scene, HandMotion(q, wrist, wrist), 0.3)
-    np.testing.assert_array_equal(motion.q[0], grasp.q)
-    moved = motion.wrist - grasp.wrist_pose
-    np.testing.assert_allclose(moved[-1, :3, 3], [0.0, 0.04, 0.0], atol=2e-3)
-    np.testing.assert_allclose(moved[:, :3, :3], 0.0, atol=0.02)
-    # The index finger's joints come first; the little finger has none.
-    bent = np.abs(motion.q[-1] - motion.q[0])
-    assert bent[1:4].sum() > 0.2
-    assert bent[4:].max() < 0.1 * bent[1:4].sum()
 
 
 @pytest.mark.slow

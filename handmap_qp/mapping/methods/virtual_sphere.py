@@ -3,7 +3,7 @@
 Gioioso, Salvietti, Malvezzi and Prattichizzo, "Mapping synergies from human to robotic hands with
 dissimilar kinematics: an approach in the object domain", IEEE Trans. Robotics 29 (2013) 825-837.
 They map velocities: `dq_r = J_r^+ A_r S_c A_h^+ J_h dq_h`, where each point contributes `A_i = [I,
--[p_i - c]x, (p_i - c)]` (`sphere_matrix`) and `S_c = diag(k, k, k, 1, 1, 1, 1)`.
+-[p_i - c]x, (p_i - c)]` and `S_c = diag(k, k, k, 1, 1, 1, 1)`.
 
 Here displacements since the reference take the place of velocities. `A_h^+` becomes the similarity
 that best fits the human's points (Umeyama, IEEE PAMI 13, 1991), and the QP takes the place of
@@ -119,24 +119,3 @@ def _smallest_ball(points: np.ndarray, chosen: list[int]) -> tuple[list[int], np
             if radius < best[2] * (1.0 - _OUTSIDE):
                 best = (list(subset), centre, radius)
     return best
-
-
-def sphere_matrix(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Compose A: the velocities of points on a sphere that moves, turns and grows.
-
-    Args:
-        points: The points [m], shape (n, 3).
-        centre: The sphere's centre [m], shape (3,).
-
-    Returns:
-        A, from the sphere's velocity [m/s], angular velocity [rad/s] and relative growth of its
-        radius [1/s] to the points' velocities [m/s]: rows x, y, z of each point in turn, shape
-        (3 n, 7).
-    """
-    matrix = np.zeros((len(points), 3, 7))
-    offsets = points - centre
-    matrix[:, :, :3] = np.eye(3)
-    # Columns of -[d]x are e_k x d.
-    matrix[:, :, 3:6] = np.cross(np.eye(3)[None], offsets[:, None]).transpose(0, 2, 1)
-    matrix[:, :, 6] = offsets
-    return matrix.reshape(-1, 7)
