@@ -20,16 +20,16 @@ from typing import TYPE_CHECKING, Any
 
 import common
 import numpy as np
-from scenes import ROBOTS, Scene, load_scenes, robot_for
-
-from handmap_qp import HandMapper, IkOptions, MappingOptions, MapStep, load_hand
-from handmap_qp.offline.quality import (
+from motion_quality import (
     FingerMatch,
     MotionQuality,
     assess_quality,
     mean_correlation,
     total_range_ratio,
 )
+from scenes import ROBOTS, Scene, load_scenes, robot_for
+
+from handmap_qp import HandMapper, IkOptions, MappingOptions, MapStep, load_hand
 from handmap_qp.offline.trajectory import map_motion
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.offline.quality import rms_derivative
 from handmap_qp.offline.surface_gaps import GapMeter
-from handmap_qp.offline.trajectory import Trajectory
+from handmap_qp.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.trackers.landmarks import TIPS
 from handmap_qp.trackers.recording import Recording
 

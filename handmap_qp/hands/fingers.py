@@ -99,6 +99,11 @@ def find_fingers(hand: Hand) -> dict[str, FingerChain]:
     }
 
 
+def finger_tips(hand: Hand) -> dict[str, str]:
+    """Return the name of the description's point at the tip of each finger, by finger."""
+    return {f: _tip(hand, f, points).name for f, points in _points_by_finger(hand).items()}
+
+
 def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
     """Return the name of the human point that each reference point of a robot corresponds to.
 
@@ -114,8 +119,7 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
         Names in the order of `robot.reference_points`; a point's own name where there is no such
         landmark.
     """
-    named = _points_by_finger(robot)
-    last = {_tip(robot, finger, points).name: f"{finger}_tip" for finger, points in named.items()}
+    last = {name: f"{finger}_tip" for finger, name in finger_tips(robot).items()}
     return [
         point.partner
         or (point.name if point.name in landmarks else last.get(point.name, point.name))

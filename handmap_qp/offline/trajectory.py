@@ -305,3 +305,25 @@ def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
     """
     with replaced_file(path, "path") as file:
         np.savez_compressed(file, allow_pickle=False, **columns)
+
+
+def rms_derivative(values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int) -> float:
+    """RMS of a time derivative, by divided differences, which allow uneven sampling.
+
+    Args:
+        values: Columns over time, shape (T, n).
+        time: Instants, strictly increasing [s], shape (T,).
+        valid: Samples to use, shape (T,); a difference needs `order + 1` consecutive ones.
+        order: Order of the derivative: 1 for speed, 3 for jerk.
+
+    Returns:
+        RMS over columns and instants [unit/s^order]; NaN without `order + 1` consecutive valid
+        samples.
+    """
+    differences, usable = values, valid
+    for k in range(1, order + 1):
+        # k! f[t_0 .. t_k] is the k-th derivative of the polynomial through k + 1 samples.
+        differences = k * np.diff(differences, axis=0) / (time[k:] - time[:-k])[:, None]
+        usable = usable[1:] & usable[:-1]
+    found = differences[usable]
+    return math.sqrt(np.mean(np.square(found))) if len(found) else math.nan

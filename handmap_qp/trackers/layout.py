@@ -339,22 +339,6 @@ class Layout(abc.ABC, Generic[Table]):
         """Return what stands for a column that is missing; None where it is needed."""
         return None
 
-    def write_wrist(self, wrist: np.ndarray, side: Side) -> np.ndarray | None:
-        """Return a wrist pose in the tracker's own axes and unit, as `read` takes it.
-
-        Args:
-            wrist: The pose with our axes [m], shape (4, 4).
-            side: Which hand.
-
-        Returns:
-            The pose, shape (4, 4); None for a tracker that has none beside its values.
-        """
-        table = self.wrist_table
-        if table is None or self.has_wrist:
-            return None
-        axes = table.axes(side)
-        return from_own_axes(wrist[None], axes, self.table.reflection, self._length)[0]
-
     @property
     def wrist_table(self) -> WristTable | None:
         """How a wrist pose is obtained; None if it cannot be."""

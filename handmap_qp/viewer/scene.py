@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
+from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
-from handmap_qp.offline.quality import finger_tips
 from handmap_qp.trackers.landmarks import TIPS
 from handmap_qp.transform import quat_wxyz_from_rotation
 from handmap_qp.viewer.camera import BrowserCameras

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, find_fingers
+from handmap_qp.hands.fingers import THUMB, find_fingers, finger_tips
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.pads import find_pads
@@ -75,6 +75,27 @@ def test_the_reach_of_a_finger_that_is_bent_at_zero_is_the_length_of_its_links()
     assert chain.reach == pytest.approx(sum(lengths), abs=1e-6)
     # Straight where the joints turn back what the URDF bends; the first one only turns the finger.
     np.testing.assert_allclose(chain.stretched[1:], -np.array(bends[1:]), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "tips"),
+    [
+        (
+            "human",
+            {finger: f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring", "little")},
+        ),
+        ("three_finger", {"thumb": "finger1_tip", "middle": "finger2_tip", "index": "finger3_tip"}),
+        (
+            "allegro_right",
+            {finger: f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring")},
+        ),
+    ],
+)
+@pytest.mark.parametrize("points", [None, "fingertips_middle"])
+def test_tips_are_found_whatever_points_are_in_use(
+    name: str, tips: dict[str, str], points: str | None
+) -> None:
+    assert finger_tips(load_hand(name, points=points)) == tips
 
 
 def test_a_round_fingertip_is_its_own_pad() -> None:

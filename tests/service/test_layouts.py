@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from layout_cases import wrist_beside
 from service_tools import (
     CACHE,
     PERIOD,
@@ -90,7 +91,7 @@ def test_a_wrist_beside_the_values_is_in_the_axes_of_the_layout() -> None:
     layout = load_layout("angles20")
     pose = np.eye(4)
     pose[:3, 3] = 0.1, 0.2, 0.3
-    theirs = layout.write_wrist(pose, "right")
+    theirs = wrist_beside(layout, pose, "right")
     assert theirs is not None
     session = make_session(
         input="landmarks", hand_length=LENGTH, layout="angles20", has_detail=True
@@ -157,7 +158,7 @@ def test_the_client_sends_angles_markers_and_matrices_too() -> None:
             layout = load_layout(name)
             sample = HumanSample(0.0, "right", landmarks_at(0.3))
             values = layout.write(sample)
-            wrist = layout.write_wrist(np.eye(4), "right")
+            wrist = wrist_beside(layout, np.eye(4), "right")
             with connected(
                 server, input="landmarks", layout=name, hand_length=LENGTH, preset=None
             ) as client:

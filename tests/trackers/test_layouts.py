@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from layout_cases import wrist_beside
 from scipy.spatial.transform import Rotation
 
 from handmap_qp import InvalidInputError, RecordingError, read_recording
@@ -60,7 +61,7 @@ def test_a_posture_of_the_model_comes_back(layout: Layout, side: Side) -> None:
     q, wrist = posture(side)
     values = layout.write_posture(typical_human(side), q, wrist)
     assert values.shape == layout.shapes[0]
-    beside = layout.write_wrist(wrist, side)
+    beside = wrist_beside(layout, wrist, side)
     sample = layout.read(values, time=2.0, side=side, wrist=beside)
     assert (sample.time, sample.side, sample.valid) == (2.0, side, True)
     expected = wrist
@@ -80,7 +81,7 @@ def test_a_sample_comes_back_and_flat_rows_are_read(layout: Layout) -> None:
     sample = load_layout("mediapipe21").read(truth("right", q, wrist), time=0.0, side="right")
     values = layout.write(sample)
     again = layout.read(
-        values.ravel(), time=0.0, side="right", wrist=layout.write_wrist(wrist, "right")
+        values.ravel(), time=0.0, side="right", wrist=wrist_beside(layout, wrist, "right")
     )
     # Angles and markers go through a fit of a hand of other lengths, and their wrist through a palm
     # fit: compare shapes, which are distances.
@@ -128,7 +129,7 @@ def test_a_wrist_beside_the_values_may_be_seven_numbers(name: str) -> None:
     layout = load_layout(name)
     q, wrist = posture("left", seed=7)
     values = layout.write_posture(typical_human("left"), q, wrist)
-    beside = layout.write_wrist(wrist, "left")
+    beside = wrist_beside(layout, wrist, "left")
     assert beside is not None
     assert layout.wrist_table is not None
     xyzw = Rotation.from_matrix(beside[:3, :3]).as_quat()

@@ -12,10 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
-from handmap_qp.offline.trajectory import Trajectory
+from handmap_qp.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.trackers.recording import HumanMotion
 
 # Percentiles between which a range is taken; they exclude outliers of the tracker.
@@ -122,28 +124,6 @@ def assess_quality(motion: HumanMotion, trajectory: Trajectory) -> MotionQuality
     )
 
 
-def finger_tips(hand: Hand) -> dict[str, str]:
-    """Find the tip of each finger: its point farthest from the palm on the stretched hand.
-
-    Args:
-        hand: The hand. It is stretched at joint angles of zero, clipped into the limits.
-
-    Returns:
-        Names of points by finger, in the order in which the hand's description names the fingers.
-    """
-    fingers = [point.finger for point in hand.spec.points if point.finger is not None]
-    named = tuple(point.name for point in hand.spec.points if point.finger is not None)
-    if not named:
-        return {}
-    reach = _tip_distances(hand, named, np.clip(0.0, hand.lower_limits, hand.upper_limits)[None])[0]
-    best: dict[str, int] = {}
-    for i, finger in enumerate(fingers):
-        # The tolerance keeps the first of several points at the same position.
-        if finger not in best or reach[i] > reach[best[finger]] + 1e-9:
-            best[finger] = i
-    return {finger: named[i] for finger, i in best.items()}
-
-
 def finger_extensions(hand: Hand, q: np.ndarray) -> dict[str, np.ndarray]:
     """Distance from each fingertip to the origin of the palm frame.
 
@@ -158,11 +138,7 @@ def finger_extensions(hand: Hand, q: np.ndarray) -> dict[str, np.ndarray]:
         InvalidInputError: If a sample of `q` has the wrong shape or is not finite.
     """
     tips = finger_tips(hand)
-    return (
-        dict(zip(tips, _tip_distances(hand, tuple(tips.values()), q).T, strict=True))
-        if tips
-        else {}
-    )
+    return dict(zip(tips, _tip_distances(hand, tuple(tips.values()), q).T, strict=True))
 
 
 def match_fingers(
@@ -215,33 +191,9 @@ def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.n
         np.linalg.inv(human_palm[0]) @ human_palm,
         np.linalg.inv(robot_palm[0]) @ robot_palm,
     )
-    # Imported when used: workers of a batch, which need the jerk alone, start a third sooner.
-    from scipy.spatial.transform import Rotation
-
     distance = np.linalg.norm(robot[:, :3, 3] - human[:, :3, 3], axis=1)
     turn = human[:, :3, :3].transpose(0, 2, 1) @ robot[:, :3, :3]
     return distance, Rotation.from_matrix(turn).magnitude()
-
-
-def rms_derivative(values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int) -> float:
-    """RMS of a time derivative, by divided differences, which allow uneven sampling.
-
-    Args:
-        values: Columns over time, shape (T, n).
-        time: Instants, strictly increasing [s], shape (T,).
-        valid: Samples to use, shape (T,); a difference needs `order + 1` consecutive ones.
-        order: Order of the derivative: 1 for speed, 3 for jerk.
-
-    Returns:
-        RMS over columns and instants [unit/s^order]; NaN without `order + 1` consecutive valid
-        samples.
-    """
-    differences, usable = values, valid
-    for k in range(1, order + 1):
-        # k! f[t_0 .. t_k] is the k-th derivative of the polynomial through k + 1 samples.
-        differences = k * np.diff(differences, axis=0) / (time[k:] - time[:-k])[:, None]
-        usable = usable[1:] & usable[:-1]
-    return _rms(differences[usable]) if usable.any() else float("nan")
 
 
 def _match(finger: str, human: np.ndarray, robot: np.ndarray) -> FingerMatch:
