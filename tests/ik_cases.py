@@ -149,7 +149,7 @@ def random_cases(
         reach = 10.0 ** rng.uniform(-4, 0)
         targets = configuration.points + reach * rng.normal(size=(len(hand.reference_points), 3))
         # At least 1e-3 rad: mink on MuJoCo rounds smaller ones off (see
-        # handmap_qp.ik.mujoco_check).
+        # oracles.mujoco_ik).
         offset = pin.exp6(
             np.concatenate(
                 [reach * rng.normal(size=3), 10.0 ** rng.uniform(-3, 0.3) * _direction(rng)]

@@ -12,6 +12,7 @@ import pytest
 import qpsolvers
 from ik_cases import HANDS, Case, each_distinct_hand, hand_of, random_cases
 from marks import slow
+from oracles.mujoco_ik import MujocoIk
 
 from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
@@ -21,7 +22,6 @@ from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.mink_problem import build_problem, make_limits, solve_problem
 from handmap_qp.ik.mink_tasks import DampingTask
-from handmap_qp.ik.mujoco_check import MujocoIk
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver
 
