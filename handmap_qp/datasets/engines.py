@@ -27,7 +27,6 @@ from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import remove_torn, writing
-from handmap_qp.trackers.formats.isolation import read_in_this_process
 
 IN_FLIGHT = 3
 """Groups of jobs given to each worker in advance, so that it never waits."""
@@ -276,11 +275,7 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def start_worker() -> None:
-    """Prepare a worker: it leaves Ctrl-C to its parent, and ends when the parent has died.
-
-    It needs no reading process of its own: a file that ends it counts as one that kills it.
-    """
-    read_in_this_process()
+    """Prepare a worker: it leaves Ctrl-C to its parent, and ends when the parent has died."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -12,7 +12,6 @@ from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.errors import DiskFullError, MissingExtraError
 from handmap_qp.output_files import remove_torn
-from handmap_qp.trackers.formats.isolation import read_in_this_process
 
 
 class RayEngine:
@@ -99,5 +98,4 @@ class RayEngine:
 
 def _run_in_worker(job: Job) -> Line:
     """Run a job in a process that Ray watches."""
-    read_in_this_process()
     return synced(job.folder, [run_job(job)])[0]

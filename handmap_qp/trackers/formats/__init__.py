@@ -15,7 +15,6 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.egodex import EgoDexFormat
-from handmap_qp.trackers.formats.isolation import IsolatedFormat
 from handmap_qp.trackers.formats.lerobot import LeRobotFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
 from handmap_qp.trackers.formats.mcap import McapFormat
@@ -27,8 +26,8 @@ FORMATS: tuple[RecordingFormat, ...] = (
     NpzFormat(),
     CsvFormat(),
     LeRobotFormat(),
-    IsolatedFormat(RobomimicFormat()),
-    IsolatedFormat(EgoDexFormat()),
+    RobomimicFormat(),
+    EgoDexFormat(),
     McapFormat(),
     ManoFormat(),
 )
