@@ -177,7 +177,6 @@ KINDS = (
     _recording("csv", "demo.csv"),
     _recording("robomimic", "demo.hdf5"),
     _recording("egodex", "demo.hdf5"),
-    _recording("lerobot", "demo"),
     _recording("mcap", "demo.mcap"),
     _recording("mano", "demo.npz"),
     Kind("hand.yaml and URDF", _write_hand, _read_hand),

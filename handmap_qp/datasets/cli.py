@@ -37,7 +37,7 @@ class Convert:
 
       npz        arrays of numpy by name; lossless, one of each hand
       csv        a text table, numbers kept exactly; one of each hand
-      lerobot    a folder, LeRobot v3 (parquet); lossless, any number
+      lerobot    a folder, LeRobot v3 (parquet); any number; written, not read
       robomimic  HDF5 as of robomimic; lossless, any number
       egodex     HDF5 as of EgoDex, poses of joints; one of each hand
       mcap       ROS 2 bag, JointState and landmarks; one of each hand
@@ -49,7 +49,7 @@ class Convert:
         handmap convert take.npz take.csv
         handmap convert left.npz right.npz both.hdf5 --format egodex
         handmap convert episode.hdf5 lerobot_set
-        handmap convert lerobot_set takes --format npz   (a file for each)
+        handmap convert demos.hdf5 takes --format npz   (a file for each)
         handmap convert demo demo.mcap
 
     Attributes:

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAMERA = {"azimuth": 132.0, "elevation": 27.0}
-_BLACK = (0.08, 0.08, 0.10)
 _BALL = 0.0032
 
 

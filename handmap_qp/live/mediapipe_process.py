@@ -28,7 +28,6 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-LANDMARK_COUNT = 21
 # From the camera's axes (x right, y down, z forward) to upright ones (x right, y up, z back).
 _UPRIGHT = np.array([1.0, -1.0, -1.0])
 _OTHER = {"Left": "right", "Right": "left"}

@@ -14,7 +14,6 @@ from handmap_qp.onboarding.detect import Detection
 from handmap_qp.output_files import make_folder, writing
 
 _WIDTH = 120
-_WORDS = ("yes", "no", "on", "off", "true", "false", "null", "y", "n")
 
 
 def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> None:

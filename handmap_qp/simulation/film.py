@@ -21,7 +21,6 @@ from handmap_qp.transform import affine, transform_points
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = np.array([0.965, 0.97, 0.975])
 _SIZE = (480, 360)
-_SUFFIXES = (".gif", ".webp", ".png")
 
 
 class Stage:

@@ -16,9 +16,6 @@ from handmap_qp.mapping.presets import Choice
 if TYPE_CHECKING:
     import viser
 
-LEFT_OUT = ("solver", "step_tolerance", "point_tolerance")
-"""Options without a control: they have no visible effect."""
-
 
 class _Slider(NamedTuple):
     """Name, range, step and tooltip of a numeric option."""

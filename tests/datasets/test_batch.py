@@ -23,6 +23,7 @@ from batch_cases import (
     with_format,
     write_pieces,
 )
+from lerobot_tables import columns_of, episodes_of, feature_names
 from patience import wait_until
 
 from handmap_qp import InvalidInputError, load_hand
@@ -39,7 +40,6 @@ from handmap_qp.datasets.sources import find_files, tasks_of
 from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import write_recordings
-from handmap_qp.trackers.formats.lerobot_v3 import LeRobotReader
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -311,16 +311,11 @@ def test_the_data_set_keeps_limits_and_pairs_hands(form: str, pairs: list[str]) 
     left, right = load_hand("allegro_left"), load_hand("allegro_right")
     count = len(left.joint_names) + 7
     if form == "lerobot":
-        reader = LeRobotReader(out / "lerobot")
-        names = reader.features["observation.state"].names
-        assert names is not None
-        assert names[0] == f"left_{left.joint_names[0]}"
-        found = [
-            reader.read(e, ("observation.state", "action", "observation.valid"))
-            for e in reader.episodes()
-        ]
+        root = out / "lerobot"
+        assert feature_names(root, "observation.state")[0] == f"left_{left.joint_names[0]}"
+        assert [episode["tasks"] for episode in episodes_of(root)] == [["pour water"]] * 2
+        found = [columns_of(root, i) for i in range(2)]
         episodes_ = [(f["observation.state"], f["action"], f["observation.valid"]) for f in found]
-        assert [e.about["tasks"] for e in reader.episodes()] == [["pour water"]] * 2
     else:
         with h5py.File(out / "episodes.hdf5") as file:
             demos = [file[f"data/demo_{i}"] for i in range(2)]
@@ -360,8 +355,7 @@ def test_rounding_to_float32_stays_inside_the_limits(tmp_path: Path) -> None:
     about: dict[str, Any] = {"path": "a", "size": 1, "mtime_ns": 1, "options": ""}
     line = Line("a::", "done", side="right", frames=2, out="episodes/a.npz", **about)
     root = assemble([line], tmp_path, "lerobot", 10.0, {"right": hand})
-    reader = LeRobotReader(root)
-    state = reader.read(reader.episodes()[0], ("observation.state",))["observation.state"]
+    state = columns_of(root, 0)["observation.state"]
     q = state[:, : len(hand.joint_names)].astype(float)
     assert (q >= hand.lower_limits).all()
     assert (q <= hand.upper_limits).all()

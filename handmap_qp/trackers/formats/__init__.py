@@ -97,18 +97,6 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     return tuple(Source(file, form, entry) for entry in entries)
 
 
-def read_recordings(path: Path | str) -> tuple[Recording, ...]:
-    """Read all recordings of a file or data set.
-
-    Args:
-        path: As of `list_sources`.
-
-    Raises:
-        HandmapError: As of `list_sources`, and if a recording is damaged.
-    """
-    return tuple(source.read() for source in list_sources(path))
-
-
 def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
     """Read a recording of the left and one of the right hand, from one file or from two.
 
@@ -120,7 +108,7 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
 
     Raises:
         InvalidInputError: If the files have other recordings than one of each hand.
-        HandmapError: As of `read_recordings`.
+        HandmapError: As of `list_sources`, and if a recording is damaged.
     """
     sources = [source for path in paths for source in list_sources(path)]
     sides = [source.entry.side for source in sources]

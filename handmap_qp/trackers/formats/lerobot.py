@@ -1,23 +1,21 @@
-"""Recordings as episodes of a LeRobot v3 data set."""
+"""Recordings as episodes of a LeRobot v3 data set, which is written and not read."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
-from handmap_qp.trackers.formats.base import SIDES, Entry, reading
+from handmap_qp.trackers.formats.base import Entry
 from handmap_qp.trackers.formats.columns import (
     LANDMARK_COLUMNS,
     POSE_COLUMNS,
     landmark_rows,
     pose_rows,
-    recording_of_rows,
 )
-from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotReader, LeRobotWriter
+from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
 from handmap_qp.trackers.recording import Recording
 
 _LANDMARKS, _WRIST = "observation.landmarks", "observation.wrist"
@@ -30,7 +28,6 @@ _FEATURES = {
     _CONFIDENCE: Feature("float64"),
     _TIME: Feature("float64"),
 }
-_INDICES = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
 
 
 class LeRobotFormat:
@@ -42,50 +39,23 @@ class LeRobotFormat:
 
     name = "lerobot"
     suffixes: tuple[str, ...] = ()
-    about = "a folder in the form of LeRobot v3 (parquet); lossless, any number of recordings"
+    about = "a folder in the form of LeRobot v3 (parquet); written, not read; any number"
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the folder has the description of a data set."""
         return (path / "meta" / "info.json").is_file()
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
-        """List the episodes."""
-        reader = LeRobotReader(path)
-        if _LANDMARKS not in reader.features:
-            known = ", ".join(name for name in reader.features if name not in _INDICES)
-            problem = f"has no feature {_LANDMARKS!r}; it has {known or 'none'}"
-            raise RecordingError(problem, file=path)
-        return tuple(
-            Entry(str(episode.index), _side(path, episode.about), episode.length)
-            for episode in reader.episodes()
-        )
+        """Refuse: no data set is read."""
+        raise _written_only(path)
 
     def read(self, path: Path, entry: Entry) -> Recording:
-        """Read one episode."""
-        reader = LeRobotReader(path)
-        episode = reader.episodes(int(entry.name))[0]
-        columns = reader.read(episode, tuple(_FEATURES))
-        for name, feature in _FEATURES.items():
-            if name in columns and reader.features[name].size != feature.size:
-                problem = f"expected {feature.size} numbers, got {reader.features[name].size}"
-                raise RecordingError(problem, file=path, array=name)
-        frames = np.arange(episode.length) / reader.fps
-        with reading(path, f"episode {episode.index}: "):
-            return recording_of_rows(
-                str(episode.about.get("name") or f"{path.name}_{episode.index}"),
-                entry.side,
-                columns.get(_TIME, frames),
-                columns[_LANDMARKS],
-                valid=columns.get(_VALID),
-                confidence=columns.get(_CONFIDENCE),
-                wrist=columns.get(_WRIST),
-                source=str(episode.about.get("source") or ""),
-            )
+        """Refuse: no data set is read."""
+        raise _written_only(path)
 
     def unread(self, path: Path) -> tuple[str, ...]:
-        """Name the features that a recording cannot hold."""
-        names = LeRobotReader(path).features
-        return tuple(name for name in names if name not in _FEATURES and name not in _INDICES)
+        """Refuse: no data set is read."""
+        raise _written_only(path)
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Name nothing: the form is lossless."""
@@ -111,6 +81,11 @@ class LeRobotFormat:
                 )
 
 
+def _written_only(path: Path) -> RecordingError:
+    problem = "is a LeRobot data set, which is written and not read"
+    return RecordingError(f"{problem}: read the recordings that it was made from", file=path)
+
+
 def _columns(recording: Recording) -> dict[str, np.ndarray]:
     count, wrist, confidence = len(recording), recording.wrist, recording.confidence
     return {
@@ -120,11 +95,3 @@ def _columns(recording: Recording) -> dict[str, np.ndarray]:
         _CONFIDENCE: np.full(count, np.nan) if confidence is None else confidence,
         _TIME: recording.time,
     }
-
-
-def _side(path: Path, about: dict[str, Any]) -> Any:
-    for side in SIDES:
-        if about.get("side") == side:
-            return side
-    problem = f"expected right or left in column 'side' of episode {about.get('episode_index')}"
-    raise RecordingError(problem, file=path, array="meta/episodes")

@@ -1,4 +1,4 @@
-"""Data sets in the form of LeRobot v3: many episodes in a few parquet files, and `meta/`.
+"""Write data sets in the form of LeRobot v3: many episodes in a few parquet files, and `meta/`.
 
 Written from the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot):
 `meta/info.json` with the features, `meta/stats.json`, `meta/tasks.parquet`,
@@ -12,17 +12,14 @@ import json
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, without_errno
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import make_folder, sync, writing
-from handmap_qp.trackers.formats.archive import DAMAGES
 from handmap_qp.trackers.formats.base import require
 
 VERSION = "v3.0"
@@ -293,153 +290,6 @@ class LeRobotWriter:
         self._pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), file)
 
 
-@dataclass(frozen=True, slots=True)
-class Episode:
-    """Where an episode is.
-
-    Attributes:
-        index: Its index in the data set.
-        length: Number of frames.
-        file: Its data file.
-        about: Its row of `meta/episodes`, without the statistics.
-    """
-
-    index: int
-    length: int
-    file: Path
-    about: dict[str, Any]
-
-
-class LeRobotReader:
-    """Reads a data set episode by episode.
-
-    Args:
-        root: Its folder.
-
-    Attributes:
-        fps: Frames per second.
-        features: Columns by name.
-        robot_type: Name of the robot or hand.
-
-    Raises:
-        RecordingError: If the folder is not a data set of version 3, or is damaged.
-        MissingExtraError: If pyarrow is not installed.
-    """
-
-    def __init__(self, root: Path) -> None:
-        self._pa, self._pq = require("pyarrow"), require("pyarrow.parquet")
-        self._root = root
-        file = root / "meta" / "info.json"
-        try:
-            info = msgspec.json.decode(file.read_bytes(), type=_Info)
-        except (OSError, ValueError) as error:
-            raise RecordingError(f"cannot be read: {without_errno(error)}", file=file) from error
-        if not info.codebase_version.startswith("v3."):
-            problem = f"expected a data set of version v3, got {info.codebase_version!r}"
-            raise RecordingError(problem, file=file, array="codebase_version")
-        if not info.fps > 0.0:
-            raise RecordingError("expected a rate > 0", file=file, array="fps")
-        self.fps, self.robot_type = info.fps, info.robot_type or ""
-        self.features = {
-            name: Feature(item.dtype, None if item.shape == [1] else _names(item))
-            for name, item in info.features.items()
-        }
-        self._data_path = info.data_path
-
-    def episodes(self, index: int | None = None) -> list[Episode]:
-        """List the episodes, or only the one with an index.
-
-        Raises:
-            RecordingError: If their files are damaged.
-        """
-        found = []
-        for file in sorted(self._root.glob("meta/episodes/*/*.parquet")):
-            with _damage(file, self._pa):
-                names = self._pq.read_schema(file).names
-                kept = [name for name in names if not name.startswith("stats/")]
-                only = None if index is None else [("episode_index", "=", index)]
-                for row in self._pq.read_table(file, columns=kept, filters=only).to_pylist():
-                    place = self._data_path.format(
-                        chunk_index=int(row["data/chunk_index"]),
-                        file_index=int(row["data/file_index"]),
-                    )
-                    own, length = int(row["episode_index"]), int(row["length"])
-                    found.append(Episode(own, length, self._root / place, row))
-        return found
-
-    def read(self, episode: Episode, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Read columns of an episode.
-
-        Args:
-            episode: The episode.
-            names: Names of the features; those that the data set lacks are left out.
-
-        Returns:
-            Arrays (T,) or (T, n) by name.
-
-        Raises:
-            RecordingError: If the file is damaged, or has other columns than `meta/info.json` says.
-        """
-        wanted = [name for name in names if name in self.features]
-        with _damage(episode.file, self._pa):
-            table = self._pq.read_table(
-                episode.file, columns=wanted, filters=[("episode_index", "=", episode.index)]
-            )
-            if table.num_rows != episode.length:
-                problem = f"expected {episode.length} frames of episode {episode.index}"
-                problem = f"{problem}, got {table.num_rows}"
-                raise RecordingError(problem, file=episode.file, array="episode_index")
-            return {name: self._array(table, name) for name in wanted}
-
-    def _array(self, table: Any, name: str) -> np.ndarray:
-        column = table.column(name).combine_chunks()
-        size = self.features[name].size
-        if size == 1:
-            return np.asarray(column.to_numpy(zero_copy_only=False))
-        return column.flatten().to_numpy(zero_copy_only=False).reshape(table.num_rows, size)
-
-
-class _FeatureFile(msgspec.Struct):
-    """One feature of `meta/info.json`."""
-
-    dtype: str
-    shape: list[int]
-    names: Any = None
-
-
-class _Info(msgspec.Struct):
-    """What is needed of `meta/info.json`."""
-
-    codebase_version: str
-    fps: float
-    features: dict[str, _FeatureFile]
-    data_path: str = _DATA_PATH
-    robot_type: str | None = None
-
-
-class _damage:  # noqa: N801 - used as a context manager
-    """Turn what pyarrow raises on damaged files into `RecordingError`."""
-
-    def __init__(self, file: Path, pa: Any) -> None:
-        self._file, self._pa = file, pa
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if isinstance(error, RecordingError):
-            return
-        if isinstance(error, (*DAMAGES, self._pa.ArrowException)):
-            text = " ".join(str(error).split())
-            problem = f"cannot be read as parquet: {text[:160]}"
-            raise RecordingError(problem, file=self._file) from error
-
-
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 """Quantiles by the names of LeRobot, some of whose policies are normalised by them."""
 
@@ -496,13 +346,3 @@ class _Stats:
         values |= dict(zip(_QUANTILES, self._quantiles, strict=True))
         lists: dict[str, list[float]] = {name: a.tolist() for name, a in values.items()}
         return {**lists, "count": [self._count]}
-
-
-def _names(item: _FeatureFile) -> tuple[str, ...]:
-    """Return the names of a feature's numbers, or numbers where it has none."""
-    size = 1
-    for length in item.shape:
-        size *= length
-    if isinstance(item.names, list) and len(item.names) == size:
-        return tuple(map(str, item.names))
-    return tuple(map(str, range(size)))
