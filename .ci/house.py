@@ -53,11 +53,11 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(59_527, 34_000),
-    "tokens": Limit(348_913, 200_000),
-    "tokens per code line": Limit(9.33, 8),
+    "lines": Limit(58_275, 34_000),
+    "tokens": Limit(342_031, 200_000),
+    "tokens per code line": Limit(9.32, 8),
     "closure: files": Limit(68, None),
-    "closure: lines": Limit(15_295, 7_500),
+    "closure: lines": Limit(15_230, 7_500),
     "files of a sample: map_landmarks": Limit(16, 10),
     "files of a sample: map_sample": Limit(24, None),
     "files of a sample: service": Limit(42, 20),
@@ -67,7 +67,7 @@ BUDGET = {
     "files of a method": Limit(18, 1),
     "functions with more than 10 paths": Limit(117, 40),
     "functions with more than 20 paths": Limit(8, 0),
-    "imports inside functions": Limit(157, 0),
+    "imports inside functions": Limit(156, 0),
 }
 """The most that each row may have, and the goal; rows without a goal are for information."""
 
