@@ -351,7 +351,8 @@ class PointIk:
         if collisions is not None and near is not None:
             # The gate keeps the measurement: the next sample starts from it.
             end_pairs = collisions.measure_end(configuration, margins, dt, near, total)
-        total = gate.admit(total, first, dt, near, end_pairs)
+        # The result hands it out too.
+        total = frozen(gate.admit(total, first, dt, near, end_pairs))
         self._catch_up()
         return IkResult(
             end,
@@ -372,7 +373,7 @@ class PointIk:
         Args:
             dt: Time since the last sample [s].
         """
-        displacement = self.gate.brake(dt)
+        displacement = frozen(self.gate.brake(dt))
         self._catch_up()
         points, free = self.configuration.points.copy(), np.full(self.configuration.nv, np.inf)
         columns, tolerance = self.hand.joint_columns, self.options.point_tolerance

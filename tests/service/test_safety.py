@@ -1,4 +1,4 @@
-"""The speed guard and the clock: every command respects the limits of the robot."""
+"""The commanded robot and the clock: every command respects the limits of the robot."""
 
 from __future__ import annotations
 
