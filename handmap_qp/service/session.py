@@ -290,7 +290,7 @@ class Session:
             if self._is_at_rest:
                 self._handle(Event.ARRIVAL)
         else:
-            self._brake()
+            self._commanded.brake(self._dt)
         flags = ["watchdog", "at_rest"] if self._is_at_rest else ["watchdog"]
         return self._command(now, status, flags)
 
@@ -389,13 +389,7 @@ class Session:
         if self._mapper_state is MapperState.ALIGNED and step.ik.end == "released":
             self._commanded.motion = self._hands.mapper.motion
         else:
-            self._brake()
-
-    def _brake(self) -> None:
-        """Bring the robot to a stop; a mapper that leads it continues from there."""
-        self._commanded.brake(self._dt)
-        if self._mapper_state is MapperState.ALIGNED:
-            self._hands.mapper.motion = self._commanded.motion
+            self._commanded.brake(self._dt)
 
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
@@ -464,6 +458,9 @@ class Session:
         )
         if must_reset and not self._state.is_released:
             self._reset_mapper()
+        if self._mapper_state is MapperState.ALIGNED:
+            # It may have braked meanwhile, or a sample was refused half-way.
+            self._hands.mapper.motion = self._commanded.motion
 
     def _accept(self, sample: Step, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
@@ -480,8 +477,6 @@ class Session:
             self._commanded.motion = mapper.motion
             return []
         if self._commanded.advance(target.q, target.wrist, self._dt):
-            # From here on they move together.
-            mapper.motion = self._commanded.motion
             self._mapper_state = MapperState.ALIGNED
             return []
         self._mapper_state = MapperState.SLEWING
@@ -496,7 +491,6 @@ class Session:
         mapper, robot = self._hands.mapper, self.robot
         if q is None and self._commanded.is_placed:
             mapper.clutch()
-            mapper.motion = self._commanded.motion
             self._mapper_state = MapperState.ALIGNED
             return
         angles = np.clip(

@@ -23,7 +23,7 @@ from service_tools import (
     speeds,
 )
 
-from handmap_qp.errors import RefusedError
+from handmap_qp.errors import InvalidInputError, RefusedError
 from handmap_qp.service.messages import Configure, Pose
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -195,6 +195,27 @@ def test_a_failure_inside_the_mapper_leaves_the_robot_where_it_is(
             session.step(sample(0.0), now + PERIOD)
     session.step(sample(0.0, human_q(3.0)), now + 2 * PERIOD)
     assert moved_points(session, before) < 1e-3
+
+
+def test_a_sample_that_fails_half_way_does_not_make_the_robot_jump(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session, sample = make_session(), Sampler()
+    now = follow(session, sample, 0.0)
+    before, mapper = session.posture[0].copy(), session._hands.mapper
+    mapped = mapper.map_step
+
+    def refused(*arguments: Any, **choices: Any) -> None:
+        mapped(*arguments, **choices)
+        raise InvalidInputError(argument="human_q", problem="refused late")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(mapper, "map_step", refused)
+        for _ in range(5):
+            with pytest.raises(RefusedError):
+                session.step(sample(0.0, human_q(3.0)), now := now + PERIOD)
+    command = session.step(sample(0.0, human_q(3.0)), now := now + PERIOD)
+    assert (speeds(session, before, command, PERIOD) <= 1.0 + 1e-6).all()
 
 
 def test_points_need_no_joint_angles() -> None:
