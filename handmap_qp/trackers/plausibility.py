@@ -81,7 +81,7 @@ class InputCheck:
 
     Samples are collected into batches of 16, or of a quarter of a second for a slow tracker, and
     of twice as many once nothing changes any more. Two batches in a row must agree before the
-    finding changes, so one bad sample changes nothing. A sample costs 15 us on average
+    finding changes, so one bad sample changes nothing. A sample costs 20 us on average
     (benchmarks/bench_lies.py).
 
     Args:
