@@ -61,11 +61,11 @@ def convert(
     ]
     unread = {source.path: source.format.unread(source.path) for source in sources}
     recordings = [source.read() for source in sources]
-    files = (
-        _write_each(recordings, sources, out, target)
-        if is_folder
-        else _write_one(recordings, out, target)
-    )
+    if is_folder:
+        files = _write_each(recordings, sources, out, target)
+    else:
+        target.write(recordings, out)
+        files = (out,)
     return Conversion(
         recordings=len(recordings),
         samples=sum(len(recording) for recording in recordings),
@@ -73,11 +73,6 @@ def convert(
         unread=tuple(dict.fromkeys(name for names in unread.values() for name in names)),
         losses=target.losses(recordings),
     )
-
-
-def _write_one(recordings: list[Recording], out: Path, target: RecordingFormat) -> tuple[Path, ...]:
-    target.write(recordings, out)
-    return (out,)
 
 
 def _write_each(

@@ -37,7 +37,8 @@ RUNNING = ".running"
 """Folder of a file for each job that a worker is busy with."""
 _MOST_STARTS = 10
 """Pools in a row that break before a job begins; after that, no pool is started any more."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of a worker, read by its BLAS when it starts."""
 
 
 class Engine(Protocol):
@@ -101,32 +102,33 @@ class PoolEngine:
         waiting = deque(job for job in jobs if not kills.get(job.task.key))
         suspects = deque(job for job in jobs if kills.get(job.task.key))
         while (waiting or suspects) and not is_stopped():
-            if suspects:
-                yield from self._alone(suspects, kills, is_stopped)
-            yield from self._together(waiting, suspects, kills, is_stopped)
+            queue = suspects or waiting
+            yield from self._until_one_dies(queue, suspects, kills, is_stopped)
 
-    def _together(
+    def _until_one_dies(
         self,
-        waiting: deque[Job],
+        queue: deque[Job],
         suspects: deque[Job],
         kills: dict[str, int],
         is_stopped: Callable[[], bool],
     ) -> Iterator[Line]:
-        """Run jobs until all are done, or a worker dies."""
+        """Run the jobs of a queue until all are done, or a worker dies: suspects one at a time."""
+        is_alone = queue is suspects
+        workers, most = (1, 1) if is_alone else (self._workers, IN_FLIGHT * self._workers)
         flying: dict[Future[Sequence[Line]], tuple[Job, ...]] = {}
-        with _pool(self._workers) as pool:
+        with _pool(workers) as pool:
             try:
-                while (waiting and not is_stopped()) or flying:
+                while (queue and not is_stopped()) or flying:
                     if is_stopped():
                         # Cancelled ones are given up: a next run begins with them.
                         flying = {
                             future: jobs for future, jobs in flying.items() if not future.cancel()
                         }
-                    while waiting and not is_stopped() and len(flying) < IN_FLIGHT * self._workers:
-                        jobs = self._next_group(waiting)
-                        flying[pool.submit(run_group, jobs)] = jobs
+                    while queue and not is_stopped() and len(flying) < most:
+                        jobs = (queue[0],) if is_alone else self._next_group(queue)
+                        flying[pool.submit(run_group, jobs, is_alone)] = jobs
                         for _ in jobs:
-                            waiting.popleft()
+                            queue.popleft()
                     for future in wait(flying, return_when=FIRST_COMPLETED).done:
                         lines = future.result()
                         del flying[future]
@@ -134,7 +136,7 @@ class PoolEngine:
                         yield from lines
             except BrokenProcessPool:
                 self._failed_starts += 1
-                yield from self._sorted_out(flying, waiting, suspects, kills)
+                yield from self._sorted_out(flying, queue, suspects, kills)
                 self._check_starts()
 
     def _next_group(self, waiting: Sequence[Job]) -> tuple[Job, ...]:
@@ -150,7 +152,7 @@ class PoolEngine:
     def _sorted_out(
         self,
         flying: dict[Future[Sequence[Line]], tuple[Job, ...]],
-        waiting: deque[Job],
+        queue: deque[Job],
         suspects: deque[Job],
         kills: dict[str, int],
     ) -> Iterator[Line]:
@@ -163,37 +165,12 @@ class PoolEngine:
             for job in reversed(jobs):
                 if _took_marker(job):
                     self._failed_starts = 0
-                    yield _killed(job, kills)
+                    yield killed(job, kills)
                     if kills[job.task.key] < MOST_KILLS:
                         suspects.append(job)
                 else:
                     # Mapped again, if it had ended when a later one of its group died.
-                    waiting.appendleft(job)
-
-    def _alone(
-        self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
-    ) -> Iterator[Line]:
-        """Run suspects one at a time; a death of the worker is then theirs."""
-        while suspects and not is_stopped():
-            with _pool(1) as pool:
-                try:
-                    while suspects and not is_stopped():
-                        job = suspects[0]
-                        lines = pool.submit(run_group, (job,), True).result()
-                        suspects.popleft()
-                        self._failed_starts = 0
-                        yield from lines
-                except BrokenProcessPool:
-                    if not _took_marker(suspects[0]):
-                        # The worker died while it started: the recording had no part in it.
-                        self._failed_starts += 1
-                        self._check_starts()
-                        continue
-                    self._failed_starts = 0
-                    job = suspects.popleft()
-                    yield _killed(job, kills)
-                    if kills[job.task.key] < MOST_KILLS:
-                        suspects.appendleft(job)
+                    queue.appendleft(job)
 
     def _check_starts(self) -> None:
         """Give up if no worker comes up: memory, or the way this program starts processes."""
@@ -257,9 +234,8 @@ def left_behind(folder: Path) -> dict[str, bool]:
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Start a pool of spawned workers with one thread each."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    # Read by the workers' BLAS when they start.
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     pool = ProcessPoolExecutor(
         workers, mp_context=multiprocessing.get_context("spawn"), initializer=start_worker
     )
@@ -289,10 +265,11 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _killed(job: Job, kills: dict[str, int]) -> Line:
-    """Count a death of a worker, and return the line about it."""
+def killed(job: Job, kills: dict[str, int]) -> Line:
+    """Count a death of a worker, take away the file that it was writing, and return a line."""
     key = job.task.key
     kills[key] = kills.get(key, 0) + 1
+    remove_torn(job.folder / job.task.out)
     times = f"the worker died {kills[key]} times"
     if kills[key] >= MOST_KILLS:
         return job.line("failed", kills=kills[key], error=f"given up: {times}")
@@ -300,12 +277,11 @@ def _killed(job: Job, kills: dict[str, int]) -> Line:
 
 
 def _took_marker(job: Job) -> bool:
-    """Take away the marker and the torn file of a job whose worker died; return if it had begun."""
+    """Take away the marker of a job whose worker died; return if it had begun."""
     try:
         _marker(job).unlink()
     except FileNotFoundError:
         return False
-    remove_torn(job.folder / job.task.out)
     return True
 
 

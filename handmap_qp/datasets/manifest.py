@@ -7,11 +7,12 @@ cut off at the next start, and its recording is mapped again.
 from __future__ import annotations
 
 import fcntl
+import mmap
 import os
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal, Self
+from typing import IO, Literal, Self
 
 import msgspec
 
@@ -183,19 +184,10 @@ def _decoded(decoder: msgspec.json.Decoder[Line], text: bytes) -> Line | None:
         return None
 
 
-def _cut_torn_line(stream: IO[Any]) -> None:
+def _cut_torn_line(stream: IO[bytes]) -> None:
     """Cut off what follows the last line break."""
-    stream.seek(0, os.SEEK_END)
-    end = stream.tell()
-    kept, step = end, 4096
-    while kept > 0:
-        start = max(0, kept - step)
-        stream.seek(start)
-        block = stream.read(kept - start)
-        place = block.rfind(b"\n")
-        if place >= 0:
-            kept = start + place + 1
-            break
-        kept = start
-    if kept < end:
-        stream.truncate(kept)
+    if end := stream.seek(0, os.SEEK_END):
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as text:
+            kept = text.rfind(b"\n") + 1
+        if kept < end:
+            stream.truncate(kept)

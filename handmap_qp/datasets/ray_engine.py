@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from handmap_qp.datasets.engines import IN_FLIGHT
+from handmap_qp.datasets.engines import IN_FLIGHT, ONE_THREAD, killed
 from handmap_qp.datasets.episode_files import synced
 from handmap_qp.datasets.job import Job, run_job
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.errors import DiskFullError, MissingExtraError
-from handmap_qp.output_files import remove_torn
 
 
 class RayEngine:
@@ -51,13 +51,10 @@ class RayEngine:
                 ray.shutdown()
 
     def _start(self) -> None:
-        import os
-
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         options: dict[str, Any] = {
             "include_dashboard": False,
             "log_to_driver": False,
-            "runtime_env": {"env_vars": threads},
+            "runtime_env": {"env_vars": ONE_THREAD},
         }
         if not os.environ.get("RAY_ADDRESS"):
             options["num_cpus"] = self._workers
@@ -85,15 +82,9 @@ class RayEngine:
                     # Ray's own class of it has the worker's traceback in its text.
                     raise getattr(error, "cause", error) from None
                 except ray.exceptions.RayError:
-                    key = job.task.key
-                    remove_torn(job.folder / job.task.out)
-                    kills[key] = kills.get(key, 0) + 1
-                    times = f"the worker died {kills[key]} times"
-                    if kills[key] < MOST_KILLS:
-                        yield job.line("killed", kills=kills[key], error=times)
+                    yield killed(job, kills)
+                    if kills[job.task.key] < MOST_KILLS:
                         waiting.append(job)
-                    else:
-                        yield job.line("failed", kills=kills[key], error=f"given up: {times}")
 
 
 def _run_in_worker(job: Job) -> Line:

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.spec import Side
@@ -62,27 +61,18 @@ class Task:
         return f"episodes/{self.file.name}{tail}.npz"
 
 
-class Listing(NamedTuple):
-    """The files to map.
-
-    Attributes:
-        files: The files, by name.
-        repeated: Paths left out because they lead to files or folders that are listed already, by
-            links or because they were named twice.
-    """
-
-    files: tuple[InputFile, ...]
-    repeated: tuple[Path, ...]
-
-
-def find_files(inputs: Sequence[Path], out: Path | None = None) -> Listing:
+def find_files(
+    inputs: Sequence[Path], out: Path | None = None
+) -> tuple[tuple[InputFile, ...], tuple[Path, ...]]:
     """Find the files to map: those named, and those of a known form below folders that are named.
-
-    Each file is listed once, whatever names and links lead to it.
 
     Args:
         inputs: Files, data sets and folders.
-        out: Folder of the batch, whose files are left out where it is below a folder of these.
+        out: Folder of the batch, which is left out where it is below a folder of these.
+
+    Returns:
+        The files, by name, and the paths left out because they lead to files or folders that are
+        among them already, by links or because they were named twice.
 
     Raises:
         InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
@@ -116,7 +106,7 @@ def find_files(inputs: Sequence[Path], out: Path | None = None) -> Listing:
             raise InvalidInputError(
                 argument="INPUT", problem=f"{given}: has no files of a known form"
             )
-    return Listing(tuple(files[name] for name in sorted(files)), tuple(repeated))
+    return tuple(files[name] for name in sorted(files)), tuple(repeated)
 
 
 def tasks_of(

@@ -82,7 +82,7 @@ def test_an_episode_has_what_a_reader_needs(serial: Path) -> None:
 
 
 def test_tasks_come_longest_first_and_shards_share_nothing(inputs: Path) -> None:
-    files = find_files([inputs]).files
+    files = find_files([inputs])[0]
     whole = tasks_of(files)
     assert [task.frames for task in whole] == [14, 13, 12]
     parts = [task.key for part in (1, 2, 3) for task in tasks_of(files, (part, 3))]
