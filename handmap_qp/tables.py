@@ -21,7 +21,7 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
         total: Number of samples; unknown if omitted.
 
     Yields:
-        A function to call with the number of samples done.
+        A function to call with the number of samples done, and a note if there is one.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -29,7 +29,9 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done, note="": bar.update(
+            task, completed=done, description=f"{what} {note}".rstrip()
+        )
 
 
 def print_table(title: str, values: dict[str, Any]) -> None:

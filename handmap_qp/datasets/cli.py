@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,7 +15,7 @@ import tyro
 
 from handmap_qp.arguments import MappingArguments
 from handmap_qp.errors import InvalidInputError, RecordingError
-from handmap_qp.tables import print_rows, print_table
+from handmap_qp.tables import print_rows, print_table, progress
 
 if TYPE_CHECKING:
     from handmap_qp.datasets.batch import Plan, Tally
@@ -188,14 +188,20 @@ class Batch:
         """List the recordings, say what is odd about them, and map those that are not done."""
         from handmap_qp.datasets.batch import plan_batch, run_batch, stopped_by_signals
 
-        with _bar("listing") as (start, advance):
-            start(0)
+        with progress("listing"):
             plan = plan_batch(self.inputs, self.out, options, shard)
         damaged = [line.name for line in plan.damaged]
         _warn(damaged, "episodes", "are damaged or missing, and are mapped again")
         _warn(plan.repeated, "paths", "lead to files that are listed already, and are left out")
-        with stopped_by_signals() as is_stopped, _bar("mapping") as (start, advance):
-            start(plan.frames)
+        counts = Counter[str]()
+        # The time left is by samples, not by files.
+        with stopped_by_signals() as is_stopped, progress("mapping", plan.frames or None) as show:
+
+            def advance(line: Line) -> None:
+                if line.status != "killed":
+                    counts.update({line.status: 1, "frames": line.frames})
+                    show(counts["frames"], f"{counts['done']} episodes, {counts['failed']} failed")
+
             return plan, run_batch(plan, self.out, engine, shard, advance, is_stopped)
 
     def _options(self) -> JobOptions:
@@ -357,35 +363,3 @@ def _shard(text: str | None) -> tuple[int, int]:
     if slash and part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts) <= 10**6:
         return (int(part), int(parts))
     raise InvalidInputError(argument="--shard", expected="I/N with 1 <= I <= N", value=text)
-
-
-@contextmanager
-def _bar(what: str) -> Iterator[tuple[Callable[[int], None], Callable[[Line], None]]]:
-    """Show a bar on stderr, if that is a terminal, with the time left by samples, not by files.
-
-    Yields:
-        A function to call with the number of samples, and one to call with every line.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task, counts = bar.add_task(what, total=None, note=""), {"done": 0, "failed": 0}
-
-        def advance(line: Line) -> None:
-            if line.status in counts:
-                counts[line.status] += 1
-                note = f"{counts['done']} episodes, {counts['failed']} failed"
-                bar.update(task, advance=line.frames, note=note)
-
-        yield lambda total: bar.update(task, total=total or None), advance
