@@ -200,7 +200,7 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
                 "lower rad": lower,
                 "upper rad": upper,
                 "speed rad/s": speed,
-                "stop rad": stop,
+                "stop": stop,
                 "rest rad": rest,
             }
             for name, lower, upper, speed, stop, rest in zip(*columns, strict=True)

@@ -138,11 +138,12 @@ class PseudoinverseIk:
         rest: np.ndarray | None = None,
         tasks: Sequence[Task] = (),
         margins: np.ndarray | None = None,
+        speed: float = 1.0,
     ) -> IkResult:
         """Move the hand towards its targets for one sample.
 
         Arguments and result as of `PointIk.solve`. Eq. (8) has neither further tasks nor distances
-        between links: omit `tasks` and `margins`.
+        between links, nor a share of the speed limits: omit `tasks`, `margins` and `speed`.
         """
         if tasks or margins is not None:
             raise InvalidOptionsError(

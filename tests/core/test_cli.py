@@ -119,7 +119,7 @@ def test_a_calibrated_person_takes_the_place_of_measuring(
     text = person.read_text()
     start = text.index("  middle: ")
     line = text[start : text.index("\n", start)]
-    large.write_text(text.replace(line, line.replace("bones: [0.0", "bones: [0.1")))
+    large.write_text(text.replace(line, line.replace("bones: [0.0", "bones: [0.06")))
     paths = {"measured": None, "calibrated": person, "another": large}
     q = {}
     for name, file in paths.items():
