@@ -53,21 +53,21 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(58_275, 34_000),
-    "tokens": Limit(342_031, 200_000),
-    "tokens per code line": Limit(9.32, 8),
+    "lines": Limit(58_783, 34_000),
+    "tokens": Limit(345_118, 200_000),
+    "tokens per code line": Limit(9.35, 8),
     "closure: files": Limit(68, None),
-    "closure: lines": Limit(15_230, 7_500),
+    "closure: lines": Limit(15_581, 7_500),
     "files of a sample: map_landmarks": Limit(16, 10),
     "files of a sample: map_sample": Limit(24, None),
-    "files of a sample: service": Limit(42, 20),
+    "files of a sample: service": Limit(41, 20),
     "top view: rooms": Limit(24, 14),
     "top view: arrows": Limit(116, 60),
     "circles": Limit(3, 0),
     "files of a method": Limit(18, 1),
     "functions with more than 10 paths": Limit(117, 40),
-    "functions with more than 20 paths": Limit(8, 0),
-    "imports inside functions": Limit(156, 0),
+    "functions with more than 20 paths": Limit(7, 0),
+    "imports inside functions": Limit(153, 0),
 }
 """The most that each row may have, and the goal; rows without a goal are for information."""
 
