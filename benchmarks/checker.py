@@ -74,9 +74,9 @@ class Checker:
         self._note("speed", float(speed.max()), 1.0 + _SHARE)
         self._force = max(self._force, np.inf if limit is None else limit)
         velocity, noise = moved / dt, self._rounding * (1.0 / dt + 1.0 / self._dt)
+        velocity[:6] = np.where(is_ambiguous, np.nan, velocity[:6])
         change = (np.abs(velocity - self._last) - noise) / (self._force * dt)
         self._note("acceleration", float(np.fmax.reduce(change)), 1.0 + _SHARE)
-        velocity[:6] = np.where(is_ambiguous, np.nan, velocity[:6])
         if self._meter is not None and moved.any():
             count = int(np.abs(moved).max() / _STEP) + 2
             parts = [pin.interpolate(hand.model, before, q, i / count) for i in range(1, count)]
