@@ -28,8 +28,8 @@ from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.caps import Caps
+from handmap_qp.service.connection_gate import ConnectionGate, cost_of
 from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.gate import Gate, cost_of
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.handshakes import report_handshakes
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
@@ -166,8 +166,10 @@ class Server:
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
         host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.caps.sessions
         credit = settings.caps.message_size + _ENVELOPE
-        self._gate = Gate("requests", host, settings.port, most, credit, self.metrics, evicts=True)
-        stream = Gate("stream", host, settings.stream_port, most, _TOPICS, self.metrics)
+        self._gate = ConnectionGate(
+            "requests", host, settings.port, most, credit, self.metrics, evicts=True
+        )
+        stream = ConnectionGate("stream", host, settings.stream_port, most, _TOPICS, self.metrics)
         self._gate.bind(self._router)
         stream.bind(self._stream)
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)

@@ -44,7 +44,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.service import logs
 from handmap_qp.service import server as server_module
 from handmap_qp.service.caps import Caps
-from handmap_qp.service.gate import cost_of, count_frames
+from handmap_qp.service.connection_gate import cost_of, count_frames
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
 from handmap_qp.service.messages import PROTOCOL, Error, decode_request
 from handmap_qp.service.run import run_server

@@ -76,7 +76,7 @@ def count_frames() -> Generator[int, bytes, None]:
         data = rest + (yield count)
 
 
-class Gate:
+class ConnectionGate:
     """Listens in front of a socket: an asynchronous context manager that returns the port.
 
     Args:
@@ -180,7 +180,7 @@ class _Client(asyncio.BufferedProtocol):
     _starving: asyncio.TimerHandle | None = None
     name = identity = b""
 
-    def __init__(self, gate: Gate) -> None:
+    def __init__(self, gate: ConnectionGate) -> None:
         self.heard = time.monotonic()
         self._gate, self._buffer, self._frames = gate, bytearray(_AT_ONCE), count_frames()
         self._credit = Bucket(_RATE, self.heard, gate.credit)
