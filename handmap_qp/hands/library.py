@@ -154,7 +154,6 @@ def list_hands() -> list[dict[str, Any]]:
         Name, side, number of joints, mount, point sets of each, and whether it is installed, or
         what installs it. The hands of other packages come last.
     """
-    missing = missing_hands()
     specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
     return [
         {
@@ -163,7 +162,7 @@ def list_hands() -> list[dict[str, Any]]:
             "joints": len(spec.joints),
             "wrist": spec.wrist.mount,
             "point sets": ", ".join(spec.sets),
-            "available": f"no: {missing[name]}" if name in missing else "yes",
+            "available": f"no: {reason}" if (reason := _reason(spec)) else "yes",
         }
         for name, spec in specs.items()
     ]

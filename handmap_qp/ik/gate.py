@@ -109,14 +109,13 @@ class Gate:
         self._known: tuple[Motion, float, Box | None] = (motion, 0.0, None)
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self._at_once = np.zeros(len(hand.active_columns))
-        no_columns = np.zeros(len(self._at_once), dtype=bool)
-        self._together = no_columns if collisions is None else collisions.path.columns
         self._limits = BoxLimits(
             hand,
             has_velocity_limits=has_velocity_limits,
             max_acceleration=max_acceleration,
-            together=self._together,
+            together=None if collisions is None else collisions.path.columns,
         )
+        self._together = self._limits.together
 
     def place(self, q: np.ndarray) -> None:
         """Put the robot at a configuration, at rest.

@@ -79,6 +79,7 @@ class BoxLimits:
 
     Attributes:
         has_acceleration: Whether accelerations are limited.
+        together: As given, shape (nv,).
 
     Raises:
         InvalidOptionsError: If an acceleration limit is not > 0 or has another shape.
@@ -117,8 +118,8 @@ class BoxLimits:
         # Twice the same: numpy takes three times as long to spread a row over both limits.
         self._rows = np.array([coordinates, coordinates])
         self._speeds = np.array([speed, speed])
-        self._together = np.zeros(len(speed), dtype=bool) if together is None else together
-        self._has_together = bool(self._together.any())
+        self.together = np.zeros(len(speed), dtype=bool) if together is None else together
+        self._has_together = bool(self.together.any())
         self.has_acceleration = max_acceleration is not None
         most = np.inf if max_acceleration is None else max_acceleration
         self._accelerations = np.array([_check_acceleration(most, len(speed))] * 2)
@@ -157,7 +158,7 @@ class BoxLimits:
         usable = self._accelerations * (LONGEST_STOP * dt)
         most = np.minimum(braking_displacement(distance, change), usable)
         if self._has_together:
-            stretch = np.where(self._together, 1.0 + self.stopping(velocity, dt), 1.0)
+            stretch = np.where(self.together, 1.0 + self.stopping(velocity, dt), 1.0)
             most = np.minimum(most, distance / stretch)
         most *= self._signs
         bounds = np.minimum(np.maximum(most, lowest), highest)
@@ -173,7 +174,7 @@ class BoxLimits:
         self, lower: np.ndarray, upper: np.ndarray, dt: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the part of a box (nv,) that is reached in a time [s], or its nearest corner."""
-        farthest = self._speeds[0] * dt
+        farthest = self.farthest(dt)
         return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)
 
     @property
@@ -225,7 +226,7 @@ class BoxLimits:
         """
         times = np.abs(displacement / dt) / self._accelerations[0]
         if self._has_together:
-            times[self._together] = times[self._together].max()
+            times[self.together] = times[self.together].max()
         return times
 
     def stopping(self, velocity: np.ndarray, dt: float) -> float:
@@ -237,7 +238,7 @@ class BoxLimits:
         """
         if not (self.has_acceleration and self._has_together):
             return 0.0
-        longest = (np.abs(velocity) / self._accelerations[0])[self._together].max()
+        longest = (np.abs(velocity) / self._accelerations[0])[self.together].max()
         return 0.5 * (float(longest) + dt) / dt
 
 

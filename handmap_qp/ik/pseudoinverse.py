@@ -145,10 +145,9 @@ class PseudoinverseIk:
         Arguments and result as of `PointIk.solve`. Eq. (8) has neither further tasks nor distances
         between links, nor a share of the speed limits: omit `tasks`, `margins` and `speed`.
         """
-        if tasks or margins is not None:
-            raise InvalidOptionsError(
-                option="tasks", problem="eq. (8) has neither further tasks nor margins"
-            )
+        if tasks or margins is not None or speed != 1.0:
+            problem = "eq. (8) has neither further tasks, margins nor a share of the speed"
+            raise InvalidOptionsError(option="tasks", problem=problem)
         self._rest = self.hand.rest if rest is None else rest
         start, nv = self.configuration.q.copy(), self.configuration.nv
         lower, upper = self._bounds(start, dt)
