@@ -60,13 +60,14 @@ class Case:
 
     def changed(self, changes: dict[str, Any]) -> Case:
         """Return the case with some options changed, of the mapping, of the IK or of the points."""
-        mapping = {
-            name: value for name, value in changes.items() if name in MappingOptions.__slots__
-        }
-        ik = {name: value for name, value in changes.items() if name in IkOptions.__slots__}
+        mapping = {name: changes[name] for name in changes.keys() & self.mapping.values.keys()}
+        ik = {name: changes[name] for name in changes.keys() & self.ik.values.keys()}
         points = {name: value for name, value in changes.items() if name not in (*mapping, *ik)}
         return replace(
-            self, mapping=replace(self.mapping, **mapping), ik=replace(self.ik, **ik), **points
+            self,
+            mapping=self.mapping.replaced(**mapping),
+            ik=self.ik.replaced(**ik),
+            **points,
         )
 
 

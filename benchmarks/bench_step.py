@@ -39,7 +39,6 @@ import synthetic
 
 import handmap_qp.ik.qp
 import handmap_qp.mapping.mapper
-import handmap_qp.mapping.transfer
 from handmap_qp import (
     AttachedPoints,
     HandMapper,
@@ -54,7 +53,6 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.methods import homogeneous
-from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
 from handmap_qp.trackers.recording import HumanMotion
 
 RECORDING = "quest3_webxr_right"
@@ -136,14 +134,13 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     mapper.map_step(motion.q[0], motion.wrist[0])
     ik, course = mapper.point_ik, mapper._course
     counted = course.map if course else None
-    reference = counted.reference if isinstance(counted, HomogeneousMap) else None
     wrapped = [
         (handmap_qp.mapping.mapper, "check_pose", "checks"),
         (mapper, "_check_joints", "checks"),
         (mapper, "_human_sample", "human FK"),
-        (reference.estimator if reference else None, "estimate", "estimation"),
-        (handmap_qp.mapping.transfer, "polar", "decomposition"),
-        (homogeneous, "transfer_motion", "targets"),
+        (getattr(counted, "_estimator", None), "estimate", "estimation"),
+        (homogeneous, "polar", "decomposition"),
+        (counted, "targets", "targets"),
         (ik.gate, "bounds", "limits"),
         (ik.gate, "admit", "gate"),
         (ik.configuration, "stacked_jacobian", "Jacobians"),

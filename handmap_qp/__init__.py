@@ -36,12 +36,11 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.method import Method
     from handmap_qp.mapping.methods.by_name import METHODS
     from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
-    from handmap_qp.mapping.methods.homogeneous import Homogeneous
+    from handmap_qp.mapping.methods.homogeneous import TELEMANIPULATION, Homogeneous, MappingOptions
     from handmap_qp.mapping.methods.joint_to_joint import JointToJoint
     from handmap_qp.mapping.methods.teleoperation import Teleoperation
     from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
     from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
-    from handmap_qp.mapping.options import TELEMANIPULATION, MappingOptions
     from handmap_qp.mapping.presets import PRESETS
     from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
@@ -117,12 +116,11 @@ _NAMES = {
     "mapping.method": "Method",
     "mapping.methods.by_name": "METHODS",
     "mapping.methods.fingertip_vectors": "FingertipVectors",
-    "mapping.methods.homogeneous": "Homogeneous",
+    "mapping.methods.homogeneous": "Homogeneous MappingOptions TELEMANIPULATION",
     "mapping.methods.joint_to_joint": "JointToJoint",
     "mapping.methods.teleoperation": "Teleoperation",
     "mapping.methods.virtual_ellipsoid": "VirtualEllipsoid",
     "mapping.methods.virtual_sphere": "VirtualSphere",
-    "mapping.options": "TELEMANIPULATION MappingOptions",
     "mapping.presets": "PRESETS",
     "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",

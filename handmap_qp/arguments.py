@@ -5,8 +5,10 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, make_dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,11 +19,15 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import MappingOptions
 from handmap_qp.mapping.options_file import read_options
-from handmap_qp.mapping.presets import Choice, PresetName, default_preset, preset_choice
+from handmap_qp.mapping.presets import (
+    PRESETS,
+    Choice,
+    get_preset,
+    known_options,
+    preset_choice,
+    preset_with,
+)
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.recording import Recording, mirrored, read_recording
 
@@ -178,6 +184,44 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
     return recording
 
 
+def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
+    """Return a class with a command-line option for every option of a kind, None where not given.
+
+    Args:
+        name: Name of the class.
+        has: Whether it has the options of a preset, or of the QP (`ik`).
+        about: What the options are for.
+    """
+    items: list[Any] = []
+    for option, places in known_options().items():
+        # Presets of one method share what they say.
+        said = {item.about: (preset, item) for preset, item in reversed(places) if has(preset)}
+        if not said:
+            continue
+        texts = [
+            f"{item.about} {_default(item)}" if len(said) == 1 else f"{preset}: {item.about}"
+            for preset, item in reversed(said.values())
+        ]
+        kind = reduce(or_, [item.plain for _, item in said.values()]) | None
+        settings = tyro.conf.arg(help=" ".join(texts), help_behavior_hint="")
+        items.append((option, Annotated[kind, settings], field(default=None)))
+    return make_dataclass(name, items, frozen=True, namespace={"__doc__": about})
+
+
+def _default(option: Any) -> str:
+    return "" if option.default is None else f"(default: {option.default})"
+
+
+MethodFlags = _flags(
+    "MethodFlags", lambda preset: preset != "ik", "Options of the method; each preset has its own."
+)
+QpFlags = _flags(
+    "QpFlags",
+    lambda preset: preset == "ik",
+    "Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.",
+)
+
+
 @dataclass(frozen=True)
 class MappingArguments:
     """What a command needs to know to map a human hand to a robot hand.
@@ -185,35 +229,48 @@ class MappingArguments:
     Attributes:
         preset: What the mapping is for. `teleoperation`: gestures and pinches, finger by finger.
             `object`: in-hand motion, without partners. `paper`: eqs. (5)-(8) as published. If
-            omitted, teleoperation where fingers correspond, else object; paper where one of its
-            options is given.
+            omitted, teleoperation where fingers correspond, else object; another one where an
+            option is given that this one does not have.
         human_points: Set of reference points on the human hand; see `handmap hands show human`.
         robot_points: Set of reference points on the robot hand; see `handmap hands show HAND`.
             Teleoperation takes fingertips and middle joints by itself.
-        mapping: How T is estimated and imposed; for the presets paper and object.
-        teleoperation: How fingers follow fingers; for the preset teleoperation.
-        ik: Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.
-            Those not given are the preset's.
+        method: Options of the method.
+        ik: Options of the QP. Those not given are the preset's.
         options: YAML file with a preset and options, as the view saves it. Options given on the
             command line count more.
         smooth: Smooth the samples with a one-euro filter, and the robot's motion with costs of
             speed and acceleration: half the jerk, for about 8 ms more lag.
     """
 
-    preset: PresetName | None = None
+    preset: Annotated[
+        str | None, tyro.conf.arg(metavar="PRESET", help_behavior_hint=f"({', '.join(PRESETS)})")
+    ] = None
     human_points: PointSet = None
     robot_points: PointSet = None
-    mapping: Annotated[MappingOptions, tyro.conf.arg(name="")] = field(
-        default_factory=MappingOptions
+    method: Annotated[MethodFlags, tyro.conf.arg(name="")] = field(  # ty: ignore[invalid-type-form]
+        default_factory=MethodFlags
     )
-    teleoperation: Annotated[Teleoperation, tyro.conf.arg(name="teleoperation")] = field(
-        default_factory=Teleoperation
+    ik: Annotated[QpFlags, tyro.conf.arg(name="ik")] = field(  # ty: ignore[invalid-type-form]
+        default_factory=QpFlags
     )
-    ik: Annotated[IkOptions, tyro.conf.arg(name="ik")] = field(default_factory=IkOptions)
     options: Annotated[
         Path | None, tyro.conf.arg(metavar="OPTIONS.yaml", help_behavior_hint="(default: none)")
     ] = None
     smooth: bool = False
+
+    def __post_init__(self) -> None:
+        """Reject values that no preset takes, before any work.
+
+        Raises:
+            InvalidOptionsError: With the option at fault.
+        """
+        if self.preset is not None:
+            get_preset(self.preset)
+        known = known_options()
+        for name, value in (_given(self.method) | _given(self.ik)).items():
+            *others, (_, last) = known[name]
+            if not any(option.takes(value) for _, option in others):
+                last.read(value)
 
     @property
     def smoothing(self) -> Smoothing | None:
@@ -229,25 +286,14 @@ class MappingArguments:
             contact_gap: The measured contact gap [m], used unless one is given.
 
         Raises:
-            InvalidInputError: If an option is given that the preset does not have.
+            InvalidOptionsError: If an option is given that the preset does not have.
         """
-        mapping = _given(self.mapping, MappingOptions())
-        fingers = _given(self.teleoperation, Teleoperation())
         saved = {} if self.options is None else read_options(self.options)
-        saved_preset = saved.pop("preset", None)
-        name = self.preset or saved_preset
-        name = name or ("paper" if mapping else default_preset(human, robot))
-        chosen = preset_choice(name, contact_gap)
-        own, foreign = (fingers, mapping) if chosen.is_teleoperation else (mapping, fingers)
-        if foreign:
-            prefix = "--teleoperation." if foreign is fingers else "--"
-            raise InvalidInputError(
-                argument=prefix + min(foreign).replace("_", "-"),
-                problem=f"the preset {name} has no such option",
-                advice="choose another --preset, or leave it out",
-            )
+        own = _given(self.method)
         calm = SMOOTH_IK if self.smooth else {}
-        return chosen.with_changes(saved | own | calm | _given(self.ik, IkOptions()))
+        name = saved.pop("preset", None) if self.preset is None else self.preset
+        chosen = preset_choice(name or preset_with(own, human, robot), contact_gap)
+        return chosen.with_changes(saved | own | calm | _given(self.ik))
 
     def load_robot(self, name: str) -> Hand:
         """Load a robot hand with the chosen reference points.
@@ -258,19 +304,16 @@ class MappingArguments:
         return load_hand(name, points=self.robot_points)
 
     def changed(self) -> list[str]:
-        """Return the options that differ from their defaults, as `--ridge` or `--ik.damping`."""
+        """Return the options that were given, as `--ridge` or `--ik.damping`."""
         usual, names = MappingArguments(), []
-        for item in fields(self):
-            value, default = getattr(self, item.name), getattr(usual, item.name)
-            if is_dataclass(value):
-                prefix = "--" if item.name == "mapping" else f"--{item.name}."
-                names += [prefix + name.replace("_", "-") for name in _given(value, default)]
-            elif value != default:
-                names.append("--" + item.name.replace("_", "-"))
+        for prefix, flags in (("--", self.method), ("--ik.", self.ik)):
+            names += [prefix + name.replace("_", "-") for name in _given(flags)]
+        for name in ("preset", "human_points", "robot_points", "options", "smooth"):
+            if getattr(self, name) != getattr(usual, name):
+                names.append("--" + name.replace("_", "-"))
         return names
 
 
-def _given(options: Any, default: Any) -> dict[str, Any]:
-    """Return the fields of options that differ from their defaults, by name."""
-    values = {item.name: getattr(options, item.name) for item in fields(options)}
-    return {name: value for name, value in values.items() if value != getattr(default, name)}
+def _given(flags: Any) -> dict[str, Any]:
+    """Return the options that were given, by name."""
+    return {name: value for name, value in vars(flags).items() if value is not None}

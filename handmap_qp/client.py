@@ -40,8 +40,7 @@ Numbers = tuple[float, ...]
 Names = tuple[str, ...]
 KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
-Preset = Literal["teleoperation", "object", "paper", "fixed_wrist"]
-_OPTIONS = ("mapping", "teleoperation", "ik")
+_OPTIONS = ("options", "mapping", "teleoperation", "ik")
 
 
 class Pose(msgspec.Struct, frozen=True):
@@ -546,7 +545,8 @@ class Client(_Core):
         human_points: str | None = None,
         robot_points: str | None = None,
         mount: Literal["floating", "fixed"] | None = None,
-        preset: Preset | None = None,
+        preset: str | None = None,
+        options: dict[str, Any] | None = None,
         mapping: dict[str, Any] | None = None,
         teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
@@ -581,10 +581,11 @@ class Client(_Core):
             human_points: Set of reference points on the human hand.
             robot_points: Set of reference points on the robot hand.
             mount: The robot's wrist.
-            preset: What the mapping is for. If omitted: `paper` with `mapping`, else
-                `teleoperation` if the robot's fingers have partners.
-            mapping: Fields of `MappingOptions`, for the presets `object` and `paper`.
-            teleoperation: Fields of `Teleoperation`, for the preset of this name.
+            preset: What the mapping is for. If omitted, `teleoperation` if the robot's fingers
+                have partners, else `object`.
+            options: Options of the preset's method.
+            mapping: Former name of `options`; without `preset`, for the preset `paper`.
+            teleoperation: Former name of `options` for the preset `teleoperation`.
             ik: Fields of `IkOptions`; others are the preset's.
             robot_q: Joint angles where the robot is now [rad], shape (n,).
             robot_wrist: Pose of its wrist: (4, 4), seven numbers, or a `Pose`.
@@ -775,7 +776,8 @@ class Client(_Core):
     def configure(
         self,
         *,
-        preset: Preset | None = None,
+        preset: str | None = None,
+        options: dict[str, Any] | None = None,
         mapping: dict[str, Any] | None = None,
         teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
@@ -785,13 +787,15 @@ class Client(_Core):
 
         Args:
             preset: Another preset; options that are not named are then the preset's own.
-            mapping: Fields of `MappingOptions`, for the presets `object` and `paper`.
-            teleoperation: Fields of `Teleoperation`, for the preset of this name.
+            options: Options of the preset's method.
+            mapping: Former name of `options`.
+            teleoperation: Former name of `options`.
             ik: Fields of `IkOptions`.
             has_detail: Whether commands carry every stage of the mapping.
         """
         changes = _given(
             preset=preset,
+            options=options,
             mapping=mapping,
             teleoperation=teleoperation,
             ik=ik,
@@ -906,7 +910,8 @@ class AsyncClient(_Core):
         human_points: str | None = None,
         robot_points: str | None = None,
         mount: Literal["floating", "fixed"] | None = None,
-        preset: Preset | None = None,
+        preset: str | None = None,
+        options: dict[str, Any] | None = None,
         mapping: dict[str, Any] | None = None,
         teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
@@ -1037,7 +1042,8 @@ class AsyncClient(_Core):
     async def configure(
         self,
         *,
-        preset: Preset | None = None,
+        preset: str | None = None,
+        options: dict[str, Any] | None = None,
         mapping: dict[str, Any] | None = None,
         teleoperation: dict[str, Any] | None = None,
         ik: dict[str, Any] | None = None,
@@ -1046,6 +1052,7 @@ class AsyncClient(_Core):
         """Change options; see `Client.configure`."""
         changes = _given(
             preset=preset,
+            options=options,
             mapping=mapping,
             teleoperation=teleoperation,
             ik=ik,

@@ -16,7 +16,7 @@ from handmap_qp.experiments.output_folder import output_folder
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.options import MappingOptions
+from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.offline.trajectory import Trajectory, map_motion, save_npz
 from handmap_qp.trackers.recording import HumanMotion
 from handmap_qp.transform import affine, transform_points
@@ -109,9 +109,7 @@ def run_demo(
     directory = Path(directory)
     motion = arc_motion(samples)
     with output_folder(directory) as folder:
-        mapper = HandMapper(
-            motion.human, load_hand("three_finger"), MappingOptions(), dt=1.0 / RATE
-        )
+        mapper = HandMapper(motion.human, load_hand("three_finger"), Homogeneous(), dt=1.0 / RATE)
         trajectory = map_motion(mapper, motion, progress)
         _save(folder / "trajectory.npz", motion, trajectory)
         hands_figure(motion, trajectory).savefig(folder / "hands.png")

@@ -15,7 +15,6 @@ import tyro
 from handmap_qp.arguments import KeyFiles, OpenSession
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
-from handmap_qp.mapping.presets import PresetName
 from handmap_qp.tables import print_table
 
 if TYPE_CHECKING:
@@ -54,7 +53,8 @@ class Target:
         str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)")
     ] = None
     preset: Annotated[
-        PresetName | None, tyro.conf.arg(help_behavior_hint="(default: the service decides)")
+        str | None,
+        tyro.conf.arg(metavar="PRESET", help_behavior_hint="(default: the service decides)"),
     ] = None
     person: Annotated[
         Path | None,

@@ -11,7 +11,6 @@ from handmap_qp.addresses import service_address
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.spec import Side
 from handmap_qp.live.service_errors import TIMEOUT, reported_as
-from handmap_qp.mapping.presets import PresetName
 from handmap_qp.trackers.person import Person
 from handmap_qp.trackers.sample import HumanSample
 
@@ -55,7 +54,7 @@ class ServiceSink:
         side: Side,
         *,
         session: str | None = None,
-        preset: PresetName | None = None,
+        preset: str | None = None,
         person: Person | None = None,
         keys: tuple[Path, Path] | None = None,
     ) -> None:
@@ -126,7 +125,7 @@ class ServiceSink:
         self,
         side: Side,
         session: str | None,
-        preset: PresetName | None,
+        preset: str | None,
         person: Person | None,
     ) -> str:
         """Open the session; return its name."""

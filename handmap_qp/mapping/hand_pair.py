@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
@@ -24,6 +23,7 @@ from handmap_qp.hands.fingers import (
     FingerEnd,
     find_finger_ends,
     find_fingers,
+    partner_names,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
@@ -75,8 +75,8 @@ _OPENING = IkOptions(
 )
 # One iteration at a time, until the pads touch: further ones slide them along each other towards
 # the rest posture, far away from where people pinch.
-_PINCHING = replace(
-    _OPENING, wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
+_PINCHING = _OPENING.replaced(
+    wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
 
@@ -300,6 +300,38 @@ def _pinching_robot(robot: Hand) -> np.ndarray:
 @lru_cache(maxsize=32)
 def _contacts(robot: Hand) -> ShapePairs:
     return all_pairs(robot, _fingers_and_pads(robot)[0])
+
+
+def require_partners(
+    human: Hand, robot: Hand, *, option: str, value: object = None, advice: str = ""
+) -> list[tuple[int, int]]:
+    """Return the pairs of reference points that correspond on two hands (`partner_names`).
+
+    Args:
+        human: The hand that leads.
+        robot: The hand that follows.
+        option: The option that needs them.
+        value: Its value.
+        advice: Alternative to naming partners, appended to the message.
+
+    Returns:
+        Pairs of indices (robot point, human point), in the order of the robot's points.
+
+    Raises:
+        InvalidOptionsError: If no robot point has a partner.
+    """
+    names = {point.name: k for k, point in enumerate(human.reference_points)}
+    wanted = partner_names(robot, {point.name for point in human.spec.points})
+    pairs = [(j, names[partner]) for j, partner in enumerate(wanted) if partner in names]
+    if not pairs:
+        raise InvalidOptionsError(
+            option=option,
+            problem=f"needs partner points, and no point of {robot.name} names one among "
+            f"{', '.join(names)}",
+            value=value,
+            advice=f"add `partner` to its points{advice}",
+        )
+    return pairs
 
 
 def hand_pair(human: Hand, robot: Hand, matched: tuple[float, ...] | None = None) -> HandPair:

@@ -12,7 +12,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Literal, Unpack, get_args
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -32,12 +32,12 @@ from handmap_qp.mapping.method import (
     ForesightMap,
     HumanPose,
     Method,
+    MethodOptions,
     RobotPosture,
     TargetMap,
     Targets,
 )
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
-from handmap_qp.mapping.options import MappingChanges, MappingOptions
 from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.mapping.rejoin import Rejoin, RejoinKind
 from handmap_qp.mapping.smoothing import Smoothing, SmoothState, smooth_sample
@@ -68,9 +68,8 @@ class HandMapper:
         human: The hand that leads, with a floating wrist; its reference points are the method's
             input.
         robot: The hand that follows.
-        method: How a sample becomes targets: a `Method`, the name of a preset (`teleoperation`,
-            `object` or `paper`), or `MappingOptions` for the paper's `Homogeneous`. If omitted,
-            `teleoperation` where the robot's fingers have partners on the human hand, else
+        method: How a sample becomes targets: a `Method`, or the name of a preset (`PRESETS`). If
+            omitted, `teleoperation` where the robot's fingers have partners on the human hand, else
             `object`.
         ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
@@ -81,7 +80,7 @@ class HandMapper:
             rejected [rad].
         rejoin: How the robot comes back to the human after `map_sample` held it: `glide` there, or
             stay where it is with its palm, as after a `clutch`.
-        **options: Short form of `method`: single fields of `MappingOptions`, as in
+        **options: Short form of `method`: options of the paper's method, as in
             `HandMapper(human, robot, rigid_from="wrist")`.
 
     Attributes:
@@ -98,7 +97,7 @@ class HandMapper:
         self,
         human: Hand,
         robot: Hand,
-        method: Method | MappingOptions | str | None = None,
+        method: Method | str | None = None,
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] = (),
@@ -107,7 +106,7 @@ class HandMapper:
         quat_order: QuatOrder | None = None,
         joint_tolerance: float = 0.25,
         rejoin: RejoinKind = "glide",
-        **options: Unpack[MappingChanges],
+        **options: Any,
     ) -> None:
         if not human.is_floating:
             raise InvalidOptionsError(
@@ -158,21 +157,6 @@ class HandMapper:
     def smoothing(self) -> Smoothing | None:
         """The smoothing of samples before they are mapped; None for none."""
         return self._plan.smoothing
-
-    @property
-    def options(self) -> MappingOptions:
-        """The choices of the paper's method.
-
-        Raises:
-            InvalidOptionsError: If the mapper's method is another one.
-        """
-        if isinstance(method := self._plan.method, Homogeneous):
-            return method.options
-        raise InvalidOptionsError(
-            option="method",
-            problem=f"{type(method).__name__} has no MappingOptions",
-            advice="read mapper.method",
-        )
 
     @property
     def ik(self) -> IkOptions:
@@ -526,7 +510,7 @@ class HandMapper:
 
     def configure(
         self,
-        method: Method | MappingOptions | str | None = None,
+        method: Method | str | None = None,
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] | None = None,
@@ -720,28 +704,21 @@ class _Course:
     begins_at: np.ndarray | None = None
 
 
-def _method_of(
-    method: Method | MappingOptions | str | None, options: MappingChanges
-) -> tuple[Method, IkOptions]:
+def _method_of(method: Method | str | None, options: dict[str, Any]) -> tuple[Method, IkOptions]:
     """Return the method that the arguments of `HandMapper` ask for, and the QP weights with it."""
     if isinstance(method, str) and not options:
         preset = get_preset(method)
         return preset.method, preset.ik
-    if isinstance(method, Method) and not options:
-        return method, IkOptions()
-    if method is not None and not isinstance(method, MappingOptions):
-        raise InvalidOptionsError(
-            option="method",
-            expected="a method, the name of a preset, MappingOptions, or single options of it",
-            value=method,
-        )
-    if unknown := set(options) - set(MappingOptions.__slots__):
-        raise InvalidOptionsError(
-            option=min(unknown),
-            problem="no such option",
-            advice=f"there are {', '.join(MappingOptions.__slots__)}",
-        )
-    return Homogeneous(replace(method or MappingOptions(), **options)), IkOptions()
+    chosen = Homogeneous() if method is None else method
+    if options and isinstance(chosen, MethodOptions):
+        return chosen.replaced(**options), IkOptions()
+    if isinstance(chosen, Method) and not options:
+        return chosen, IkOptions()
+    raise InvalidOptionsError(
+        option="method",
+        expected="a method, the name of a preset, or single options of the paper's method",
+        value=method,
+    )
 
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:

@@ -7,20 +7,26 @@ A method says how a human sample becomes targets of the robot. It goes through t
       .start(sample, posture) -> TargetMap: counted from one reference
       .targets(sample)       -> Targets: of one sample, for the QP
 
-`handmap_qp.mapping.methods` has the methods of the package; `Homogeneous` is the paper's.
+`handmap_qp.mapping.methods` has the methods of the package; `Homogeneous` is the paper's. A method
+of another package is one file: its options (a subclass of `Options` with `bind`), and presets that
+its entry points of the group `handmap_qp.presets` name (`handmap_qp.mapping.presets`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
 
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
+from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Task
+from handmap_qp.options import Options
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):
@@ -49,23 +55,58 @@ class RobotPosture(NamedTuple):
     wrist: np.ndarray
 
 
+class Diagnostics(Mapping[str, np.ndarray]):
+    """Intermediate results of a method for one sample: arrays by name.
+
+    The names are the public attributes and properties of a subclass. These names mean the same in
+    every method that has them:
+
+        motion              T from the reference to now, in the human's world, shape (4, 4)
+        motion_rigid        T_rb, shape (4, 4)
+        motion_deformation  T_def, shape (4, 4)
+        stretches           stretches of T before clamping, shape (3,)
+        pivot_image         where T takes the point that T_def acts about [m], shape (3,)
+        residual_norms      distance of human points from where T takes them [m], shape (n,)
+    """
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Compute one result."""
+        if name in iter(self):
+            return getattr(self, name)
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from _properties(type(self))
+        yield from (name for name in self.__dict__ if not name.startswith("_"))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+@cache
+def _properties(kind: type[Diagnostics]) -> tuple[str, ...]:
+    return tuple(name for name in dir(kind) if isinstance(getattr(kind, name), property))
+
+
 class Targets(msgspec.Struct, frozen=True, eq=False):
     """The targets of a method for one sample.
 
     Attributes:
         points: Targets of the robot's reference points [m], shape (n_r, 3).
         wrist: Target pose of its wrist, shape (4, 4); ignored if the wrist is fixed.
-        diagnostics: Intermediate results of the method; `MapStep.diagnostics` carries them.
+        diagnostics: Intermediate results of the method, by name; `MapStep.diagnostics` has them.
         tasks: Further terms of the QP's cost, for this sample.
         margins: Distance that each pair of collision shapes keeps in this sample [m], shape (k,);
             the hand's own margin if omitted.
+        flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
     points: np.ndarray
     wrist: np.ndarray
-    diagnostics: Any = None
+    diagnostics: Mapping[str, np.ndarray] = {}
     tasks: tuple[Task, ...] = ()
     margins: np.ndarray | None = None
+    flags: tuple[str, ...] = ()
 
 
 class TargetMap(Protocol):
@@ -147,3 +188,38 @@ class Method(Protocol):
             InvalidOptionsError: If the choices contradict the hands.
         """
         ...
+
+
+FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
+"""QP weights of methods whose palm follows the human's."""
+
+
+class MethodOptions(Options, frozen=True):
+    """Base of methods that presets name: its fields are its options.
+
+    Two options mean the same in every method that has them. `contact_gap` is what the tracker
+    measures between thumb and finger at skin contact [m]. `alignment` is the rotation from the
+    human's world axes to the robot's.
+    """
+
+    def bind(self, human: Hand, robot: Hand) -> BoundMethod:
+        """Check the method against two hands; see `Method.bind`."""
+        raise InvalidOptionsError(
+            option="method", problem=f"{type(self).__name__} has no `bind` for {robot.name}"
+        )
+
+
+class Preset(NamedTuple):
+    """A method with its options and QP weights that go together.
+
+    Attributes:
+        method: The method, which is the struct of its options.
+        ik: Weights and settings of the QP.
+        purpose: Intended use, in words.
+        weakness: Known weaknesses, in words.
+    """
+
+    method: MethodOptions
+    ik: IkOptions
+    purpose: str
+    weakness: str

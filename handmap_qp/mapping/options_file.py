@@ -10,22 +10,14 @@ its method and of the QP. Options that are not in the file have the values of th
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import msgspec
 import yaml
 
 from handmap_qp.errors import InvalidInputError, did_you_mean
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.presets import Choice, preset_choice
-
-_NAMES = {"preset"} | {
-    item.name for kind in (MappingOptions, Teleoperation, IkOptions) for item in fields(kind)
-}
+from handmap_qp.mapping.presets import Choice, known_options, preset_choice
 
 
 def read_options(path: Path | str) -> dict[str, Any]:
@@ -53,13 +45,14 @@ def read_options(path: Path | str) -> dict[str, Any]:
     if not isinstance(table, dict):
         expected = "a table such as `preset: teleoperation`"
         raise InvalidInputError(argument="options", problem=f"{file}: expected {expected}")
+    known = {"preset", *known_options()}
     for name in table:
-        if name not in _NAMES:
-            advice = did_you_mean(str(name), _NAMES) or "see handmap map --help"
+        if name not in known:
+            advice = did_you_mean(str(name), known) or "see handmap map --help"
             raise InvalidInputError(
                 argument=str(name), problem=f"{file} has an unknown option", advice=advice
             )
-    return {name: _tuples(value) for name, value in table.items()}
+    return table
 
 
 def options_text(choice: Choice, start: Choice | None = None) -> str:
@@ -70,17 +63,5 @@ def options_text(choice: Choice, start: Choice | None = None) -> str:
         start: The preset with the values that need not be written; its own if omitted.
     """
     start = preset_choice(choice.preset) if start is None else start
-    changes = {name: _plain(value) for name, value in start.changes_to(choice).items()}
-    return yaml.safe_dump({"preset": choice.preset} | changes, sort_keys=False)
-
-
-def _tuples(value: Any) -> Any:
-    """Turn lists into tuples, which the options hold."""
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def _plain(value: Any) -> Any:
-    """Turn tuples and arrays into lists, and numpy's numbers into Python's."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return list(map(_plain, value)) if isinstance(value, tuple) else value
+    changes = {"preset": choice.preset} | start.changes_to(choice)
+    return yaml.safe_dump(msgspec.to_builtins(changes), sort_keys=False)

@@ -1,77 +1,45 @@
-"""Presets: a mapping method and QP weights that go together, by name."""
+"""Presets: a mapping method, its options and QP weights that go together, by name.
+
+Every method of the package has one or more (`PRESETS` of its module). Other packages add theirs by
+entry points of the group `handmap_qp.presets`, each of which names a `Preset`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import fields, replace
-from typing import Any, Literal, NamedTuple, get_args
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.hand_pair import KNUCKLES, MIDDLES, TIPS
-from handmap_qp.mapping.method import Method
-from handmap_qp.mapping.methods.homogeneous import Homogeneous
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import Alignment, MappingOptions, Rotation
+from handmap_qp.mapping.method import MethodOptions, Preset
+from handmap_qp.mapping.plugins import Plugins
+from handmap_qp.options import Option, options_of
 
-PresetName = Literal["teleoperation", "object", "paper", "fixed_wrist"]
-MethodOptions = MappingOptions | Teleoperation
-"""The options of a preset's method."""
-_IK_NAMES = frozenset(item.name for item in fields(IkOptions))
-
-
-class Preset(NamedTuple):
-    """A method and QP weights that go together.
-
-    Attributes:
-        method: Mapping method.
-        ik: Weights and settings of the QP.
-        purpose: Intended use, in words.
-        weakness: Known weaknesses, in words.
-    """
-
-    method: Method
-    ik: IkOptions
-    purpose: str
-    weakness: str
+_MODULES = (
+    "teleoperation",
+    "homogeneous",
+    "fingertip_vectors",
+    "joint_to_joint",
+    "virtual_sphere",
+    "virtual_ellipsoid",
+)
 
 
-PRESETS: dict[str, Preset] = {
-    "teleoperation": Preset(
-        Teleoperation(),
-        IkOptions(
-            wrist_position_weight=10.0,
-            wrist_orientation_weight=10.0,
-            rest_weight=0.05,
-        ),
-        "gestures and pinches of a tracked hand: each robot finger does what the human's does",
-        "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
-    ),
-    "object": Preset(
-        Homogeneous(MappingOptions(rigid_from="wrist", pivot="palm", reference="rest")),
-        IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0),
-        "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
-        "gestures: T cannot tell a pointing finger from a fist",
-    ),
-    "paper": Preset(
-        Homogeneous(),
-        IkOptions(),
-        "eqs. (5)-(8) as published: rigid part and deformation from the points alone",
-        "gestures; closing the fingers turns the robot's wrist, by 24 deg for a half-closed hand",
-    ),
-    "fixed_wrist": Preset(
-        Homogeneous(
-            MappingOptions(rigid_from="none", pivot="palm", reference="rest", alignment="palm")
-        ),
-        IkOptions(),
-        "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
-        "gestures; the motion of the human's own wrist goes to the fingers as well",
-    ),
-}
+def _own() -> dict[str, Preset]:
+    modules = [import_module(f"handmap_qp.mapping.methods.{name}") for name in _MODULES]
+    return {name: preset for module in modules for name, preset in module.PRESETS.items()}
+
+
+def _check(preset: Preset) -> None:
+    if not (isinstance(preset, Preset) and isinstance(preset.method, MethodOptions)):
+        raise TypeError("expected a Preset whose method is a MethodOptions")
+
+
+PRESETS: Mapping[str, Preset] = Plugins("handmap_qp.presets", _own, _check)
 """All presets, by name."""
 
 
@@ -81,14 +49,48 @@ def get_preset(name: str) -> Preset:
     Raises:
         InvalidOptionsError: If there is no such preset.
     """
-    if name not in PRESETS:
+    try:
+        return PRESETS[name]
+    except KeyError:
         raise InvalidOptionsError(
-            option="preset", expected=f"one of {', '.join(get_args(PresetName))}", value=name
-        )
-    return PRESETS[name]
+            option="preset",
+            expected=f"one of {', '.join(PRESETS)}",
+            value=name,
+            advice=did_you_mean(name, PRESETS),
+        ) from None
 
 
-def default_preset(human: Hand, robot: Hand) -> PresetName:
+def known_options() -> dict[str, list[tuple[str, Option]]]:
+    """Return the options of all methods and of the QP by name, each with its presets' names.
+
+    Returns:
+        For every name the presets that have such an option (`ik` for one of the QP), and what it
+        is there.
+    """
+    kinds = [(name, type(preset.method)) for name, preset in PRESETS.items()]
+    found: dict[str, list[tuple[str, Option]]] = {}
+    for preset, kind in (*kinds, ("ik", IkOptions)):
+        for option in options_of(kind):
+            found.setdefault(option.name, []).append((preset, option))
+    return found
+
+
+def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
+    """Choose the preset for two hands that has some options of a method.
+
+    It is the default one if that has them, else the first that has.
+
+    Args:
+        names: Names of the options.
+        human: The hand that leads.
+        robot: The hand that follows.
+    """
+    first, wanted = default_preset(human, robot), set(names)
+    able = (name for name in (first, *PRESETS) if wanted <= get_preset(name).method.values.keys())
+    return next(able, first)
+
+
+def default_preset(human: Hand, robot: Hand) -> str:
     """Choose the preset for two hands.
 
     It is teleoperation where fingers correspond, else object, or fixed_wrist if the robot's wrist
@@ -106,17 +108,22 @@ def default_preset(human: Hand, robot: Hand) -> PresetName:
     return "object" if robot.has_moving_wrist else "fixed_wrist"
 
 
-def possible_presets(human: Hand, robot: Hand) -> tuple[PresetName, ...]:
+def possible_presets(human: Hand, robot: Hand) -> tuple[str, ...]:
     """Return the presets that two hands can be mapped with.
 
     Args:
         human: The hand that leads.
         robot: The hand that follows.
     """
-    first = default_preset(human, robot)
-    following: tuple[PresetName, ...] = ("teleoperation",) if first == "teleoperation" else ()
-    moving: tuple[PresetName, ...] = ("object", "paper")
-    return (*following, *(moving if robot.has_moving_wrist else ()), "fixed_wrist")
+
+    def fits(preset: Preset) -> bool:
+        try:
+            preset.method.bind(human, robot)
+        except HandmapError:
+            return False
+        return True
+
+    return tuple(name for name, preset in PRESETS.items() if fits(preset))
 
 
 class Choice(NamedTuple):
@@ -124,45 +131,15 @@ class Choice(NamedTuple):
 
     Attributes:
         preset: Name of the preset.
-        options: Options of its method.
+        method: Its method with its options.
         ik: Weights and settings of the QP.
     """
 
-    preset: PresetName
-    options: MethodOptions
+    preset: str
+    method: MethodOptions
     ik: IkOptions
 
-    @property
-    def method(self) -> Method:
-        """The method with these options."""
-        options = self.options
-        return Homogeneous(options) if isinstance(options, MappingOptions) else options
-
-    @property
-    def is_teleoperation(self) -> bool:
-        """True if the options are those of `Teleoperation`."""
-        return isinstance(self.options, Teleoperation)
-
-    @property
-    def alignment(self) -> Alignment | Rotation:
-        """Rotation from the human's world axes to the robot's, as of `MappingOptions`."""
-        return self.options.alignment if isinstance(self.options, MappingOptions) else "world"
-
-    def check_has(self, names: Iterable[str]) -> None:
-        """Reject options that the preset does not have.
-
-        Raises:
-            InvalidOptionsError: With the first one by name.
-        """
-        known = {item.name for item in fields(self.options)}
-        if unknown := sorted(set(names) - known):
-            raise InvalidOptionsError(
-                option=unknown[0],
-                problem=f"the preset {self.preset} has no such option",
-                advice="choose another preset, or leave it out",
-            )
-
-    def with_changes(self, changes: dict[str, Any]) -> Choice:
+    def with_changes(self, changes: Mapping[str, Any]) -> Choice:
         """Return a copy with other values for some options.
 
         Args:
@@ -175,21 +152,26 @@ class Choice(NamedTuple):
         """
         rest = dict(changes)
         start = preset_choice(rest.pop("preset")) if "preset" in rest else self
-        ik = {name: rest.pop(name) for name in _IK_NAMES & rest.keys()}
-        start.check_has(rest)
-        return start._replace(options=replace(start.options, **rest), ik=replace(start.ik, **ik))
+        ik = {name: rest.pop(name) for name in IK_NAMES & rest.keys()}
+        known = [option.name for option in options_of(type(start.method))]
+        if unknown := sorted(set(rest) - set(known)):
+            raise InvalidOptionsError(
+                option=unknown[0],
+                problem=f"the preset {start.preset} has no such option",
+                advice="choose another preset, or leave it out",
+            )
+        return start._replace(method=start.method.replaced(**rest), ik=start.ik.replaced(**ik))
 
     def changes_to(self, other: Choice) -> dict[str, Any]:
         """Return the changes that turn this choice into another one."""
         start, changes = self, {}
         if self.preset != other.preset:
             start, changes = preset_choice(other.preset), {"preset": other.preset}
-        for ours, theirs in ((start.options, other.options), (start.ik, other.ik)):
-            for item in fields(theirs):
-                # array_equal, because an alignment may be a matrix.
-                if not np.array_equal(getattr(ours, item.name), getattr(theirs, item.name)):
-                    changes[item.name] = getattr(theirs, item.name)
-        return changes
+        return changes | start.method.changes_to(other.method) | start.ik.changes_to(other.ik)
+
+
+IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
+"""Names of the options of the QP; no method has an option of such a name."""
 
 
 def preset_choice(name: str, contact_gap: float | None = None) -> Choice:
@@ -197,17 +179,14 @@ def preset_choice(name: str, contact_gap: float | None = None) -> Choice:
 
     Args:
         name: Name of the preset.
-        contact_gap: The measured contact gap [m]; the preset's if omitted.
+        contact_gap: The measured contact gap [m], for methods that know one; the preset's if
+            omitted.
 
     Raises:
         InvalidOptionsError: If there is no such preset.
     """
-    method, ik = get_preset(name)[:2]
-    options: MethodOptions
-    if isinstance(method, Homogeneous):
-        options = method.options
-    elif isinstance(method, Teleoperation):
-        options = method if contact_gap is None else replace(method, contact_gap=contact_gap)
-    else:
-        raise InvalidOptionsError(option="preset", problem=f"{name} has no options")
-    return Choice(next(known for known in get_args(PresetName) if known == name), options, ik)
+    preset = get_preset(name)
+    method = preset.method
+    if contact_gap is not None and "contact_gap" in method.values:
+        method = method.replaced(contact_gap=contact_gap)
+    return Choice(name, method, preset.ik)

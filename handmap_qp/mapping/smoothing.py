@@ -8,14 +8,13 @@ QP's speed limits hold for the commands.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.mapping.method import HumanPose
+from handmap_qp.options import Options, number
 from handmap_qp.transform import affine
 
 # A gap in time longer than this starts the filter again [s].
@@ -24,34 +23,18 @@ _LONGEST_GAP = 0.5
 _HAND = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Smoothing:
-    """Settings of the filter.
+class Smoothing(Options, frozen=True):
+    """Settings of the filter."""
 
-    Attributes:
-        min_cutoff: Cutoff frequency of a point at rest [Hz].
-        speed_gain: Rise of the cutoff with the speed of a point [Hz per m/s].
-        speed_cutoff: Cutoff frequency of the speed estimate [Hz].
-
-    Raises:
-        InvalidOptionsError: If a number is not finite and > 0 (`speed_gain`: >= 0).
-    """
-
-    min_cutoff: float = 2.0
-    speed_gain: float = 90.0
-    speed_cutoff: float = 5.0
-
-    def __post_init__(self) -> None:
-        """Reject numbers without a meaning."""
-        for item in fields(self):
-            value, may_be_zero = getattr(self, item.name), item.name == "speed_gain"
-            is_number = isinstance(value, int | float) and math.isfinite(value)
-            if not (is_number and (value > 0.0 or (may_be_zero and value == 0.0))):
-                raise InvalidOptionsError(
-                    option=item.name,
-                    expected=f"a finite number {'>=' if may_be_zero else '>'} 0",
-                    value=value,
-                )
+    min_cutoff: Annotated[
+        float, number("Cutoff frequency of a point at rest [Hz].", above=True)
+    ] = 2.0
+    speed_gain: Annotated[
+        float, number("Rise of the cutoff with the speed of a point [Hz per m/s].")
+    ] = 90.0
+    speed_cutoff: Annotated[
+        float, number("Cutoff frequency of the speed estimate [Hz].", above=True)
+    ] = 5.0
 
 
 SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}

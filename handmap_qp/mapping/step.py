@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.mapping.estimation import MotionEstimate
 from handmap_qp.mapping.method import Targets
-from handmap_qp.mapping.methods.homogeneous import HomogeneousDiagnostics
-from handmap_qp.mapping.transfer import Transfer
 from handmap_qp.trackers.guard import Rule, Verdict
 from handmap_qp.trackers.plausibility import Finding
 
@@ -38,8 +36,8 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
 class MapStep(msgspec.Struct, frozen=True, eq=False):
     """One step of the mapping, stage by stage.
 
-    Derived values are computed on access. Those of T exist for the paper's method alone; the
-    diagnostics of other methods are in `diagnostics`.
+    Derived values are computed on access. Those of T raise InvalidOptionsError if the method has no
+    T; `diagnostics` has the results of every method, by name.
 
     Attributes:
         command: The robot's next joint angles and wrist pose.
@@ -89,29 +87,19 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return math.nan if self.verdict is None else self.verdict.consistency
 
     @property
-    def diagnostics(self) -> Any:
-        """Intermediate results of the method."""
+    def diagnostics(self) -> Mapping[str, np.ndarray]:
+        """Intermediate results of the method, by name; see `Diagnostics`."""
         return self.asked.diagnostics
-
-    @property
-    def estimate(self) -> MotionEstimate:
-        """T and how it fits (eqs. 5-6)."""
-        return self._homogeneous.estimate
-
-    @property
-    def transfer(self) -> Transfer:
-        """T_rb, T_def and the robot's targets (eqs. 2-3, 7)."""
-        return self._homogeneous.transfer
 
     @property
     def motion(self) -> np.ndarray:
         """T from the reference configuration to now (eqs. 5-6), shape (4, 4)."""
-        return self.estimate.motion
+        return self._named("motion")
 
     @property
     def motion_rigid(self) -> np.ndarray:
         """T_rb (eq. 2), shape (4, 4)."""
-        return self.transfer.motion_rigid
+        return self._named("motion_rigid")
 
     @property
     def motion_deformation(self) -> np.ndarray:
@@ -119,23 +107,22 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
         With neither, `motion_deformation @ motion_rigid == motion`.
         """
-        return self.transfer.motion_deformation
+        return self._named("motion_deformation")
 
     @property
     def residual_norms(self) -> np.ndarray:
         """Distance of each human point from where T takes it [m], shape (n_h,)."""
-        return self.estimate.residual_norms
+        return self._named("residual_norms")
 
     @property
     def stretches(self) -> np.ndarray:
         """Eigenvalues of the stretch U before clamping, shape (3,)."""
-        return self.transfer.stretches
+        return self._named("stretches")
 
     @property
     def is_clamped(self) -> bool:
         """True if a stretch was outside its allowed range; False for methods without T."""
-        diagnostics = self.asked.diagnostics
-        return isinstance(diagnostics, HomogeneousDiagnostics) and diagnostics.transfer.is_clamped
+        return "stretch_clamped" in self.asked.flags
 
     @property
     def targets(self) -> np.ndarray:
@@ -183,13 +170,11 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         """QPs solved."""
         return self.ik.iterations
 
-    @property
-    def _homogeneous(self) -> HomogeneousDiagnostics:
-        diagnostics = self.asked.diagnostics
-        if not isinstance(diagnostics, HomogeneousDiagnostics):
+    def _named(self, name: str) -> np.ndarray:
+        if name not in self.asked.diagnostics:
             raise InvalidOptionsError(
                 option="method",
-                problem=f"only Homogeneous has T; this step has {type(diagnostics).__name__}",
-                advice="read step.diagnostics",
+                problem=f"its diagnostics have no {name}",
+                advice=f"there are {', '.join(self.asked.diagnostics) or 'none'}",
             )
-        return diagnostics
+        return self.asked.diagnostics[name]

@@ -12,14 +12,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
+from handmap_qp.mapping.method import (
+    FOLLOWING,
+    HumanPose,
+    MethodOptions,
+    Preset,
+    RobotPosture,
+    Targets,
+)
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.transform import inverse_pose, transform_points
 
@@ -45,6 +51,16 @@ class ObjectMotion(NamedTuple):
     ratios: np.ndarray
 
 
+def to_compare(method: MethodOptions, what: str) -> Preset:
+    """Return the preset of a virtual object, for comparisons."""
+    return Preset(
+        method,
+        FOLLOWING,
+        f"to compare: the {what} around the fingertips moves, turns and grows; no partners",
+        "gestures: a virtual object cannot tell fingers apart",
+    )
+
+
 class VirtualObject(Protocol):
     """An object that encloses points at the reference.
 
@@ -63,22 +79,6 @@ class VirtualObject(Protocol):
             points: The points now [m], in the order in which they were enclosed, shape (n, 3).
         """
         ...
-
-
-class VirtualObjectDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """Intermediate results for one sample, in palm axes.
-
-    Attributes:
-        human_centre: Centre of the human's object at the reference [m], shape (3,).
-        robot_centre: The same of the robot's.
-        size_ratio: k, the robot's size over the human's at the reference.
-        motion: How the human's object moved since then.
-    """
-
-    human_centre: np.ndarray
-    robot_centre: np.ndarray
-    size_ratio: float
-    motion: ObjectMotion
 
 
 class BoundVirtualObject:
@@ -137,7 +137,11 @@ class VirtualObjectMap:
         self._ratio = method.scale or follower.size / self._object.size
 
     def targets(self, sample: HumanPose) -> Targets:
-        """Move the robot's points with its object."""
+        """Move the robot's points with its object.
+
+        The diagnostics are in palm axes: the centres of both objects at the reference, `size_ratio`
+        (k), and how the human's object moved since then (`ObjectMotion`).
+        """
         human_palm, palm = self._follower.palms(sample)
         now = (sample.points[self._points] - human_palm[:3, 3]).dot(human_palm[:3, :3])
         motion = self._object.motion_to(now)
@@ -145,9 +149,14 @@ class VirtualObjectMap:
         return Targets(
             transform_points(palm, moved),
             self._follower.wrist(palm),
-            VirtualObjectDiagnostics(
-                self._object.centre.copy(), self._centre.copy(), self._ratio, motion
-            ),
+            {
+                "human_centre": self._object.centre.copy(),
+                "robot_centre": self._centre.copy(),
+                "size_ratio": np.array(self._ratio),
+                "shift": motion.shift,
+                "linear": motion.linear,
+                "ratios": motion.ratios,
+            },
         )
 
 
@@ -165,16 +174,6 @@ def _tips(hand: Hand, fewest: int) -> np.ndarray:
         )
     # Landmarks of the palm would hide the motion of the fingers.
     return np.array(chosen if len(chosen) >= fewest else range(len(names)))
-
-
-def check_scale(scale: float | None) -> None:
-    """Reject a ratio of sizes without a meaning.
-
-    Raises:
-        InvalidOptionsError: If it is neither None nor a finite number > 0.
-    """
-    if scale is not None and not (isinstance(scale, int | float) and 0.0 < scale < np.inf):
-        raise InvalidOptionsError(option="scale", expected="a finite number > 0", value=scale)
 
 
 def _check_shape(points: np.ndarray) -> None:

@@ -71,7 +71,7 @@ def map_both_ways(
     backward = map_recording(HandMapper(human, robot, method, ik=ik), turned, wrist_poses=poses)
     mean = 0.5 * (forward.q + backward.q[::-1])
     bound = method.bind(human, robot)
-    solver = PointIk(bound.robot, replace(ik, **_FOLLOW), contacts=bound.contacts)
+    solver = PointIk(bound.robot, ik.replaced(**_FOLLOW), contacts=bound.contacts)
     return _followed(solver, forward, mean, recording.steps, first.margins)
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -27,9 +27,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
-from handmap_qp.mapping.methods.by_name import METHODS
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.comparison import RobotMotion
@@ -45,9 +43,8 @@ SMOOTH = "+smooth"
 """Ending of a name that asks for smoothed samples and motion, as `--smooth` of `handmap map`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
-_FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
-# The preset `paper` is the method homogeneous; fixed_wrist is for hands that cannot follow a palm.
-_LEFT_OUT = ("homogeneous", "fixed_wrist")
+# fixed_wrist is for hands that cannot follow a palm.
+_LEFT_OUT = ("fixed_wrist",)
 
 
 class OutsideError(HandmapError):
@@ -59,18 +56,18 @@ class OwnMethod:
     """A method of this package.
 
     Attributes:
-        name: Name of a preset, or of a method of `handmap_qp.mapping.methods`; with `+smooth` for
-            smoothed samples, with `+look-ahead` for smoothing with the future too.
+        name: Name of a preset; with `+smooth` for smoothed samples, with `+look-ahead` for
+            smoothing with the future too.
     """
 
     name: str
 
     def map_take(self, take: Take, robot: Hand) -> RobotMotion:
         """Map the landmarks of a take, with the palm that it is measured against."""
-        method, ik = method_by_name(base_name(self.name), take.contact_gap)
+        _, method, ik = preset_choice(base_name(self.name), take.contact_gap)
         smoothing = None
         if self.name.endswith(SMOOTH):
-            smoothing, ik = Smoothing(), replace(ik, **SMOOTH_IK)
+            smoothing, ik = Smoothing(), ik.replaced(**SMOOTH_IK)
         if self.name.endswith(LOOK_AHEAD):
             trajectory = _map_ahead(take, robot, method, ik)
         else:
@@ -126,25 +123,9 @@ class OutsideMethod:
         return RobotMotion(q, wrist, step_time, self.about)
 
 
-def method_by_name(name: str, contact_gap: float | None = None) -> tuple[Method, IkOptions]:
-    """Return a method of the package and the QP weights that it is compared with.
-
-    Args:
-        name: One of `own_methods()`, or a preset.
-        contact_gap: The measured contact gap [m]; the method's own if omitted.
-    """
-    if name in PRESETS:
-        method, ik = PRESETS[name].method, PRESETS[name].ik
-    else:
-        method, ik = METHODS[name](), _FOLLOWING
-    if isinstance(method, Teleoperation) and contact_gap is not None:
-        method = replace(method, contact_gap=contact_gap)
-    return method, ik
-
-
 def own_methods() -> tuple[str, ...]:
     """Return the names of the package's own methods, without `+smooth`."""
-    return tuple(name for name in dict.fromkeys([*PRESETS, *METHODS]) if name not in _LEFT_OUT)
+    return tuple(name for name in PRESETS if name not in _LEFT_OUT)
 
 
 def own_method(name: str) -> OwnMethod:

@@ -88,8 +88,7 @@ def arm_note(summary: dict[str, Any]) -> str:
     return (
         f"the arm does not reach the motion of about {arm['motion_mm']:.0f} mm: the wrist is up to "
         f"{arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of the samples; "
-        f"try --teleoperation.scale {arm['scale']:.2g} (--scale with other presets), or start in "
-        "the middle of the arm's range"
+        f"try --scale {arm['scale']:.2g}, or start in the middle of the arm's range"
     )
 
 

@@ -156,7 +156,7 @@ def _check_arm(report: Report, hand: Hand) -> None:
         advice = "rest in the middle of the arm's range"
         if scale >= 0.05:
             what += f"; a scale of {scale:.2g} fits"
-            advice += f", or map with --teleoperation.scale {scale:.2g}"
+            advice += f", or map with --scale {scale:.2g}"
         report.add("advice", "rest", what, advice)
     else:
         report.add("fine", "rest", what)

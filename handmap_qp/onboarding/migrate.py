@@ -37,8 +37,8 @@ _TIPS = (4, 8, 12, 16, 20)
 _ELSEWHERE = {
     "scaling_factor": "sizes are measured on both hands; --scale of the presets object and paper",
     "low_pass_alpha": "--smooth filters samples, without lag of 56 ms",
-    "project_dist": "pinches begin at a gap of 70 mm; --teleoperation.contact-gap",
-    "escape_dist": "pinches begin at a gap of 70 mm; --teleoperation.contact-gap",
+    "project_dist": "pinches begin at a gap of 70 mm; --contact-gap",
+    "escape_dist": "pinches begin at a gap of 70 mm; --contact-gap",
     "ignore_mimic_joint": "mimic joints always follow",
     "has_joint_limits": "joint limits always hold",
 }

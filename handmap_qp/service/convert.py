@@ -9,7 +9,6 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.mapping.stages import motion_stages
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.messages import Detail, Lengths, Pose
 from handmap_qp.transform import pose_from_xyz_quat
@@ -82,19 +81,19 @@ def to_detail(
         human_q: Joint angles of the human hand [rad], shape (n,); None if the sample had none.
         landmarks: Landmarks [m], shape (21, 3); None if the sample had none.
     """
-    stages = motion_stages(step)
-    if stages is None:
+    results = step.diagnostics
+    if "motion" not in results:
         return None
     return Detail(
         human_points=to_points(step.human_points),
         human_q=None if human_q is None else to_row(human_q),
         human_wrist=to_pose(step.human_wrist),
         landmarks=None if landmarks is None else to_points(landmarks),
-        motion=to_rows(stages.motion),
-        motion_rigid=to_rows(stages.motion_rigid),
-        motion_deformation=to_rows(stages.motion_deformation),
-        stretches=to_row(stages.stretches),
-        pivot=to_points(stages.pivot[None])[0],
+        motion=to_rows(results["motion"]),
+        motion_rigid=to_rows(results["motion_rigid"]),
+        motion_deformation=to_rows(results["motion_deformation"]),
+        stretches=to_row(results["stretches"]),
+        pivot=to_points(results["pivot_image"][None])[0],
         targets=to_points(step.targets),
         points=to_points(step.points),
     )

@@ -29,7 +29,7 @@ Vector = tuple[float, float, float]
 Numbers = Annotated[tuple[float, ...], msgspec.Meta(max_length=256)]
 Points = Annotated[tuple[Vector, ...], msgspec.Meta(max_length=256)]
 Values = Annotated[tuple[float, ...], msgspec.Meta(max_length=1024)]
-Preset = Literal["teleoperation", "object", "paper", "fixed_wrist"]
+Preset = Annotated[str, msgspec.Meta(max_length=64)]
 Length = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Gap = Annotated[float, msgspec.Meta(ge=0, le=0.04)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=3600)]
@@ -87,6 +87,28 @@ class Request(
     ] = ""
 
 
+def _rename_options(request: Open | Configure) -> None:
+    """Take options by the names that they had before methods could be added."""
+    if request.mapping or request.teleoperation:
+        if isinstance(request, Open) and request.preset is None:
+            preset = "paper" if request.mapping else "teleoperation"
+            msgspec.structs.force_setattr(request, "preset", preset)
+        options = request.mapping | request.teleoperation | request.options
+        msgspec.structs.force_setattr(request, "options", options)
+
+
+def misplaced_option(request: Open, preset: str) -> str:
+    """Return the field of an option that a former name gives to another preset; empty if none."""
+    wrong = "mapping" if preset == "teleoperation" else "teleoperation"
+    return next((f"{wrong}.{name:.64}" for name in sorted(getattr(request, wrong))), "")
+
+
+def field_of_option(request: Open, option: str) -> str:
+    """Return the field in which a request gives options of the method, by the name it used."""
+    former = (name for name in ("mapping", "teleoperation") if getattr(request, name))
+    return f"{next(former, 'options')}.{option:.64}"
+
+
 class Open(Request, frozen=True):
     """Open a session: one human hand that leads one robot hand. The answer is `opened`."""
 
@@ -125,16 +147,19 @@ class Open(Request, frozen=True):
     preset: Annotated[
         Preset | None,
         _doc(
-            "What the mapping is for; see the list. If omitted: `paper` with `mapping`, else "
-            "`teleoperation` if the robot's fingers have partners, else `object`, or `paper` if "
-            "its wrist is fixed."
+            "What the mapping is for; see the list. If omitted: teleoperation if the robot's "
+            "fingers have partners, else object, or fixed_wrist if its wrist is fixed; another one "
+            "if `options` has what this one does not have."
         ),
     ] = None
+    options: Annotated[
+        dict[str, Any], _doc("Options of the preset's method; others are the preset's.")
+    ] = {}
     mapping: Annotated[
-        dict[str, Any], _doc("Fields of MappingOptions, for the presets object and paper.")
+        dict[str, Any], _doc("Former name of `options`; without `preset`, for the preset paper.")
     ] = {}
     teleoperation: Annotated[
-        dict[str, Any], _doc("Fields of Teleoperation, for the preset teleoperation.")
+        dict[str, Any], _doc("Former name of `options` for the preset teleoperation.")
     ] = {}
     ik: Annotated[
         dict[str, Any],
@@ -184,6 +209,10 @@ class Open(Request, frozen=True):
     is_shared: Annotated[
         bool, _doc("Whether others may release, clutch, configure and clear it by its name.")
     ] = False
+
+    def __post_init__(self) -> None:
+        """Take options by their former names."""
+        _rename_options(self)
 
 
 class Step(Request, frozen=True):
@@ -278,18 +307,22 @@ class Configure(Named, frozen=True):
             "and `avoids_self_collision` stay."
         ),
     ] = None
-    mapping: Annotated[
-        dict[str, Any], _doc("Fields of MappingOptions; without `preset`, others stay as they are.")
+    options: Annotated[
+        dict[str, Any],
+        _doc("Options of the preset's method; without `preset`, others stay as they are."),
     ] = {}
-    teleoperation: Annotated[
-        dict[str, Any], _doc("Fields of Teleoperation; without `preset`, others stay as they are.")
-    ] = {}
+    mapping: Annotated[dict[str, Any], _doc("Former name of `options`.")] = {}
+    teleoperation: Annotated[dict[str, Any], _doc("Former name of `options`.")] = {}
     ik: Annotated[
         dict[str, Any], _doc("Fields of IkOptions; without `preset`, others stay as they are.")
     ] = {}
     has_detail: Annotated[
         bool | None, _doc("Whether commands carry every stage of the mapping.")
     ] = None
+
+    def __post_init__(self) -> None:
+        """Take options by their former names."""
+        _rename_options(self)
 
 
 class Reset(Request, frozen=True):
@@ -456,16 +489,25 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     ]
     mount: Annotated[str | None, _doc("Mount of the robot's wrist; null for the hand's own.")]
     preset: Annotated[str, _doc("The preset in force.")]
-    mapping: Annotated[
-        dict[str, Any],
-        _doc("All of MappingOptions, empty in teleoperation; in JSON, null stands for infinity."),
+    options: Annotated[
+        dict[str, Any], _doc("All options of its method; in JSON, null stands for infinity.")
     ]
-    teleoperation: Annotated[dict[str, Any], _doc("All of Teleoperation, empty in other presets.")]
+    mapping: Annotated[
+        dict[str, Any], _doc("Former name of `options`, empty in teleoperation.")
+    ] = {}
+    teleoperation: Annotated[
+        dict[str, Any], _doc("Former name of `options`, empty in other presets.")
+    ] = {}
     ik: Annotated[dict[str, Any], _doc("All of IkOptions.")]
     has_detail: Annotated[bool, _doc("Whether commands carry every stage of the mapping.")]
     is_shared: Annotated[
         bool, _doc("Whether others may release, clutch, configure and clear the session.")
     ]
+
+    def __post_init__(self) -> None:
+        """Give options their former names too."""
+        former = "teleoperation" if self.preset == "teleoperation" else "mapping"
+        msgspec.structs.force_setattr(self, former, self.options)
 
 
 class State(Reply, frozen=True):

@@ -18,7 +18,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.presets import Choice, possible_presets
+from handmap_qp.mapping.presets import Choice, default_preset
 from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.service.choosing import read_choice
 from handmap_qp.service.hand_cache import HandCache
@@ -89,12 +89,13 @@ def prepare_hands(
     choice = read_choice(request, human, robot, contact_gap)
     rejoin: RejoinKind = "clutch" if request.resume == "clutch" else "glide"
     mapper = with_option_errors(
+        request,
         robot,
         choice,
         lambda: HandMapper(human, robot, choice.method, ik=choice.ik, rejoin=rejoin),
     )
     pair = None
-    if "teleoperation" in possible_presets(human, robot):
+    if default_preset(human, robot) == "teleoperation":
         # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
         with suppress(HandmapError):
             pair = hand_pair(human, robot)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import TypeVar
 
 import numpy as np
@@ -16,11 +15,9 @@ from handmap_qp.errors import (
     RefusedError,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.presets import Choice
+from handmap_qp.mapping.presets import IK_NAMES, Choice, known_options
+from handmap_qp.service.messages import Open, field_of_option
 
 _LONGEST_MESSAGE = 400
 _FIELDS = {
@@ -34,20 +31,17 @@ _FIELDS = {
     "robot_wrist": "robot_wrist",
 }
 """Fields of requests by the arguments of the library that take them."""
-_IK_OPTIONS = {item.name for item in fields(IkOptions)}
-_METHOD_OPTIONS = {item.name for kind in (MappingOptions, Teleoperation) for item in fields(kind)}
 _CHOICES = {"method": "preset", "preset": "preset", "human_points": "human_points"}
 """Fields of requests by the choices of the library that they decide."""
 _T = TypeVar("_T")
 
 
-def refused(error: HandmapError, field: str = "", options: str = "mapping") -> RefusedError:
+def refused(error: HandmapError, field: str = "") -> RefusedError:
     """Return an error of the library as a refusal.
 
     Args:
         error: The error; its attributes name the argument or option at fault.
         field: The field at fault, if the error does not name another one.
-        options: Field of the method's options: `mapping` or `teleoperation`.
     """
     if isinstance(error, RefusedError):
         return error
@@ -56,7 +50,7 @@ def refused(error: HandmapError, field: str = "", options: str = "mapping") -> R
         own = _field_of_argument(error.argument)
         message = message.removeprefix(f"{error.argument}: ") if own else message
     elif isinstance(error, InvalidOptionsError):
-        own = _field_of_option(error.option, options)
+        own = _field_of_option(error.option)
         message = message.removeprefix(f"{error.option}: ") if own else message
     elif isinstance(error, HandError):
         # Clients must not learn the server's paths.
@@ -64,10 +58,8 @@ def refused(error: HandmapError, field: str = "", options: str = "mapping") -> R
     return RefusedError("invalid", " ".join(message.split())[:_LONGEST_MESSAGE], field=own or field)
 
 
-def with_field_errors(field: str, make: Callable[[], _T], options: str = "mapping") -> _T:
+def with_field_errors(field: str, make: Callable[[], _T]) -> _T:
     """Return what `make` returns, and raise its errors as refusals of a field.
-
-    `options` is as of `refused`.
 
     Raises:
         RefusedError: With the field that the error names, or else `field`.
@@ -75,37 +67,41 @@ def with_field_errors(field: str, make: Callable[[], _T], options: str = "mappin
     try:
         return make()
     except HandmapError as error:
-        raise refused(error, field, options) from error
+        raise refused(error, field) from error
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         message = f"cannot be used: {error}"[:_LONGEST_MESSAGE]
         raise RefusedError("invalid", message, field=field) from error
 
 
-def with_option_errors(robot: Hand, choice: Choice, make: Callable[[], _T]) -> _T:
+def with_option_errors(request: Open, robot: Hand, choice: Choice, make: Callable[[], _T]) -> _T:
     """Return what `make` returns, and raise its errors as refusals of options.
 
     Args:
+        request: The request, which may give options by former names.
         robot: The robot hand.
         choice: The options.
         make: Makes or configures a mapper.
 
     Raises:
         RefusedError: With the option at fault. If the error names none: `ik` if the QP alone cannot
-            be set up; else the field of the method's options.
+            be set up; else `options`.
     """
-    options = "teleoperation" if choice.is_teleoperation else "mapping"
     try:
-        return with_field_errors(options, make, options)
-    except RefusedError:
+        return with_field_errors("options", make)
+    except RefusedError as error:
         with_field_errors("ik", lambda: PointIk(robot, choice.ik))
+        place, _, option = error.field.partition(".")
+        if place == "options" and option:
+            error.field = field_of_option(request, option)
         raise
 
 
-def _field_of_option(option: str, options: str) -> str:
+def _field_of_option(option: str) -> str:
     """Return the field of a request for an option of the library; empty if there is none."""
-    if option in _IK_OPTIONS:
-        return f"ik.{option}"
-    return f"{options}.{option}" if option in _METHOD_OPTIONS else _CHOICES.get(option, "")
+    places = known_options().get(option)
+    if places is None:
+        return _CHOICES.get(option, "")
+    return f"{'ik' if option in IK_NAMES else 'options'}.{option}"
 
 
 def _field_of_argument(argument: str) -> str:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import types
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-import docstring_parser
 import msgspec
 
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.presets import PRESETS, preset_choice
+from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.options import Options, options_of
 from handmap_qp.service import messages
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.choosing import MOST_ITERATIONS, SOLVERS
@@ -104,7 +101,10 @@ def schema_text() -> str:
         *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
         "### Presets",
         "\n".join(map(_preset_line, PRESETS)),
-        *(_options_table(kind) for kind in (MappingOptions, Teleoperation, IkOptions)),
+        *map(
+            _options_table,
+            dict.fromkeys([*(type(preset.method) for preset in PRESETS.values()), IkOptions]),
+        ),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Rules for landmarks",
@@ -158,31 +158,29 @@ def _rows(kind: type[msgspec.Struct]) -> str:
     return "\n".join([*_HEAD, *rows]) if rows else ""
 
 
-def _options_table(kind: type[MappingOptions | Teleoperation | IkOptions]) -> str:
+def _options_table(kind: type[Options]) -> str:
     """Describe options as their class does, except those that the service restricts."""
-    described = docstring_parser.parse(kind.__doc__ or "")
-    hints = get_type_hints(kind)
-    texts = {param.arg_name: param.description or "" for param in described.params} | _NARROWED
-    rows = []
-    for item in dataclasses.fields(kind):
-        hint, text = _type(hints[item.name]), " ".join(texts[item.name].split())
-        rows.append(f"| `{item.name}` | {hint} | `{json.dumps(item.default)}` | {text} |")
-    title = [f"### `{kind.__name__}`", "", described.short_description or "", ""]
-    return "\n".join([*title, *_HEAD, *rows])
+    about = (kind.__doc__ or "").partition("\n")[0]
+    rows = [
+        f"| `{option.name}` | {_type(option.type)} | `{json.dumps(option.default)}` "
+        f"| {_NARROWED.get(option.name, option.about)} |"
+        for option in options_of(kind)
+    ]
+    return "\n".join([f"### `{kind.__name__}`", "", about, "", *_HEAD, *rows])
 
 
 def _preset_line(name: str) -> str:
     """Describe a preset, and where its options differ from the defaults in the tables."""
-    preset, usual, changes = PRESETS[name], preset_choice("paper"), []
-    chosen = preset_choice(name)
-    kinds = ((chosen.ik, usual.ik), (chosen.options, type(chosen.options)()))
-    for ours, theirs in kinds:
-        for item in dataclasses.fields(ours):
-            value = getattr(ours, item.name)
-            if value != getattr(theirs, item.name):
-                changes.append(f"`{item.name}` {json.dumps(value)}")
-    differs = f" Its own values: {', '.join(changes)}." if changes else ""
-    return f"- `{name}`: {preset.purpose}. Weakness: {preset.weakness}.{differs}"
+    preset = PRESETS[name]
+    changes = {
+        option: value
+        for part in (preset.ik, preset.method)
+        for option, value in type(part)().changes_to(part).items()
+    }
+    listed = ", ".join(f"`{option}` {json.dumps(value)}" for option, value in changes.items())
+    differs = f" Its own values: {listed}." if changes else ""
+    kind = type(preset.method).__name__
+    return f"- `{name}` (`{kind}`): {preset.purpose}. Weakness: {preset.weakness}.{differs}"
 
 
 def _default(item: msgspec.structs.FieldInfo) -> Any:

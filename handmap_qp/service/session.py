@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,6 @@ import numpy as np
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.ik.gate import Motion
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.stages import residual_norms
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.calibration import Calibration
 from handmap_qp.service.choosing import read_choice, with_changes
@@ -180,7 +178,6 @@ class Session:
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """Answer `status`."""
         request, choice = self.request, self._choice
-        options = asdict(choice.options)
         about = About(
             robot=self.robot.name,
             side=request.side,
@@ -191,9 +188,8 @@ class Session:
             robot_points=request.robot_points,
             mount=request.mount,
             preset=choice.preset,
-            mapping={} if choice.is_teleoperation else options,
-            teleoperation=options if choice.is_teleoperation else {},
-            ik=asdict(choice.ik),
+            options=choice.method.values,
+            ik=choice.ik.values,
             has_detail=self._has_detail,
             is_shared=request.is_shared,
         )
@@ -249,8 +245,7 @@ class Session:
             self._measure_gap(mapped)
         else:
             self._stay(mapped.step)
-        if mapped.step.is_clamped:
-            flags.append("stretch_clamped")
+        flags += mapped.step.asked.flags
         self.counts["steps"] += 1
         status = self._state.mode if self._state.is_stopped else mapped.step.status
         return self._command(now, status, flags, **self._diagnostics(mapped))
@@ -419,18 +414,14 @@ class Session:
         """Make these the hands of the session, and measure their contact gap if nobody gave it."""
         self._hands = hands
         wanted = self._wanted
-        is_known = wanted.contact_gap is not None or "contact_gap" in wanted.teleoperation
-        options = hands.choice.options
-        self._gap_meter = (
-            ContactGapMeter(options.contact_gap)
-            if isinstance(options, Teleoperation) and not is_known
-            else None
-        )
+        is_known = wanted.contact_gap is not None or "contact_gap" in wanted.options
+        gap = hands.choice.method.values.get("contact_gap")
+        self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
 
     def _measure_gap(self, mapped: MappedSample) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
         meter, landmarks = self._gap_meter, mapped.landmarks
-        if meter is None or landmarks is None or "contact_gap" in self._wanted.teleoperation:
+        if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
             return
         if meter.add(self._stamp, landmarks):
             hands = replace(self._hands, contact_gap=meter.gap, choice=self._choice)
@@ -446,8 +437,10 @@ class Session:
         mapper = hands.mapper
         before = self._choice if hands is self._hands else hands.choice
         choice = read_choice(wanted, mapper.human, hands.robot, hands.contact_gap)
-        method = None if choice.options == before.options else choice.method
-        with_option_errors(hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik))
+        method = None if choice.method == before.method else choice.method
+        with_option_errors(
+            wanted, hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
+        )
         self._wanted, self._choice = wanted, choice
         self._commanded.obey(mapper.point_ik)
 
@@ -502,7 +495,8 @@ class Session:
 
     def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
-        step, residuals = mapped.step, residual_norms(mapped.step)
+        step = mapped.step
+        residuals = step.diagnostics.get("residual_norms", np.empty(0))
         return {
             "point_error": to_row(step.point_error),
             "residual": float(np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))),

@@ -8,7 +8,6 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.mapping.options_file import options_text
-from handmap_qp.viewer.contenders import contender_of
 from handmap_qp.viewer.controls import (
     KEPT,
     NOTHING,
@@ -64,10 +63,9 @@ class ReplayViewer:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
             self.steering = SteeringControls(
                 server,
-                replay.robot,
                 self._start,
                 replay.presets,
-                lambda: CompareControls(server, replay.contenders, self._compared),
+                lambda: CompareControls(server, replay.presets, self._compared),
             )
         with panels.show:
             self.display = DisplayControls(server)
@@ -168,9 +166,9 @@ class ReplayViewer:
             if name == NOTHING:
                 replay.compare(None)
             elif name == KEPT:
-                replay.compare(contender_of(replay.choice, f"{replay.variant.label}, kept"))
+                replay.compare(replay.choice, f"{replay.variant.label}, kept")
             else:
-                replay.compare(replay.contender(name))
+                replay.compare(replay.preset(name))
         except HandmapError as error:
             controls.show(self._compared)
             self.steering.show_error(error)

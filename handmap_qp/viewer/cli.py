@@ -188,9 +188,9 @@ class View:
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""
+        from handmap_qp.mapping.presets import possible_presets
         from handmap_qp.trackers.fit import fit_recording
         from handmap_qp.trackers.person import measure_person, read_person
-        from handmap_qp.viewer.contenders import contender_names
         from handmap_qp.viewer.replay import Replay
 
         robot = self.arguments.load_robot(name)
@@ -201,7 +201,7 @@ class View:
         human = motion.human.with_points(self.arguments.human_points)
         gap = person.contact_gap
         if self.compare is not None:
-            self._check_compared(self.compare, contender_names(human, robot))
+            self._check_compared(self.compare, possible_presets(human, robot))
         replay = Replay(
             recording,
             motion,
@@ -212,7 +212,7 @@ class View:
             contact_gap=gap,
         )
         if self.compare is not None:
-            replay.compare(replay.contender(self.compare))
+            replay.compare(replay.preset(self.compare))
         return replay
 
     def _check_compared(self, name: str, names: tuple[str, ...]) -> None:

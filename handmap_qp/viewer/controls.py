@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import PRESETS, Choice
 from handmap_qp.viewer.option_controls import OptionControls
 from handmap_qp.viewer.scene import HandScene
@@ -125,7 +124,6 @@ class SteeringControls:
 
     Args:
         server: A running viser server.
-        robot: The robot hand.
         choice: Preset and options to start from.
         presets: The presets that the hands can be mapped with.
         compare: The comparison, which is made between preset and clutch; None without one.
@@ -144,7 +142,6 @@ class SteeringControls:
     def __init__(
         self,
         server: viser.ViserServer,
-        robot: Hand,
         choice: Choice,
         presets: tuple[str, ...] = (),
         compare: Callable[[], CompareControls] | None = None,
@@ -160,7 +157,7 @@ class SteeringControls:
         self._taken_preset: str = choice.preset
         self.compare = None if compare is None else compare()
         self.message = gui.add_markdown("", visible=False)
-        self.options = OptionControls(server, robot, choice)
+        self.options = OptionControls(server, choice)
         self.reset = gui.add_button(
             "Reset options and clutch",
             hint="Restore the initial preset and options, and resume mapping",

@@ -17,7 +17,6 @@ from handmap_qp.viewer.controls import DisplayControls, SteeringControls
 from handmap_qp.viewer.export import ExportControls
 from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
 from handmap_qp.viewer.gauges import Gauges, gauge_row
-from handmap_qp.viewer.option_table import option_texts
 from handmap_qp.viewer.page import make_page
 from handmap_qp.viewer.panels import Panels
 from handmap_qp.viewer.sample import Variant, ViewSample
@@ -139,7 +138,7 @@ class LiveViewer:
             raise
         self._start = source.choice
         variant = self._variant()
-        self._shown = variant.label, variant.alignment
+        self._shown = self._start
         self.scene = HandScene(server, source.human, [variant])
         panels = Panels(server)
         self.gauges = Gauges(server, [variant])
@@ -162,7 +161,6 @@ class LiveViewer:
             self.steering = (
                 SteeringControls(
                     server,
-                    source.robot,
                     self._start,
                     possible_presets(source.human, source.robot),
                 )
@@ -240,19 +238,12 @@ class LiveViewer:
     def _variant(self) -> Variant:
         """Return the robot as it is moved now."""
         source, choice = self._source, self._source.choice
-        return Variant(
-            choice.preset,
-            source.robot,
-            choice.alignment,
-            [self.sample],
-            option_texts(choice.options, choice.ik),
-        )
+        return Variant(choice.preset, source.robot, choice, [self.sample])
 
     def _show_choice(self) -> None:
-        """Show another preset or alignment, whichever client chose it."""
-        choice = self._source.choice
-        if (choice.preset, choice.alignment) != self._shown:
-            self._shown = choice.preset, choice.alignment
+        """Show another preset or options, whichever client chose them."""
+        if self._source.choice != self._shown:
+            self._shown = self._source.choice
             variant = self._variant()
             self.scene.set_variants([variant])
             self.gauges.set_variants([variant])

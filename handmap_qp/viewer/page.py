@@ -118,7 +118,7 @@ def _body(
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": legend([(name, css(colour)) for name, colour in SCENE_COLOURS]),
         "__PLOT__": error_plot(variants),
-        "__OPTIONS__": "".join(option_table(variant) for variant in variants if variant.options),
+        "__OPTIONS__": "".join(option_table(variant) for variant in variants),
         # A text that ends the script must not do so here.
         "__GAUGES__": json.dumps(film, separators=(",", ":")).replace("</", "<\\/"),
     }

@@ -18,10 +18,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import hand_files, load_hand
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.presets import Choice
+from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
 from handmap_qp.trackers.fit import LandmarkFitter
 from handmap_qp.trackers.landmarks import human_name
 from handmap_qp.transform import rigid_fit
@@ -199,10 +196,8 @@ class ServiceSession:
         """Request another preset or other values of some options, as of `Choice`."""
         rest = dict(changes)
         preset = rest.pop("preset", None)
-        ik = {name: rest.pop(name) for name in rest.keys() & set(IkOptions.__slots__)}
-        method = "teleoperation" if (preset or self.choice.preset) == "teleoperation" else "mapping"
-        words: dict[str, Any] = {"ik": ik, method: rest, "preset": preset}
-        self._requests.append(lambda: self._client.configure(**words))
+        ik = {name: rest.pop(name) for name in rest.keys() & IK_NAMES}
+        self._requests.append(lambda: self._client.configure(preset=preset, options=rest, ik=ik))
 
     def _carry_out_requests(self) -> None:
         """Carry out pending requests and record their outcome."""
@@ -225,7 +220,7 @@ class ServiceSession:
                 self._client.configure(has_detail=True)
             self.is_outdated = {name: about[name] for name in _HANDS} != self._about
             before, self.choice = self.choice, _choice(about)
-            if before.is_teleoperation != self.choice.is_teleoperation:
+            if type(before.method) is not type(self.choice.method):
                 self.robot = self._with_method_points()
         except (*self._failures, LookupError):
             return
@@ -341,8 +336,6 @@ class ServiceSession:
 
 
 def _choice(about: dict[str, Any]) -> Choice:
-    preset, options = about["preset"], about["mapping"]
-    kind: type[MappingOptions] | type[Teleoperation] = MappingOptions
-    if preset == "teleoperation":
-        kind, options = Teleoperation, about["teleoperation"]
-    return Choice(preset, msgspec.convert(options, kind), msgspec.convert(about["ik"], IkOptions))
+    choice = preset_choice(about["preset"])
+    options = about.get("options") or about["mapping"] or about["teleoperation"]
+    return choice.with_changes({**options, **about["ik"]})

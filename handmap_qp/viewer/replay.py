@@ -10,12 +10,6 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.mapping.smoothing import Smoothing
 from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
-from handmap_qp.viewer.contenders import (
-    Contender,
-    contender_names,
-    contender_of,
-    named_contender,
-)
 from handmap_qp.viewer.sample import Variant, ViewSample, view_sample
 
 
@@ -67,7 +61,6 @@ class Replay:
         self._recording, self._motion, self._given_robot = recording, motion, robot
         self._smoothing, self.contact_gap = smoothing, contact_gap
         self.other: Variant | None = None
-        self._contender: Contender | None = None
         self.remap(choice)
 
     @property
@@ -95,11 +88,6 @@ class Replay:
         """The presets that these hands can be mapped with."""
         return possible_presets(self.human, self._given_robot)
 
-    @property
-    def contenders(self) -> tuple[str, ...]:
-        """The presets and methods that the mapping can be compared with."""
-        return contender_names(self.human, self._given_robot)
-
     def preset(self, name: str) -> Choice:
         """Return a preset with its own options and the measured contact gap."""
         return preset_choice(name, self.contact_gap)
@@ -115,40 +103,37 @@ class Replay:
         """
         is_changed = bool(self.preset(choice.preset).changes_to(choice))
         label = f"{choice.preset}, changed" if is_changed else choice.preset
-        variant, other = self._map(contender_of(choice, label)), self.other
-        if self._contender is not None and self._other_switches != self.switches:
+        variant, other = self._map(choice, label), self.other
+        if other is not None and self._other_switches != self.switches:
             # Both robots are released and clutched at the same samples.
-            other = self._map(self._contender)
+            other = self._map(other.choice, other.label)
         self.variant, self.choice, self.other = variant, choice, other
         self._other_switches = dict(self.switches)
 
-    def compare(self, contender: Contender | None) -> None:
+    def compare(self, choice: Choice | None, label: str = "") -> None:
         """Map the recording by another method too.
 
         Args:
-            contender: The method; None to end the comparison.
+            choice: Preset and options; None to end the comparison.
+            label: Its name; that of the preset if omitted.
 
         Raises:
             HandmapError: If it cannot be used; the replay is then unchanged.
         """
-        self.other = None if contender is None else self._map(contender)
-        self._contender, self._other_switches = contender, dict(self.switches)
-
-    def contender(self, name: str) -> Contender:
-        """Return a preset or a method with its own options and the measured contact gap."""
-        return named_contender(name, self.contact_gap)
+        self.other = None if choice is None else self._map(choice, label or choice.preset)
+        self._other_switches = dict(self.switches)
 
     def is_released(self, index: int) -> bool:
         """Return whether the robot is released at a sample."""
         earlier = [i for i in self.switches if i <= index]
         return bool(earlier) and self.switches[max(earlier)]
 
-    def _map(self, contender: Contender) -> Variant:
+    def _map(self, choice: Choice, label: str) -> Variant:
         mapper = HandMapper(
             self.human,
             self._given_robot,
-            contender.method,
-            ik=contender.ik,
+            choice.method,
+            ik=choice.ik,
             smoothing=self._smoothing,
         )
         motion, recording, steps = self._motion, self._recording, []
@@ -171,6 +156,4 @@ class Replay:
             )
             for i, step in enumerate(steps)
         )
-        return Variant(
-            contender.label, mapper.robot, contender.alignment, samples, contender.options
-        )
+        return Variant(label, mapper.robot, choice, samples)

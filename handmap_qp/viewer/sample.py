@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.options import Alignment, Rotation
-from handmap_qp.mapping.stages import motion_stages
+from handmap_qp.mapping.presets import Choice
 from handmap_qp.mapping.step import MapStep
 
 
@@ -72,17 +71,14 @@ class Variant:
     Attributes:
         label: Name of the method or preset, shown below the hand.
         robot: The robot hand, with the reference points that the method moves.
-        alignment: Rotation from the human's world axes to the robot's, as of `MappingOptions`.
+        choice: Preset and options.
         samples: Its samples; at least the first.
-        options: For a page, the options of the method as text, and whether each is another than
-            the default, by name.
     """
 
     label: str
     robot: Hand
-    alignment: Alignment | Rotation
+    choice: Choice
     samples: Sequence[ViewSample]
-    options: Mapping[str, tuple[str, bool]] = field(default_factory=dict)
 
 
 def view_sample(
@@ -107,8 +103,7 @@ def view_sample(
     Returns:
         The sample.
     """
-    stages = motion_stages(step)
-    is_released = step.status == "released"
+    results, is_released = step.diagnostics, step.status == "released"
     return ViewSample(
         time=time,
         robot_q=step.command.q,
@@ -120,8 +115,8 @@ def view_sample(
         human_wrist=human_wrist,
         human_points=step.human_points,
         landmarks=landmarks,
-        deformation=None if stages is None else stages.motion_deformation[:3, :3],
-        pivot=None if stages is None else stages.pivot,
+        deformation=results["motion_deformation"][:3, :3] if "motion" in results else None,
+        pivot=results["pivot_image"] if "motion" in results else None,
         is_limited=step.at_bound,
         status=f"{step.status}: {step.rule}" if step.rule else step.status,
         duration=step.duration,

@@ -358,11 +358,12 @@ def _robot_axes(robot: Hand, variant: Variant, upright: np.ndarray | None) -> np
         upright: The rotation from W to the scene's axes, shape (3, 3); None without a human hand,
             and the robot's first palm is upright then.
     """
-    if upright is None or (isinstance(variant.alignment, str) and variant.alignment == "palm"):
+    alignment = variant.choice.method.values.get("alignment", "world")
+    if upright is None or (isinstance(alignment, str) and alignment == "palm"):
         return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
-    if isinstance(variant.alignment, str):
+    if isinstance(alignment, str):
         return upright
-    return upright @ np.array(variant.alignment).T
+    return upright @ np.array(alignment).T
 
 
 def state_text(sample: ViewSample) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handmap_qp import PRESETS, cli, doctor, load_hand, tables
+from handmap_qp import cli, doctor, load_hand, tables
 
 KEYS = {
     "samples",
@@ -248,7 +248,7 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         (["map", "x.npz", "--preset", "teleop"], "got 'teleop': did you mean teleoperation?"),
         (["map", "x.npz", "--side=up"], "--side: expected one of right, left, got 'up'"),
         (["map", "x.npz", "--ik.damping", "-1"], "--ik.damping: expected a finite number > 0, "),
-        (["map", "x.npz", "--ridge", "-1"], "--ridge: expected a number in [0, inf], got -1.0"),
+        (["map", "x.npz", "--ridge", "-1"], "--ridge: expected a finite number >= 0, got -1.0"),
         (["map", "x.npz", "--out"], "--out: expected FILE.npz, got nothing"),
         (["view", "--port", "5o7o"], "--port: expected a whole number, got '5o7o'"),
         (["view", "--keys", "a"], "--keys: expected SECRET SERVER, got 'a'"),
@@ -287,8 +287,8 @@ def test_completions_name_every_command(shell: str, capsys: pytest.CaptureFixtur
     (spec,) = re.findall(r"^COMPLETION_SPEC = (.*)", script, re.MULTILINE)
     options = ast.literal_eval(spec)["subcommands"]["map"]["options"]
     assert not [option for option in options if "\n" in option["description"]]
-    (preset,) = (option for option in options if option["flags"] == ["--preset"])
-    assert sorted(preset["choices"]) == sorted(PRESETS)
+    (rigid,) = (option for option in options if option["flags"] == ["--rigid-from"])
+    assert sorted(rigid["choices"]) == ["none", "points", "wrist"]
 
 
 def test_rows_are_whole_in_a_pipe_and_brackets_are_text(

@@ -61,7 +61,7 @@ def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, A
 def test_configuring_the_present_options_changes_nothing(ik: IkOptions, reference: Any) -> None:
     touched, untouched = (HandMapper(HUMAN, ALLEGRO, ik=ik, reference=reference) for _ in range(2))
     for i in range(12):
-        touched.configure(touched.options, ik=touched.ik)
+        touched.configure(touched.method, ik=touched.ik)
         if i == 6:
             touched.release()
             untouched.release()
@@ -101,7 +101,7 @@ def test_a_rejected_configuration_changes_nothing() -> None:
     for wrong in (MappingOptions(rigid_from="points"), MappingOptions(rigid_from="wrist")):
         with pytest.raises(InvalidOptionsError, match="moves the wrist"):
             mapper.configure(wrong, ik=IkOptions(damping=5.0))
-    assert (mapper.options, mapper.ik) == (fixed, IkOptions())
+    assert (mapper.method, mapper.ik) == (fixed, IkOptions())
     np.testing.assert_array_equal(mapper.map_step(*sample(0.0)).targets, before.targets)
 
 

@@ -60,7 +60,7 @@ def test_vectors_begin_at_the_measured_knuckles() -> None:
     np.testing.assert_allclose(after.targets, before.targets, atol=1e-12)
     moved[names.index("index_tip")] += [0.0, 0.0, -0.01]
     bent = mapper.map_points(moved, np.eye(4)).targets - before.targets
-    scale = before.diagnostics.scales[1]
+    scale = before.diagnostics["scales"][1]
     np.testing.assert_allclose(
         np.linalg.norm(bent, axis=1), [0.0, 0.01 * scale, 0.0, 0.0], atol=1e-9
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from marks import slow
 
-from handmap_qp import HandMapper, InvalidInputError, load_hand
+from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.hands.fingers import find_finger_ends
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
@@ -17,10 +17,10 @@ from handmap_qp.mapping.hand_pair import (
     _human_pads,
     bone_lengths,
     hand_pair,
+    require_partners,
     resting_posture,
 )
 from handmap_qp.mapping.presets import default_preset
-from handmap_qp.mapping.reference import partner_pairs
 from handmap_qp.transform import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
@@ -99,7 +99,7 @@ def test_the_last_point_of_a_finger_has_the_tip_for_its_partner() -> None:
     )
     sets = {"all": tuple(point.name for point in plain)}
     bare = load_hand(msgspec.structs.replace(robot.spec, points=plain, sets=sets, reference="all"))
-    pairs = partner_pairs(HUMAN, bare)
+    pairs = require_partners(HUMAN, bare, option="method")
     named = {bare.reference_points[j].name: HUMAN.reference_points[i].name for j, i in pairs}
     assert named == {
         "finger1_tip": "thumb_tip",
@@ -117,7 +117,9 @@ def test_the_last_point_of_a_finger_has_the_tip_for_its_partner() -> None:
             reference="all",
         )
     )
-    assert [HUMAN.reference_points[i].name for _, i in partner_pairs(HUMAN, own)] == [
+    assert [
+        HUMAN.reference_points[i].name for _, i in require_partners(HUMAN, own, option="method")
+    ] == [
         "ring_tip",
         "index_pip",
     ]
@@ -127,7 +129,8 @@ def test_points_without_a_finger_have_no_partner_and_need_the_preset_object() ->
     robot = load_hand("three_finger")
     points = tuple(msgspec.structs.replace(p, partner=None, finger=None) for p in robot.spec.points)
     nameless = load_hand(msgspec.structs.replace(robot.spec, points=points))
-    assert partner_pairs(HUMAN, nameless) == []
+    with pytest.raises(InvalidOptionsError, match="needs partner points"):
+        require_partners(HUMAN, nameless, option="method")
     assert default_preset(HUMAN, nameless) == "object"
     step = HandMapper(HUMAN, nameless).map_step(HUMAN.rest, np.eye(4))
     assert np.isfinite(step.command.q).all()

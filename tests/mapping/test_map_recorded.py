@@ -43,13 +43,9 @@ def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: Method | 
             np.testing.assert_allclose(margins, others, atol=1e-12)
         if method != "paper" and not step.is_held:
             for name in ("palm", "gaps", "pinching", "extensions"):
-                one, two = (getattr(s.asked.diagnostics, name) for s in (step, other))
+                one, two = (s.diagnostics[name] for s in (step, other))
                 np.testing.assert_allclose(one, two, atol=1e-12)
-            np.testing.assert_allclose(
-                step.asked.diagnostics.estimate.motion,
-                other.asked.diagnostics.estimate.motion,
-                atol=1e-12,
-            )
+            np.testing.assert_allclose(step.motion, other.motion, atol=1e-12)
 
 
 def test_a_clutch_between_samples_counts() -> None:

@@ -17,7 +17,6 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.offline.compared_methods import (
     OutsideError,
@@ -206,7 +205,7 @@ def test_robot_without_named_fingers_is_rejected(take: Take, robot: Hand) -> Non
 
 
 def test_own_methods_are_presets_and_methods_by_name() -> None:
-    assert set(own_methods()) == (set(PRESETS) | set(METHODS)) - {"homogeneous", "fixed_wrist"}
+    assert set(own_methods()) == set(PRESETS) - {"fixed_wrist"}
     assert own_method("paper+smooth") == OwnMethod("paper+smooth")
     for name in ("homogeneous", "paper+", "+smooth", ""):
         with pytest.raises(InvalidInputError) as caught:

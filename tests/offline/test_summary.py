@@ -81,7 +81,7 @@ def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     assert found is not None
     assert found["scale"] == pytest.approx(0.5)
     assert found["motion_mm"] == pytest.approx(100.0)
-    assert "--teleoperation.scale 0.5" in arm_note({"arm_out_of_reach": found})
+    assert "--scale 0.5" in arm_note({"arm_out_of_reach": found})
     # A floating hand, and an arm that arrives, need no line.
     floating = summarise(replace(trajectory, wrist=wrist, wrist_error=error))
     assert arm_note(floating) == ""

@@ -202,7 +202,7 @@ TELEOPERATION: dict[str, Any] = {
 
 
 def contact_gap_of(session: Session) -> float:
-    options = session._choice.options
+    options = session._choice.method
     assert isinstance(options, Teleoperation)
     return options.contact_gap
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
 from typing import Any
 
 import daqp
@@ -15,6 +14,7 @@ from service_tools import Sampler, change, human_q, make_session
 from handmap_qp import IkOptions, MappingOptions
 from handmap_qp.errors import RefusedError
 from handmap_qp.ik import solvers
+from handmap_qp.options import options_of
 from handmap_qp.service.messages import Pose
 
 PERIOD = 1.0 / 60.0
@@ -22,7 +22,7 @@ PERIOD = 1.0 / 60.0
 
 def numbers_of(kind: type[Any]) -> st.SearchStrategy[dict[str, float]]:
     """Draw some of the numeric options, each with any value."""
-    names = [field.name for field in fields(kind) if field.type == "float"]
+    names = [option.name for option in options_of(kind) if option.plain is float]
     return st.dictionaries(st.sampled_from(names), st.floats(min_value=0.0), max_size=4)
 
 
@@ -59,7 +59,7 @@ def test_options_that_are_taken_can_be_followed(
         moved = np.abs(session.posture[0] - before)
         assert (moved <= session.robot.velocity_limits * PERIOD * (1.0 + 1e-6)).all()
     # No effect of the options remains.
-    session.configure(change(mapping=asdict(MappingOptions()), ik=asdict(IkOptions())))
+    session.configure(change(mapping=MappingOptions().values, ik=IkOptions().values))
     command = session.step(sample(6 * PERIOD, human_q()), 6 * PERIOD)
     assert command.status != "failed"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 import msgspec
@@ -14,7 +13,6 @@ from service_tools import (
     CACHE,
     HERE,
     PERIOD,
-    SECRET,
     Sampler,
     change,
     client_of,
@@ -33,7 +31,7 @@ from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.offline.poses import find_poses
 from handmap_qp.service.calibration import CALIBRATION_SAMPLES
 from handmap_qp.service.convert import to_lengths, to_points, to_pose
-from handmap_qp.service.messages import PROTOCOL, About, Error, Lengths, decode_request
+from handmap_qp.service.messages import About, Lengths
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 from handmap_qp.trackers.landmarks import TIPS, measure_hand
@@ -42,6 +40,7 @@ from handmap_qp.transform import affine, rotation_from_quat_wxyz
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
+WITH_T = ("teleoperation", "paper", "object", "fixed_wrist")
 FIXED = {"mount": "fixed"}
 
 
@@ -76,14 +75,14 @@ def test_the_preset_follows_from_hands_and_options(
     told = about(session)
     assert told.preset == preset
     if preset == "teleoperation":
-        assert (told.mapping, told.teleoperation) == ({}, asdict(Teleoperation()))
+        assert (told.mapping, told.teleoperation) == ({}, Teleoperation().values)
     else:
         given = choices.get("mapping", {})
         assert told.teleoperation == {}
         assert given.items() <= told.mapping.items()
-        assert told.mapping.keys() == asdict(MappingOptions()).keys()
+        assert told.mapping.keys() == MappingOptions().values.keys()
     if ik is not None:
-        assert told.ik == asdict(ik)
+        assert told.ik == ik.values
     assert session.step(Sampler()(), 0.1).status != "failed"
 
 
@@ -132,7 +131,7 @@ def test_options_alone_do_not_change_the_preset() -> None:
     ("choices", "field"),
     [
         ({"preset": "teleoperation", "human_points": "fingertips"}, "human_points"),
-        ({"preset": "object"} | FIXED, "mapping.rigid_from"),
+        ({"preset": "object"} | FIXED, "options.rigid_from"),
         ({"input": "landmarks", "human_points": "contacts"}, "human_points"),
     ],
     ids=str,
@@ -146,10 +145,9 @@ def test_what_the_hands_do_not_allow_is_refused_by_name(
 
 
 def test_an_unknown_preset_is_refused() -> None:
-    request = {"type": "open", "protocol": PROTOCOL, "seq": 1, "session": SECRET}
-    reply = decode_request(msgspec.msgpack.encode(request | {"robot": "hey5", "preset": "claw"}))
-    assert isinstance(reply, Error)
-    assert (reply.code, reply.field) == ("invalid", "preset")
+    with pytest.raises(RefusedError, match="expected one of teleoperation") as raised:
+        make_session(preset="claw")
+    assert (raised.value.code, raised.value.field) == ("invalid", "preset")
 
 
 def test_a_preset_brings_its_own_options_and_the_robot_goes_on() -> None:
@@ -163,13 +161,13 @@ def test_a_preset_brings_its_own_options_and_the_robot_goes_on() -> None:
         session.configure(change(preset=preset, ik={"rest_weight": 0.1}))
         np.testing.assert_array_equal(session.posture[0], before)
         assert about(session).preset == preset
-        assert about(session).ik == asdict(PRESETS[preset].ik) | {"rest_weight": 0.1}
+        assert about(session).ik == PRESETS[preset].ik.values | {"rest_weight": 0.1}
         for i in range(20):
             last, now = session.posture[0].copy(), now + PERIOD
             command = session.step(sample(now, human_q(2.0 + 0.1 * i)), now)
             assert (speeds(session, last, command, PERIOD) <= 1.0 + 1e-6).all()
             assert command.status != "failed"
-    assert about(session).teleoperation == asdict(Teleoperation())
+    assert about(session).teleoperation == Teleoperation().values
 
 
 def test_a_preset_that_the_hands_do_not_allow_changes_nothing() -> None:
@@ -178,7 +176,7 @@ def test_a_preset_that_the_hands_do_not_allow_changes_nothing() -> None:
     before, points = about(session), session._hands.mapper.robot.reference_points
     with pytest.raises(RefusedError) as raised:
         session.configure(change(preset="object"))
-    assert raised.value.field == "mapping.rigid_from"
+    assert raised.value.field == "options.rigid_from"
     assert about(session) == before
     assert session._hands.mapper.robot.reference_points == points
     assert session.step(sample(PERIOD), PERIOD).status != "failed"
@@ -195,7 +193,7 @@ def test_a_release_outlives_a_change_of_the_preset() -> None:
     np.testing.assert_array_equal(session.posture[0], before)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", WITH_T)
 def test_commands_describe_t_of_every_preset(preset: Any) -> None:
     session, sample = make_session(preset=preset, has_detail=True), Sampler()
     session.step(sample(), 0.0)
@@ -287,7 +285,7 @@ def reach_shares(robot: Any, q: np.ndarray) -> np.ndarray:
     return np.array(shares)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", WITH_T)
 @pytest.mark.parametrize("has_wrist", [False, True])
 def test_landmarks_are_mapped_as_they_come(
     recording: Recording, lengths: Lengths, preset: Any, has_wrist: bool
@@ -364,7 +362,7 @@ def test_a_preset_chosen_during_the_measurement_holds_after_it() -> None:
         session.step(sample(i * PERIOD, landmarks=points), i * PERIOD)
     assert session.mode == "following"
     assert (about(session).preset, about(session).mapping["ridge"]) == ("object", 0.4)
-    assert session._hands.mapper.options.ridge == 0.4
+    assert session._choice.method.values["ridge"] == 0.4
 
 
 # -- clients

@@ -14,7 +14,7 @@ from viewer_cases import COUNT, closing_motion, closing_recording, make_replay, 
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.mapping.methods.by_name import METHODS
-from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.trackers.landmarks import TIPS
 from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
@@ -58,7 +58,7 @@ def seek(viewer: ReplayViewer, index: int) -> None:
 def test_a_second_robot_follows_the_same_samples_by_its_own_method(viewer: ReplayViewer) -> None:
     compare, robot, replay = viewer.steering.compare, load_hand("three_finger"), viewer.replay
     assert compare is not None
-    assert set(compare.choice.options) == {NOTHING, KEPT, *PRESETS, *METHODS} - {"homogeneous"}
+    assert set(compare.choice.options) == {NOTHING, KEPT, *PRESETS}
     before = [sample.robot_q for sample in replay.samples]
     compare.choice.value = "finger-vectors"
     seek(viewer, COUNT - 1)
@@ -167,7 +167,7 @@ def test_a_page_of_a_robot_and_an_object_needs_no_human_hand() -> None:
         )
         for i in range(3)
     ]
-    variant = Variant("squeeze", robot, "world", samples)
+    variant = Variant("squeeze", robot, preset_choice("paper"), samples)
     with serving() as server:
         scene = HandScene(server, None, [variant], cube)
         scene.draw([samples[-1]])

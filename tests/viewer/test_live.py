@@ -66,7 +66,7 @@ class Source:
         choice = self.choice.with_changes(changes)
         self.last_error = (
             InvalidInputError("the service refuses that")
-            if getattr(choice.options, "scale", 0.0) > 2.0
+            if getattr(choice.method, "scale", 0.0) > 2.0
             else None
         )
         self.choice = self.choice if self.last_error else choice
@@ -187,7 +187,7 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     handles["ridge"].value = 0.5
     viewer.tick()
     viewer.tick()
-    assert (source.is_released, source.choice.options) == (True, MappingOptions(ridge=0.5))
+    assert (source.is_released, source.choice.method) == (True, MappingOptions(ridge=0.5))
     assert (viewer.steering.release.disabled, viewer.steering.clutch.disabled) == (True, False)
     press(viewer.steering.release)
     viewer.tick()
@@ -199,12 +199,12 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
     viewer.tick()
     assert viewer.steering.message.visible
     assert "refuses that" in viewer.steering.message.content
-    assert source.choice.options == MappingOptions(ridge=0.5)
+    assert source.choice.method == MappingOptions(ridge=0.5)
     assert handles["scale"].value == 1.0, "the value in force"
     press(viewer.steering.reset)
     viewer.tick()
     viewer.tick()
-    assert (source.is_released, source.choice.options) == (False, MappingOptions())
+    assert (source.is_released, source.choice.method) == (False, MappingOptions())
     assert not viewer.steering.message.visible
     assert handles["ridge"].value == 0.1
     viewer.close()

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,11 +27,10 @@ from handmap_qp import (
     HandError,
     HandmapError,
     InvalidInputError,
-    MappingOptions,
     MissingExtraError,
     RecordingError,
 )
-from handmap_qp.arguments import MappingArguments
+from handmap_qp.arguments import MappingArguments, MethodFlags
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
 from handmap_qp.viewer.page import replay_page, write_page
@@ -97,7 +95,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
         {
             "recording": None,
             "live": "127.0.0.1",
-            "arguments": MappingArguments(mapping=MappingOptions(ridge=0.3)),
+            "arguments": MappingArguments(method=MethodFlags(ridge=0.3)),
         },
         InvalidInputError,
     ),
@@ -288,7 +286,7 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
     robot_q = viewer.sample.robot_q
     browser.press("Home", 36)
     wait_until(
-        lambda: asdict(viewer.replay.choice.options)["deformation_gain"] == 0.0,
+        lambda: viewer.replay.choice.method.values["deformation_gain"] == 0.0,
         "the slider does not move",
     )
     wait_until(

@@ -108,7 +108,7 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
     ):
         # If its client pauses, the service repeats the robot's posture without details.
         shown = list(islice((sample for sample in samples if sample.is_seen), 5))
-    assert (session.robot.name, session.choice.options) == (
+    assert (session.robot.name, session.choice.method) == (
         robot,
         MappingOptions(ridge=0.3, pivot="palm"),
     )
@@ -318,7 +318,7 @@ def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(servic
         try:
             handles["ridge"].value = 0.5
             # Wait until the view shows it; otherwise 0.1 below could be the old value.
-            tick_until(viewer, lambda: session.choice.options.ridge == 0.5)
+            tick_until(viewer, lambda: session.choice.method.values["ridge"] == 0.5)
             lose_sessions(service)
             tick_until(viewer, lambda: handles["ridge"].value == 0.1)
             assert mapping_of(service)["ridge"] == 0.1

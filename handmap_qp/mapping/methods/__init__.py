@@ -1,1 +1,1 @@
-"""The mapping methods that come with the package, a file each."""
+"""The mapping methods of the package, a file each."""

@@ -16,70 +16,72 @@ quite straight when the human's is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.mapping.hand_pair import KNUCKLES, bone_lengths, points_in_palm_at
-from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
+from handmap_qp.mapping.hand_pair import (
+    KNUCKLES,
+    bone_lengths,
+    points_in_palm_at,
+    require_partners,
+)
+from handmap_qp.mapping.method import (
+    FOLLOWING,
+    HumanPose,
+    MethodOptions,
+    Preset,
+    RobotPosture,
+    Targets,
+)
 from handmap_qp.mapping.palm import PalmFollower, palm_of
-from handmap_qp.mapping.reference import require_partners
+from handmap_qp.options import number, text
 from handmap_qp.transform import inverse_pose, transform_points
 
-VectorOrigin = Literal["palm", "knuckle"]
 
+class FingertipVectors(MethodOptions, frozen=True):
+    """Map vectors to the fingertips."""
 
-@dataclass(frozen=True)
-class FingertipVectors:
-    """Map vectors to the fingertips.
-
-    Args:
-        scale: Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for vectors
-            from the palm, and of each finger's reaches for those from its knuckle.
-        origin: Where the vectors begin: at the `palm`, or at each finger's own `knuckle`.
-
-    Raises:
-        InvalidOptionsError: If the scale is not a finite number > 0, or there is no such origin.
-    """
-
-    scale: float | None = None
-    origin: VectorOrigin = "palm"
-
-    def __post_init__(self) -> None:
-        is_number = isinstance(self.scale, int | float)
-        if self.scale is not None and not (is_number and 0.0 < self.scale < np.inf):
-            raise InvalidOptionsError(
-                option="scale", expected="a finite number > 0", value=self.scale
-            )
-        if self.origin not in get_args(VectorOrigin):
-            raise InvalidOptionsError(
-                option="origin",
-                expected=f"one of {', '.join(get_args(VectorOrigin))}",
-                value=self.origin,
-            )
+    scale: (
+        Annotated[
+            float,
+            number(
+                "Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for "
+                "vectors from the palm, and of each finger's reaches for those from its knuckle.",
+                above=True,
+            ),
+        ]
+        | None
+    ) = None
+    origin: Annotated[
+        Literal["palm", "knuckle"],
+        text("Where the vectors begin: at the palm, or at each finger's own knuckle."),
+    ] = "palm"
 
     def bind(self, human: Hand, robot: Hand) -> BoundFingertipVectors:
         """Find the partners of the robot's points; see `Method.bind`."""
         return BoundFingertipVectors(self, human, robot)
 
 
-class FingertipVectorDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """Measurements of one sample.
-
-    Attributes:
-        vectors: From the human's origins to its points with a partner, in palm axes [m], shape
-            (p, 3).
-        scales: Factor from each of them to the robot's, shape (p,).
-    """
-
-    vectors: np.ndarray
-    scales: np.ndarray
+_WEAKNESS = "no T: the motion of a grasped object is not imposed; links may overlap"
+PRESETS = {
+    "fingertip-vectors": Preset(
+        FingertipVectors(),
+        FOLLOWING,
+        "to compare: vectors from the palm to the fingertips, scaled by the hands' sizes",
+        _WEAKNESS,
+    ),
+    "finger-vectors": Preset(
+        FingertipVectors(origin="knuckle"),
+        FOLLOWING,
+        "to compare: vectors along each finger, scaled by its own reach; straight stays straight",
+        f"pinches open; {_WEAKNESS}",
+    ),
+}
 
 
 class BoundFingertipVectors:
@@ -165,5 +167,5 @@ class FingertipVectorMap:
         return Targets(
             transform_points(palm, in_palm),
             self._follower.wrist(palm),
-            FingertipVectorDiagnostics(vectors, method.scales.copy()),
+            {"vectors": vectors, "scales": method.scales.copy()},
         )

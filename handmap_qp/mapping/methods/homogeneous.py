@@ -1,54 +1,186 @@
-"""The paper's method: one homogeneous transformation T carries the human's motion to the robot.
+"""The paper's method: T of the human's points, split, and imposed on the robot's (eqs. 2-7).
 
-T by least squares (eqs. 5-6), `T = T_def T_rb` (eqs. 2-3), imposed on the robot's points (eq. 7).
+    T          least squares with a ridge, from the reference to now       `MotionEstimator`
+    T_def T_rb = T                                                         polar decomposition
+    T_rb^r(s)  = Q R Q^T (s - c_r) + c_r + scale Q (T_rb(c_h) - c_h)
+    T_def^r(s) = Q U Q^T (s - c_r') + c_r' + scale Q (T(c_h) - T_rb(c_h)),     c_r' = T_rb^r(c_r)
+
+The targets of the points are `T_def^r T_rb^r s`, that of the wrist is `T_rb^r X`. `c_h` and `c_r`
+are the pivots, `Q` the rotation from the human's world axes to the robot's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
-from handmap_qp.mapping.options import MappingOptions
-from handmap_qp.mapping.reference import Reference, make_reference, require_partners
-from handmap_qp.mapping.rigid import RIGID_PARTS
-from handmap_qp.mapping.transfer import Transfer, transfer_motion
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.mapping.hand_pair import require_partners
+from handmap_qp.mapping.method import (
+    FOLLOWING,
+    Diagnostics,
+    HumanPose,
+    MethodOptions,
+    Preset,
+    RobotPosture,
+    Targets,
+)
+from handmap_qp.options import number, text
+from handmap_qp.transform import (
+    FARTHEST,
+    affine,
+    frozen,
+    inverse_pose,
+    moved_rows,
+    transform_points,
+)
 
-_PALM_OPTIONS = ("pivot", "alignment")
+Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
+Row = tuple[Coordinate, Coordinate, Coordinate]
+Alignment = Literal["world", "palm"] | tuple[Row, Row, Row]
+"""Rotation from the human's world axes to the robot's."""
 
 
-@dataclass(frozen=True)
-class Homogeneous:
-    """The paper's mapping method.
+class Homogeneous(MethodOptions, frozen=True):
+    """The paper's mapping, and the choices that it leaves open: how T is estimated, split, imposed.
 
-    Args:
-        options: The choices that the paper leaves open.
+    The defaults are the paper's, but for `ridge`: 0 is its least squares.
     """
 
-    options: MappingOptions = field(default_factory=MappingOptions)
+    ridge: Annotated[
+        float,
+        number(
+            "Pull of the estimated linear motion towards a rotation (eq. 6 with a ridge). 0 is the "
+            "paper's least squares."
+        ),
+    ] = 0.1
+    rigid_from: Annotated[
+        Literal["points", "wrist", "none"],
+        text(
+            "Where the rigid part T_rb comes from. points: the polar factor of T (the paper). "
+            "wrist: the measured displacement of the wrist. none: the robot's wrist stays, and the "
+            "fingers take all of T."
+        ),
+    ] = "points"
+    pivot: Annotated[
+        Literal["centroid", "palm", "point", "world"],
+        text(
+            "The point about which rotation and deformation act: the centroid of each hand's "
+            "reference points, each hand's palm, a given point common to both worlds, or the "
+            "origin of the world (the paper's literal reading)."
+        ),
+    ] = "centroid"
+    pivot_point: Annotated[Row | None, text("The point of pivot=point [m].")] = None
+    alignment: Annotated[
+        Alignment,
+        text(
+            "Rotation from the human's world axes to the robot's. world: they agree (the paper). "
+            "palm: lay the human's palm axes at the reference onto the robot's. Or a rotation "
+            "matrix."
+        ),
+    ] = "world"
+    scale: Annotated[float, number("Factor on translations.")] = 1.0
+    reference: Annotated[
+        Literal["first", "rest", "previous"],
+        text(
+            "Configuration that T starts from. first: the sample that became the reference (the "
+            "paper). rest: both hands' rest postures, placed at that sample's wrists, so that the "
+            "posture of the first sample does not matter. previous: the sample before (Fig. 3)."
+        ),
+    ] = "first"
+    residual_gain: Annotated[
+        float,
+        number(
+            "Part of each human point's residual to the imposed motion that its partner on the "
+            "robot takes over; 0 is the paper.",
+            high=1.0,
+        ),
+    ] = 0.0
+    # The bound is chosen so that stretch**gain cannot overflow.
+    deformation_gain: Annotated[
+        float,
+        number(
+            "Exponent g of the stretch, U^g. 1 is the paper; 0 leaves the fingers undeformed.",
+            high=10.0,
+        ),
+    ] = 1.0
+    stretch_min: Annotated[float, number("Smallest stretch that is imposed.", high=1.0)] = 0.2
+    stretch_max: Annotated[float, number("Largest stretch that is imposed.", 1.0, float("inf"))] = (
+        3.0
+    )
+
+    def check(self) -> None:
+        """Reject combinations without a meaning; see `Options.check`."""
+        if (self.pivot == "point") != (self.pivot_point is not None):
+            raise InvalidOptionsError(
+                option="pivot_point",
+                problem="goes together with pivot='point'",
+                value=self.pivot_point,
+                advice="give both or neither",
+            )
+        if self.deformation_gain != 1.0 and self.stretch_min == 0.0:
+            raise InvalidOptionsError(
+                option="deformation_gain",
+                problem="needs positive stretches",
+                value=self.deformation_gain,
+                advice="give stretch_min > 0",
+            )
+        if isinstance(self.alignment, str):
+            return
+        rotation = np.array(self.alignment)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+            raise InvalidOptionsError(
+                option="alignment",
+                expected="world, palm or a rotation of shape (3, 3)",
+                value=self.alignment,
+            )
+        if np.linalg.det(rotation) < 0.0:
+            raise InvalidOptionsError(
+                option="alignment",
+                problem="the matrix mirrors",
+                value=self.alignment,
+                advice="map a left hand with the URDF of a left hand",
+            )
 
     def bind(self, human: Hand, robot: Hand) -> BoundHomogeneous:
         """Check the options against two hands; see `Method.bind`."""
-        return BoundHomogeneous(self.options, human, robot)
+        return BoundHomogeneous(self, human, robot)
 
 
-class HomogeneousDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """Intermediate results for one sample.
+MappingOptions = Homogeneous
+"""The same by the name of its options."""
+TELEMANIPULATION = Homogeneous(
+    rigid_from="wrist", pivot="palm", residual_gain=1.0, deformation_gain=0.5
+)
+"""Choices for a tracked wrist and a robot whose points name partners: the wrist goes where the
+human's does, and fingers follow fingers."""
 
-    Attributes:
-        estimate: T and how it fits (eqs. 5-6).
-        transfer: T_rb, T_def and the robot's targets (eqs. 2-3, 7).
-    """
-
-    estimate: MotionEstimate
-    transfer: Transfer
+PRESETS = {
+    "paper": Preset(
+        Homogeneous(),
+        IkOptions(),
+        "eqs. (5)-(8) as published: rigid part and deformation from the points alone",
+        "gestures; closing the fingers turns the robot's wrist, by 24 deg for a half-closed hand",
+    ),
+    "object": Preset(
+        Homogeneous(rigid_from="wrist", pivot="palm", reference="rest"),
+        FOLLOWING,
+        "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
+        "gestures: T cannot tell a pointing finger from a fist",
+    ),
+    "fixed_wrist": Preset(
+        Homogeneous(rigid_from="none", pivot="palm", reference="rest", alignment="palm"),
+        IkOptions(),
+        "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
+        "gestures; the motion of the human's own wrist goes to the fingers as well",
+    ),
+}
 
 
 class BoundHomogeneous:
@@ -56,16 +188,15 @@ class BoundHomogeneous:
 
     contacts: ShapePairs | None = None
 
-    def __init__(self, options: MappingOptions, human: Hand, robot: Hand) -> None:
+    def __init__(self, options: Homogeneous, human: Hand, robot: Hand) -> None:
         self.options, self.human, self.robot = options, human, robot
-        self.rigid = RIGID_PARTS[options.rigid_from]
         self.renews_reference = options.reference == "previous"
-        self.needs_wrist = f"rigid_from={options.rigid_from!r}" if self.rigid.needs_wrist else ""
-        needs = [f"{name}='palm'" for name in _PALM_OPTIONS if getattr(options, name) == "palm"]
+        self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
+        needs = [f"{name}='palm'" for name in ("pivot", "alignment") if _is_palm(options, name)]
         needs += ["reference='rest'"] if options.reference == "rest" else []
         self.reference_needs_wrist = " and ".join(needs)
         self._check_hands()
-        self._partners = (
+        self.partners = (
             require_partners(
                 human,
                 robot,
@@ -80,7 +211,7 @@ class BoundHomogeneous:
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm in the robot's world; its origin with `alignment="palm"`."""
         palm = np.eye(4)
-        if self.options.alignment != "palm" and sample.wrist is not None:
+        if not _is_palm(self.options, "alignment") and sample.wrist is not None:
             palm = sample.wrist @ self.human.wrist_to_palm
             if not isinstance(self.options.alignment, str):
                 palm[:3] = np.array(self.options.alignment) @ palm[:3]
@@ -88,36 +219,20 @@ class BoundHomogeneous:
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
         """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
-        if self.options.reference == "rest":
-            sample, robot = self._at_rest(sample, robot)
-        estimator = MotionEstimator(
-            sample.points,
-            weights=self.human.point_weights,
-            ridge=self.options.ridge,
-            has_prior=self.rigid.needs_wrist,
-        )
-        reference = make_reference(
-            self.human, self.robot, self.options, estimator, sample, robot, self._partners
-        )
-        # A chain of references has no posture to come back to but the hand's own.
-        return HomogeneousMap(
-            self, reference, self.robot.rest if self.renews_reference else robot.q
-        )
-
-    def _at_rest(self, sample: HumanPose, robot: RobotPosture) -> tuple[HumanPose, RobotPosture]:
-        """Put both hands' rest postures where their wrists are."""
+        if self.options.reference != "rest":
+            return HomogeneousMap(self, sample, robot)
         if sample.wrist is None:
             raise InvalidInputError(argument="wrist_pose", problem="needed for reference='rest'")
-        points = self.human.points(self.human.rest, sample.wrist)
-        hand = self.robot
+        hand, points = self.robot, self.human.points(self.human.rest, sample.wrist)
         to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
         placed = transform_points(to_here, hand.points(hand.rest))
-        return HumanPose(points, sample.wrist), RobotPosture(hand.rest, placed, robot.wrist)
+        posture = RobotPosture(hand.rest, placed, robot.wrist)
+        return HomogeneousMap(self, HumanPose(points, sample.wrist), posture)
 
     def _check_hands(self) -> None:
         """Reject choices that these two hands cannot carry out."""
         options, human, robot = self.options, self.human, self.robot
-        if self.rigid.moves_wrist and not robot.has_moving_wrist:
+        if options.rigid_from != "none" and not robot.has_moving_wrist:
             raise InvalidOptionsError(
                 option="rigid_from",
                 problem=f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
@@ -125,7 +240,7 @@ class BoundHomogeneous:
                 advice="give rigid_from='none', or load the robot with mount='floating'",
             )
         count, needed = len(human.reference_points), 4 if options.ridge == 0.0 else 3
-        if count < needed and not (options.ridge > 0.0 and self.rigid.needs_wrist):
+        if count < needed and not (options.ridge > 0.0 and self.needs_wrist):
             raise InvalidOptionsError(
                 option="ridge",
                 problem=f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
@@ -135,19 +250,165 @@ class BoundHomogeneous:
 
 
 class HomogeneousMap:
-    """From samples to targets, counted from one reference; see `TargetMap`."""
+    """From samples to targets, counted from one reference of both hands; see `TargetMap`."""
 
-    def __init__(self, method: BoundHomogeneous, reference: Reference, rest: np.ndarray) -> None:
-        self.reference = reference
-        self.rest = rest
-        self._options, self._rigid = method.options, method.rigid
+    def __init__(self, method: BoundHomogeneous, sample: HumanPose, robot: RobotPosture) -> None:
+        options, human, hand = method.options, method.human, method.robot
+        self._options, self._wrist = options, sample.wrist
+        # A chain of references has no posture to come back to but the hand's own.
+        self.rest = hand.rest if method.renews_reference else robot.q
+        self._estimator = MotionEstimator(
+            sample.points,
+            weights=human.point_weights,
+            ridge=options.ridge,
+            has_prior=bool(method.needs_wrist),
+        )
+        robot_palm = robot.wrist @ hand.wrist_to_palm
+        human_palm = None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
+        if options.pivot == "centroid":
+            pivot = self._estimator.centroid
+            robot_pivot = hand.point_weights @ robot.points / hand.point_weights.sum()
+        elif options.pivot == "palm" and human_palm is not None:
+            pivot, robot_pivot = human_palm[:3, 3].copy(), robot_palm[:3, 3]
+        else:
+            pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
+        self._pivot = frozen(pivot)
+        self._alignment = Q = _alignment(options, human_palm, robot_palm)
+        # The origin of W, taken to V by shifts.
+        self._origin = robot_pivot - options.scale * Q @ pivot
+        self._human_offsets = sample.points - pivot
+        self._robot_rows = np.column_stack([robot.points - robot_pivot, np.ones(len(robot.points))])
+        self._robot_wrist = affine(robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot)
+        self._share = _residual_share(
+            options.residual_gain, sample.points, robot.points, method.partners
+        )
 
     def targets(self, sample: HumanPose) -> Targets:
-        """Estimate T, split it, and carry it to the robot."""
-        reference = self.reference
-        prior = self._rigid.prior(reference.human_wrist, sample.wrist)
-        estimate = reference.estimator.estimate(sample.points, prior)
-        transfer = transfer_motion(estimate, reference, sample, self._options)
+        """Estimate T, split it about the pivot, and impose both parts on the robot."""
+        options, pivot, Q = self._options, self._pivot, self._alignment
+        turn, rigid_image = self._wrist_motion(sample)
+        estimate = self._estimator.estimate(sample.points, turn)
+        linear, image = estimate.linear, estimate.image(pivot)
+        factors = polar(linear)
+        stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
+        is_clamped = not np.array_equal(stretches, factors.stretches)
+        if is_clamped or options.deformation_gain != 1.0:
+            linear = factors.stretch(stretches**options.deformation_gain).dot(factors.rotation)
+        if options.rigid_from == "none":
+            rotation, rigid_image = np.eye(3), pivot
+        elif turn is None or rigid_image is None:
+            rotation, rigid_image = factors.rotation, image
+        else:
+            rotation = turn
+        points = moved_rows(self._robot_rows, Q @ linear @ Q.T, self._placed(image))
+        if self._share is not None:
+            # The residual refers to the imposed motion, so it makes up for clamping and gain.
+            residual = sample.points - (self._human_offsets.dot(linear.T) + image)
+            points += self._share.dot(residual) @ Q.T
+        wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(self._robot_wrist)
         return Targets(
-            transfer.targets, transfer.wrist_target, HomogeneousDiagnostics(estimate, transfer)
+            points,
+            wrist,
+            HomogeneousDiagnostics(
+                estimate, linear, rotation, pivot, rigid_image, image, factors.stretches
+            ),
+            flags=("stretch_clamped",) if is_clamped else (),
         )
+
+    def _wrist_motion(self, sample: HumanPose) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Return the wrist's rotation since the reference, and where it takes the pivot."""
+        if self._options.rigid_from != "wrist":
+            return None, None
+        before, now = self._wrist, sample.wrist
+        if before is None or now is None:
+            raise InvalidInputError(argument="wrist_pose", problem="needed for rigid_from='wrist'")
+        rotation = now[:3, :3].dot(before[:3, :3].T)
+        return rotation, rotation.dot(self._pivot - before[:3, 3]) + now[:3, 3]
+
+    def _placed(self, image: np.ndarray) -> np.ndarray:
+        """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
+        return self._origin + self._options.scale * self._alignment.dot(image)
+
+
+class HomogeneousDiagnostics(Diagnostics):
+    """Results of one sample; see `Diagnostics`.
+
+    Args:
+        estimate: T and how it fits.
+        linear: Linear part of the imposed motion, `U R` after clamping and gain, shape (3, 3).
+        rotation: Rotation of T_rb, shape (3, 3).
+        pivot: c_h [m], shape (3,).
+        rigid_image: Where T_rb takes the pivot [m], shape (3,).
+        image: Where T takes the pivot [m], shape (3,).
+        stretches: Eigenvalues of the stretch U before clamping, shape (3,).
+    """
+
+    def __init__(
+        self,
+        estimate: MotionEstimate,
+        linear: np.ndarray,
+        rotation: np.ndarray,
+        pivot: np.ndarray,
+        rigid_image: np.ndarray,
+        image: np.ndarray,
+        stretches: np.ndarray,
+    ) -> None:
+        self._estimate, self._linear, self._rotation = estimate, linear, rotation
+        self._pivot, self._rigid_image = pivot, rigid_image
+        self.pivot_image, self.stretches = image, stretches
+
+    @property
+    def motion(self) -> np.ndarray:
+        """T from the reference to now (eqs. 5-6), shape (4, 4)."""
+        return self._estimate.motion
+
+    @property
+    def motion_rigid(self) -> np.ndarray:
+        """T_rb (eq. 2), shape (4, 4)."""
+        return about(self._rotation, self._pivot, self._rigid_image)
+
+    @property
+    def motion_deformation(self) -> np.ndarray:
+        """T_def (eq. 2), after clamping and gain, shape (4, 4)."""
+        return about(self._linear @ self._rotation.T, self._rigid_image, self.pivot_image)
+
+    @property
+    def residual_norms(self) -> np.ndarray:
+        """Distance of each human point from where T takes it [m], shape (n_h,)."""
+        return self._estimate.residual_norms
+
+
+def _is_palm(options: Homogeneous, name: str) -> bool:
+    value = getattr(options, name)
+    return isinstance(value, str) and value == "palm"
+
+
+def _alignment(
+    options: Homogeneous, human_palm: np.ndarray | None, robot_palm: np.ndarray
+) -> np.ndarray:
+    """Return Q, shape (3, 3)."""
+    if not isinstance(options.alignment, str):
+        return np.array(options.alignment)
+    if options.alignment == "world" or human_palm is None:
+        return np.eye(3)
+    return robot_palm[:3, :3] @ human_palm[:3, :3].T
+
+
+def _residual_share(
+    gain: float,
+    human_points: np.ndarray,
+    robot_points: np.ndarray,
+    partners: list[tuple[int, int]],
+) -> np.ndarray | None:
+    """Return the residual gain of every pair, scaled by the ratio of sizes, shape (n_r, n_h)."""
+    if not partners:
+        return None
+    robot_indices, human_indices = np.array(partners).T
+    robot_size, human_size = (
+        np.linalg.norm(points - points.mean(axis=0))
+        for points in (robot_points[robot_indices], human_points[human_indices])
+    )
+    share = np.zeros((len(robot_points), len(human_points)))
+    ratio = robot_size / human_size if human_size > 0.0 else 1.0
+    share[robot_indices, human_indices] = gain * ratio
+    return share

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
@@ -31,7 +30,14 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.tasks import AttachedPoints, TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
-from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
+from handmap_qp.mapping.method import (
+    FOLLOWING,
+    HumanPose,
+    MethodOptions,
+    Preset,
+    RobotPosture,
+    Targets,
+)
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.transform import inverse_pose, transform_points
 
@@ -46,8 +52,7 @@ _CURLING = 0.06
 _STEP = 1e-5
 
 
-@dataclass(frozen=True)
-class JointToJoint:
+class JointToJoint(MethodOptions, frozen=True):
     """Map joint angles to joint angles, scaled by the ranges."""
 
     def bind(self, human: Hand, robot: Hand) -> BoundJointToJoint:
@@ -55,18 +60,14 @@ class JointToJoint:
         return BoundJointToJoint(human, robot)
 
 
-class JointDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """Measurements of one sample.
-
-    Attributes:
-        fingers: Names of the common fingers, f of them.
-        angles: The human's joint angles, abduction first and then outwards [rad], shape (f, 4).
-        q: The robot's joint positions wanted [rad or m], shape (n,).
-    """
-
-    fingers: tuple[str, ...]
-    angles: np.ndarray
-    q: np.ndarray
+PRESETS = {
+    "joint-to-joint": Preset(
+        JointToJoint(),
+        FOLLOWING,
+        "to compare: each robot joint takes the share of its range that the human's joint takes",
+        "pinches: small errors of angle add up at the tips",
+    )
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +191,7 @@ class JointMap:
         return Targets(
             transform_points(palm @ inverse_pose(placed), self._configuration.points),
             self._follower.wrist(palm),
-            JointDiagnostics(method.fingers, angles, q),
+            {"angles": angles, "q": q},
             (JointPositions(robot, method.columns, q),),
         )
 

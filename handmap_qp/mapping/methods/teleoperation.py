@@ -9,20 +9,28 @@ apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import Annotated
 
-import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
+from handmap_qp.mapping.method import (
+    FOLLOWING,
+    Diagnostics,
+    HumanPose,
+    MethodOptions,
+    Preset,
+    RobotPosture,
+    Targets,
+)
 from handmap_qp.mapping.palm import PalmFollower, palm_of
-from handmap_qp.transform import lengths
+from handmap_qp.options import number, text
+from handmap_qp.transform import inverse_pose, lengths
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
@@ -36,59 +44,69 @@ _EXTENSION_DAMPING, _PINCH_DAMPING = 1.5, 3.0
 _LINK_MARGIN = 0.001
 
 
-@dataclass(frozen=True)
-class Teleoperation:
-    """Follow a tracked hand, finger by finger.
+class Teleoperation(MethodOptions, frozen=True):
+    """Follow a tracked hand, finger by finger."""
 
-    Attributes:
-        residual_gain: Part of each finger's residual to T that its partner takes over, 0 to 1.
-        extension_weight: Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.
-        thumb_extension_weight: The same of the thumb, whose position says less: thumbs oppose from
-            different sides.
-        pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
-        contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
-            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
-        ridge: Pull of T towards a rotation.
-        scale: Factor on the palm's translation, for arms that reach less far than a person's.
-        avoids_contact: Whether links of the robot are kept apart.
-
-    Raises:
-        InvalidOptionsError: If a number has no meaning.
-    """
-
-    residual_gain: float = 1.0
-    extension_weight: float = 1.0
-    thumb_extension_weight: float = 2.5
-    pinch_weight: float = 5.0
-    contact_gap: float = 0.013
-    ridge: float = 0.1
-    scale: float = 1.0
-    avoids_contact: bool = True
-
-    def __post_init__(self) -> None:
-        """Reject values without a meaning."""
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name == "avoids_contact":
-                continue
-            most = {"residual_gain": 1.0, "contact_gap": 0.04}.get(item.name, 1e3)
-            if not (isinstance(value, int | float) and 0.0 <= value <= most):
-                raise InvalidOptionsError(
-                    option=item.name, expected=f"a number in [0, {most:g}]", value=value
-                )
-        if self.ridge == 0.0:
-            raise InvalidOptionsError(option="ridge", expected="a number > 0", value=self.ridge)
+    residual_gain: Annotated[
+        float,
+        number("Part of each finger's residual to T that its partner takes over.", high=1.0),
+    ] = 1.0
+    extension_weight: Annotated[
+        float,
+        number("Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.", high=1e3),
+    ] = 1.0
+    thumb_extension_weight: Annotated[
+        float,
+        number(
+            "The same of the thumb, whose position says less: thumbs oppose from different sides.",
+            high=1e3,
+        ),
+    ] = 2.5
+    pinch_weight: Annotated[
+        float,
+        number("Weight of a pinch row, per 10 mm of distance between pads; 0 for none.", high=1e3),
+    ] = 5.0
+    contact_gap: Annotated[
+        float,
+        number(
+            "Distance between the tracker's thumb and finger landmarks at skin contact [m]: 1 to 5 "
+            "mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.",
+            high=0.04,
+        ),
+    ] = 0.013
+    ridge: Annotated[float, number("Pull of T towards a rotation.", high=1e3, above=True)] = 0.1
+    scale: Annotated[
+        float,
+        number(
+            "Factor on the palm's translation, for arms that reach less far than a person's.",
+            high=1e3,
+        ),
+    ] = 1.0
+    avoids_contact: Annotated[bool, text("Whether links of the robot are kept apart.")] = True
 
     def bind(self, human: Hand, robot: Hand) -> BoundTeleoperation:
         """Measure both hands and match their postures; see `Method.bind`."""
         return BoundTeleoperation(self, human, robot)
 
 
-class TeleoperationDiagnostics(msgspec.Struct, frozen=True, eq=False):
-    """Intermediate results for one sample.
+PRESETS = {
+    "teleoperation": Preset(
+        Teleoperation(),
+        FOLLOWING.replaced(rest_weight=0.05),
+        "gestures and pinches of a tracked hand: each robot finger does what the human's does",
+        "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
+    )
+}
 
-    Attributes:
-        estimate: T from the human's rest posture to now, in palm axes, and how it fits.
+
+class TeleoperationDiagnostics(Diagnostics):
+    """Results of one sample; see `Diagnostics`.
+
+    T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
+    the palm of the reference, and T_rb is the motion of the palm.
+
+    Args:
+        estimate: T in palm axes, and how it fits.
         palm_before: The human's palm at the reference, shape (4, 4).
         palm: The human's palm now, shape (4, 4).
         gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
@@ -97,12 +115,47 @@ class TeleoperationDiagnostics(msgspec.Struct, frozen=True, eq=False):
             shape (f,).
     """
 
-    estimate: MotionEstimate
-    palm_before: np.ndarray
-    palm: np.ndarray
-    gaps: np.ndarray
-    pinching: np.ndarray
-    extensions: np.ndarray
+    def __init__(
+        self,
+        estimate: MotionEstimate,
+        palm_before: np.ndarray,
+        palm: np.ndarray,
+        gaps: np.ndarray,
+        pinching: np.ndarray,
+        extensions: np.ndarray,
+    ) -> None:
+        self._estimate, self._palm_before = estimate, palm_before
+        self.palm, self.gaps, self.pinching, self.extensions = palm, gaps, pinching, extensions
+
+    @property
+    def motion(self) -> np.ndarray:
+        """T in the human's world, shape (4, 4)."""
+        return self.motion_deformation @ self.motion_rigid
+
+    @property
+    def motion_rigid(self) -> np.ndarray:
+        """The motion of the palm, shape (4, 4)."""
+        return self.palm @ inverse_pose(self._palm_before)
+
+    @property
+    def motion_deformation(self) -> np.ndarray:
+        """All the rest of T, shape (4, 4)."""
+        return self.palm @ self._estimate.motion @ inverse_pose(self.palm)
+
+    @property
+    def stretches(self) -> np.ndarray:
+        """Stretches of T, shape (3,)."""
+        return polar(self._estimate.linear).stretches
+
+    @property
+    def pivot_image(self) -> np.ndarray:
+        """Centroid of the points now [m], shape (3,)."""
+        return self.palm[:3, :3] @ self._estimate.centroid_after + self.palm[:3, 3]
+
+    @property
+    def residual_norms(self) -> np.ndarray:
+        """Distance of tips and middle joints from where T takes them [m], shape (n,)."""
+        return self._estimate.residual_norms
 
 
 class BoundTeleoperation:

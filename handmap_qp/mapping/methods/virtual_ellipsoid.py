@@ -18,14 +18,15 @@ does not. Neither can tell fingers apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, check_scale
+from handmap_qp.mapping.method import MethodOptions
+from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, to_compare
+from handmap_qp.options import number
 from handmap_qp.transform import nearest_rotation
 
 # Points whose extent across a plane or a line is less than this share of their largest lie in it.
@@ -38,33 +39,34 @@ _SETTLED = 1e-10
 _MOST_TURNS = 100
 
 
-@dataclass(frozen=True)
-class VirtualEllipsoid:
-    """Map the motion of the fingertips' enclosing ellipsoid.
+class VirtualEllipsoid(MethodOptions, frozen=True):
+    """Map the motion of the fingertips' enclosing ellipsoid."""
 
-    Args:
-        scale: k, the factor on the ellipsoid's displacement; the ratio of the sizes at the
-            reference if omitted.
-        ridge: Pull of the three ratios towards their common one, as a share of the points' mean
-            square extent. 0 is the plain least squares; at infinity it is the sphere.
-
-    Raises:
-        InvalidOptionsError: If the scale is not a finite number > 0, or the ridge not one >= 0.
-    """
-
-    scale: float | None = None
-    ridge: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_scale(self.scale)
-        if not (isinstance(self.ridge, int | float) and 0.0 <= self.ridge < np.inf):
-            raise InvalidOptionsError(
-                option="ridge", expected="a finite number >= 0", value=self.ridge
-            )
+    scale: (
+        Annotated[
+            float,
+            number(
+                "k, the factor on the ellipsoid's displacement; the ratio of the sizes at the "
+                "reference if omitted.",
+                above=True,
+            ),
+        ]
+        | None
+    ) = None
+    ridge: Annotated[
+        float,
+        number(
+            "Pull of the three ratios towards their common one, as a share of the points' mean "
+            "square extent. 0 is the plain least squares; at infinity it is the sphere."
+        ),
+    ] = 0.1
 
     def bind(self, human: Hand, robot: Hand) -> BoundVirtualObject:
         """Choose the points of both hands; see `Method.bind`."""
         return BoundVirtualObject(partial(Ellipsoid, ridge=self.ridge), self.scale, human, robot)
+
+
+PRESETS = {"virtual-ellipsoid": to_compare(VirtualEllipsoid(), "ellipsoid")}
 
 
 class Ellipsoid:

@@ -15,39 +15,42 @@ cannot tell fingers apart: a pointing finger turns it, and one bent finger bends
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, check_scale
+from handmap_qp.mapping.method import MethodOptions
+from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, to_compare
+from handmap_qp.options import number
 from handmap_qp.transform import nearest_rotation
 
 # A point this far outside a ball is outside it, as a share of its radius.
 _OUTSIDE = 1e-12
 
 
-@dataclass(frozen=True)
-class VirtualSphere:
-    """Map the motion of the fingertips' enclosing ball.
+class VirtualSphere(MethodOptions, frozen=True):
+    """Map the motion of the fingertips' enclosing ball."""
 
-    Args:
-        scale: k, the factor on the ball's displacement; the ratio of the radii at the reference if
-            omitted.
-
-    Raises:
-        InvalidOptionsError: If the scale is not a finite number > 0.
-    """
-
-    scale: float | None = None
-
-    def __post_init__(self) -> None:
-        check_scale(self.scale)
+    scale: (
+        Annotated[
+            float,
+            number(
+                "k, the factor on the ball's displacement; the ratio of the radii at the reference "
+                "if omitted.",
+                above=True,
+            ),
+        ]
+        | None
+    ) = None
 
     def bind(self, human: Hand, robot: Hand) -> BoundVirtualObject:
         """Choose the points of both hands; see `Method.bind`."""
         return BoundVirtualObject(Sphere, self.scale, human, robot)
+
+
+PRESETS = {"virtual-sphere": to_compare(VirtualSphere(), "ball")}
 
 
 class Sphere:

@@ -1,0 +1,79 @@
+"""What the package offers by name, and what other packages add to it by their entry points.
+
+A package adds to a group in its `pyproject.toml`, and needs no change here:
+
+    [project.entry-points."handmap_qp.presets"]
+    my-method = "my_package.my_method:PRESET"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeVar
+
+from handmap_qp.errors import HandmapError
+
+T = TypeVar("T")
+
+
+class PluginError(HandmapError):
+    """An entry point of another package cannot be used."""
+
+
+class Plugins(Mapping[str, T]):
+    """Things by name: the package's own first, then those of other packages in their order.
+
+    Other packages are searched for only where a name is not the package's own, or all are asked
+    for: that takes some 10 ms. A thing that cannot be used is not listed; asked for by its name, it
+    raises the error that says why.
+
+    Args:
+        group: Group of the entry points.
+        own: Makes the package's own things, at the first use.
+        check: Rejects a thing of another package by raising `TypeError`.
+    """
+
+    def __init__(
+        self, group: str, own: Callable[[], Mapping[str, T]], check: Callable[[T], None]
+    ) -> None:
+        self._group, self._make, self._check = group, own, check
+
+    @cached_property
+    def own(self) -> Mapping[str, T]:
+        """The package's own."""
+        return self._make()
+
+    @cached_property
+    def _others(self) -> dict[str, EntryPoint]:
+        found = entry_points(group=self._group)
+        return {point.name: point for point in found if point.name not in self.own}
+
+    def __getitem__(self, name: str) -> T:
+        """Return one by name; see `Plugins`.
+
+        Raises:
+            KeyError: If there is none.
+            PluginError: If that of another package cannot be used.
+        """
+        return self.own[name] if name in self.own else self._load(self._others[name])
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self.own
+        for name, point in self._others.items():
+            with suppress(PluginError):
+                self._load(point)
+                yield name
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def _load(self, point: EntryPoint) -> T:
+        try:
+            found = point.load()
+            self._check(found)
+        except Exception as error:
+            raise PluginError(f"{self._group}: {point.name} ({point.value}): {error}") from error
+        return found

@@ -1,0 +1,236 @@
+"""Options: an annotated line each, in a frozen struct that checks them however it is made.
+
+    class Example(Options, frozen=True):
+        gain: Annotated[float, number("Share of the residual.", 0.0, 1.0)] = 0.5
+
+The check, its error, the command line, the messages of the service, the controls of the view and
+the pages of reference read that line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import cache
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    Self,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from handmap_qp.errors import InvalidOptionsError
+
+LARGEST = float(np.finfo(float).max)
+"""Bound of numbers that need only be finite."""
+
+
+def number(about: str, low: float = 0.0, high: float = LARGEST, *, above: bool = False) -> Meta:
+    """Describe a number and its range.
+
+    Args:
+        about: What it means, with its unit; what 0 or the default stands for.
+        low: Least value.
+        high: Largest value.
+        above: Whether `low` itself is too small.
+    """
+    bounds = {"gt" if above else "ge": low}
+    if high < math.inf:
+        # msgspec has no infinite bounds; NaN fails the lower one.
+        bounds["le"] = high
+    return Meta(description=about, **bounds)  # ty: ignore[no-matching-overload]
+
+
+def text(about: str, **bounds: int) -> Meta:
+    """Describe an option that is no real number; integers may have the bounds `ge` and `le`."""
+    return Meta(description=about, **bounds)  # ty: ignore[no-matching-overload]
+
+
+class Option(NamedTuple):
+    """One option of a kind of options.
+
+    Attributes:
+        name: Its name.
+        type: Its type, annotated with the range.
+        plain: Its type alone.
+        default: Value if omitted.
+        about: What it means.
+    """
+
+    name: str
+    type: Any
+    plain: Any
+    default: Any
+    about: str
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The words that it takes; empty if there are none."""
+        return tuple(word for part in _parts(self.type) for word in _words(part))
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Least and largest number; None if it takes no numbers."""
+        for part in _parts(self.type):
+            if _bare(part) in (int, float):
+                meta = _meta(part)
+                low = meta.gt if meta.ge is None else meta.ge
+                return (
+                    -math.inf if low is None else low,
+                    math.inf if meta.le is None else meta.le,
+                )
+        return None
+
+    def read(self, value: Any) -> Any:
+        """Return a value as Python's, not numpy's, and lists as tuples.
+
+        Raises:
+            InvalidOptionsError: If it has no meaning.
+        """
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        try:
+            return msgspec.convert(plain, self.type)
+        except (msgspec.ValidationError, TypeError):
+            raise InvalidOptionsError(
+                option=self.name, expected=self.expected, value=value
+            ) from None
+
+    def takes(self, value: Any) -> bool:
+        """Return whether a value has a meaning."""
+        try:
+            self.read(value)
+        except InvalidOptionsError:
+            return False
+        return True
+
+    @property
+    def expected(self) -> str:
+        """What its values are, in words."""
+        return " or ".join(filter(None, map(_in_words, _parts(self.type))))
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base of all options.
+
+    Raises:
+        InvalidOptionsError: If a value has no meaning; names the option at fault.
+    """
+
+    def __post_init__(self) -> None:
+        """Check every value, and turn numpy's numbers and lists into Python's."""
+        for option in options_of(type(self)):
+            value = getattr(self, option.name)
+            if value is not option.default:
+                msgspec.structs.force_setattr(self, option.name, option.read(value))
+        self.check()
+
+    def check(self) -> None:
+        """Reject combinations without a meaning, in a subclass.
+
+        Raises:
+            InvalidOptionsError: Names the option at fault.
+        """
+
+    def replaced(self, **changes: Any) -> Self:
+        """Return a copy with other values for some options.
+
+        Raises:
+            InvalidOptionsError: If there is no such option, or a value has no meaning.
+        """
+        check_names(type(self), changes)
+        return msgspec.structs.replace(self, **changes)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All values by name."""
+        return msgspec.structs.asdict(self)
+
+    def changes_to(self, other: Self) -> dict[str, Any]:
+        """Return the values of another one that differ from these, by name."""
+        return {name: value for name, value in other.values.items() if value != self.values[name]}
+
+
+@cache
+def options_of(kind: type[Options]) -> tuple[Option, ...]:
+    """Return the options of a kind, in their order."""
+    hints, plain = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    return tuple(
+        Option(
+            field.name,
+            hints[field.name],
+            plain[field.name],
+            field.default,
+            _description(hints[field.name]),
+        )
+        for field in msgspec.structs.fields(kind)
+    )
+
+
+def check_names(kind: type[Options], names: Iterable[str]) -> None:
+    """Reject names that are no options of a kind.
+
+    Raises:
+        InvalidOptionsError: With the first one by name.
+    """
+    known = [option.name for option in options_of(kind)]
+    if unknown := sorted(set(names) - set(known)):
+        raise InvalidOptionsError(
+            option=unknown[0],
+            problem="no such option",
+            advice=f"there are {', '.join(known)}",
+        )
+
+
+def _bare(kind: Any) -> Any:
+    """Return a type without its description."""
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _meta(kind: Any) -> Meta:
+    """Return the description of a type."""
+    return next((m for m in getattr(kind, "__metadata__", ()) if isinstance(m, Meta)), Meta())
+
+
+def _parts(kind: Any) -> tuple[Any, ...]:
+    """Return the types of a union, or the type itself."""
+    bare = _bare(kind)
+    return get_args(bare) if get_origin(bare) in (Union, UnionType) else (kind,)
+
+
+def _words(kind: Any) -> tuple[str, ...]:
+    return get_args(_bare(kind)) if get_origin(_bare(kind)) is Literal else ()
+
+
+def _description(kind: Any) -> str:
+    metas = map(_meta, (kind, *_parts(kind)))
+    return next((meta.description for meta in metas if meta.description), "")
+
+
+def _in_words(kind: Any) -> str:
+    """Return what the values of a type that is no union are."""
+    bare, meta = _bare(kind), _meta(kind)
+    if words := _words(kind):
+        return f"one of {', '.join(words)}"
+    if get_origin(bare) is tuple:
+        row = get_args(_bare(get_args(bare)[0]))
+        count = len(get_args(bare))
+        return f"a matrix of shape ({count}, {len(row)})" if row else f"{count} finite numbers"
+    if bare not in (int, float):
+        return {bool: "true or false", str: "a name"}.get(bare, "none")
+    noun = "an integer" if bare is int else "a number"
+    low, sign = (meta.gt, ">") if meta.ge is None else (meta.ge, ">=")
+    if meta.le is not None and meta.le < LARGEST:
+        return f"{noun} in {'[' if meta.gt is None else '('}{low:g}, {meta.le:g}]"
+    if meta.le == LARGEST:
+        noun = "a finite number"
+    return noun if low is None else f"{noun} {sign} {low:g}"
