@@ -13,7 +13,7 @@ import numpy as np
 
 from handmap_qp.hands.spec import Side
 from handmap_qp.onboarding.finger_names import named_fingers, named_side
-from handmap_qp.onboarding.flexion import FingerFlexion
+from handmap_qp.onboarding.flexion import HandFlexion
 
 FINGERS = ("index", "middle", "ring", "little")
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
@@ -87,7 +87,7 @@ class Anatomy:
 
 
 def find_anatomy(
-    flexion: FingerFlexion,
+    flexion: HandFlexion,
     names: list[list[str]],
     hints: Iterable[str],
     side: Side | None,
@@ -142,7 +142,7 @@ def find_anatomy(
 
 
 def _find_thumb(
-    flexion: FingerFlexion, names: list[list[str]], labels: list[str | None], given: int | None
+    flexion: HandFlexion, names: list[list[str]], labels: list[str | None], given: int | None
 ) -> tuple[int | None, Clue]:
     """Find the finger that differs from the others, or that the names call a thumb."""
     count = len(flexion.bases)
@@ -181,7 +181,7 @@ def _find_thumb(
     return chosen, Clue("thumb", names[chosen][-1], how, 0.3)
 
 
-def _dissimilarity(flexion: FingerFlexion, names: list[list[str]]) -> np.ndarray:
+def _dissimilarity(flexion: HandFlexion, names: list[list[str]]) -> np.ndarray:
     """Score each finger: difference from the others minus theirs from each other, shape (F,)."""
     position, direction, way = _differences(flexion)
     count = len(names)
@@ -191,7 +191,7 @@ def _dissimilarity(flexion: FingerFlexion, names: list[list[str]]) -> np.ndarray
     return np.array([_stands_out(differences, i) for i in range(count)])
 
 
-def _differences(flexion: FingerFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much fingers differ in position, direction and flexion, 0 to 1, shape (F, F)."""
     lines = flexion.tips_open - flexion.roots
     lengths = np.maximum(np.linalg.norm(lines, axis=1), 1e-9)
@@ -219,7 +219,7 @@ def _stands_out(differences: np.ndarray, i: int) -> float:
     )
 
 
-def _parts_that_agree(flexion: FingerFlexion, finger: int) -> int:
+def _parts_that_agree(flexion: HandFlexion, finger: int) -> int:
     """Return in how many of position, direction and flexion a finger stands out most."""
     count = 0
     for part in _differences(flexion):
@@ -250,7 +250,7 @@ class _Radial:
     confidence: float
 
 
-def _flexion_axis(flexion: FingerFlexion, fingers: list[int]) -> np.ndarray | None:
+def _flexion_axis(flexion: HandFlexion, fingers: list[int]) -> np.ndarray | None:
     """Return the mean axis of the fingers' flexion, disregarding its sense; None without one."""
     axes = flexion.axes[fingers]
     axes = axes[np.linalg.norm(axes, axis=1) > 0.5]
@@ -262,7 +262,7 @@ def _flexion_axis(flexion: FingerFlexion, fingers: list[int]) -> np.ndarray | No
 
 
 def _find_distal(
-    flexion: FingerFlexion, fingers: list[int], thumb: int | None, axis: np.ndarray | None
+    flexion: HandFlexion, fingers: list[int], thumb: int | None, axis: np.ndarray | None
 ) -> tuple[np.ndarray, Clue]:
     mean = flexion.directions[fingers].mean(axis=0)
     # Fingers and thumb of a gripper lean to opposite sides: take the middle of both.
@@ -291,7 +291,7 @@ def _find_distal(
     return mean, Clue("distal", _shown(mean), how, confidence)
 
 
-def _is_gripper(flexion: FingerFlexion, fingers: list[int], thumb: int) -> bool:
+def _is_gripper(flexion: HandFlexion, fingers: list[int], thumb: int) -> bool:
     """Return whether a thumb is as long as the fingers, and faces them, at less than 90 degrees."""
     lengths = flexion.reach[[thumb, *fingers]]
     faces = flexion.axes[thumb] @ flexion.axes[fingers].mean(axis=0) < _FACING
@@ -300,7 +300,7 @@ def _is_gripper(flexion: FingerFlexion, fingers: list[int], thumb: int) -> bool:
 
 
 def _find_dorsal(
-    flexion: FingerFlexion,
+    flexion: HandFlexion,
     fingers: list[int],
     thumb: int | None,
     distal: np.ndarray,
@@ -341,7 +341,7 @@ def _find_dorsal(
 
 
 def _confirmations(
-    flexion: FingerFlexion,
+    flexion: HandFlexion,
     fingers: list[int],
     thumb: int | None,
     distal: np.ndarray,
@@ -367,7 +367,7 @@ def _confirmations(
 
 
 def _radial(
-    flexion: FingerFlexion,
+    flexion: HandFlexion,
     fingers: list[int],
     thumb: int | None,
     distal: np.ndarray,
@@ -406,7 +406,7 @@ def _radial(
 
 
 def _thumb_place(
-    flexion: FingerFlexion, fingers: list[int], thumb: int | None, across: np.ndarray
+    flexion: HandFlexion, fingers: list[int], thumb: int | None, across: np.ndarray
 ) -> float:
     """Return how far the thumb is to one side, in half widths of the palm."""
     if thumb is None:
@@ -424,7 +424,7 @@ def _thumb_place(
 
 
 def _find_side(
-    flexion: FingerFlexion,
+    flexion: HandFlexion,
     bend: _Bend,
     radial: _Radial,
     thumb: Clue,
@@ -486,7 +486,7 @@ def _find_side(
 
 
 def _name_fingers(
-    flexion: FingerFlexion,
+    flexion: HandFlexion,
     radial: np.ndarray,
     rest: list[int],
     thumb: int | None,

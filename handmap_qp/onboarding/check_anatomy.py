@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers, place_robot
+from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf.files import urdf_path
 from handmap_qp.onboarding.anatomy import FINGERS
@@ -38,7 +38,7 @@ def check_anatomy(report: Report, hand: Hand) -> None:
     _compare_detection(report, hand)
 
 
-def _check_names(report: Report, hand: Hand, chains: dict[str, FingerChain]) -> None:
+def _check_names(report: Report, hand: Hand, chains: dict[str, Finger]) -> None:
     """Compare the fingers and the side with the names of links and joints."""
     model, names = hand.model, []
     for finger, chain in chains.items():
@@ -57,19 +57,11 @@ def _check_names(report: Report, hand: Hand, chains: dict[str, FingerChain]) -> 
         report.add("warning", "side", f"links and joints are named {side}", f"side: {side}")
 
 
-def _check_order(report: Report, hand: Hand, chains: dict[str, FingerChain]) -> None:
+def _check_order(report: Report, hand: Hand, chains: dict[str, Finger]) -> None:
     """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
-    data = hand.model.createData()
-    place_robot(hand, data, np.clip(0.0, hand.lower_limits, hand.upper_limits), None)
-    palm = data.oMf[hand.palm_frame_id]
-    radial = -1.0 if hand.side == "right" else 1.0
-    places = {
-        finger: radial * float(palm.actInv(data.oMi[joint].act(offset))[0])
-        for finger, chain in chains.items()
-        for joint, offset in [chain.knuckle]
-    }
-    row = [places[finger] for finger in FINGERS if finger in places]
-    steps = np.diff(row)
+    row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
+    places = PalmKinematics(hand).points(zero_posture(hand), row).reshape(-1, 3)
+    steps = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0)
     if len(steps) and (steps > _NARROW).all():
         report.add(
             "warning",

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
@@ -75,7 +75,7 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     return CollisionSpec(found, MARGIN) if found else None
 
 
-def _is_wanted(hand: Hand, chains: dict[str, FingerChain], links: tuple[str, str]) -> bool:
+def _is_wanted(hand: Hand, chains: dict[str, Finger], links: tuple[str, str]) -> bool:
     """Return whether links are of the thumb and another finger or the palm, or of neighbours."""
     if any(_is_bar(hand, chains, link) for link in links):
         return False
@@ -89,14 +89,14 @@ def _is_wanted(hand: Hand, chains: dict[str, FingerChain], links: tuple[str, str
     return len(places) == 2 and places[1] - places[0] == 1
 
 
-def _owner(hand: Hand, chains: dict[str, FingerChain], link: str) -> str | None:
+def _owner(hand: Hand, chains: dict[str, Finger], link: str) -> str | None:
     """Return the finger that a link is on; None for the palm and the arm."""
     joint = hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
     owners = [finger for finger, chain in chains.items() if joint in chain.joints]
     return owners[0] if len(owners) == 1 else None
 
 
-def _is_bar(hand: Hand, chains: dict[str, FingerChain], link: str) -> bool:
+def _is_bar(hand: Hand, chains: dict[str, Finger], link: str) -> bool:
     """Return whether a link moves on the palm and is on no finger, as the bars of linkages."""
     model = hand.model
     joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint

@@ -16,14 +16,15 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import HandError, without_errno
+from handmap_qp.hands.fingers import Finger, PalmKinematics
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import HandSpec, Mount, PadSpec, PalmSpec, PointSpec, Side, WristSpec
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
-from handmap_qp.onboarding.flexion import FingerFlexion, FingertipKinematics, find_flexion
+from handmap_qp.onboarding.flexion import HandFlexion, find_flexion
 from handmap_qp.onboarding.middle_joints import middle_joint
 from handmap_qp.onboarding.robot import Robot
-from handmap_qp.onboarding.structure import Chain, Structure, find_structure
+from handmap_qp.onboarding.structure import Chain, Structure, find_structure, fingers_of
 from handmap_qp.transform import transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
@@ -120,7 +121,8 @@ def detect_text(
             left_out = _wrist_note(robot, structure)
         robot = Robot(text, urdf, root=structure.palm)
         structure = find_structure(robot)
-    flexion = find_flexion(robot, structure)
+    fingers = fingers_of(robot, structure)
+    flexion = find_flexion(robot, fingers)
     names = [[*chain.joints, *chain.links] for chain in structure.chains]
     given = (
         None
@@ -131,15 +133,15 @@ def detect_text(
         raise HandError(f"no finger has a link or joint {thumb!r}", file=urdf, value=thumb)
     hints = (robot.name, urdf.stem, structure.palm)
     anatomy = find_anatomy(flexion, names, hints, side, given)
-    fingers = [i for i, finger in enumerate(anatomy.fingers) if finger != "thumb"]
-    if (flexion.ways[fingers].sum(axis=0) @ anatomy.dorsal) > 0.0:
+    others = [i for i, finger in enumerate(anatomy.fingers) if finger != "thumb"]
+    if (flexion.ways[others].sum(axis=0) @ anatomy.dorsal) > 0.0:
         # The side turned the palm over: joints with symmetric ranges flex the other way.
-        flexion = find_flexion(robot, structure, palmar=-anatomy.dorsal)
+        flexion = find_flexion(robot, fingers, palmar=-anatomy.dorsal)
     if name is None:
         name = robot.name
         if not robot.is_whole and anatomy.side not in re.split(r"[^a-z]+", name.lower()):
             name = f"{name}_{anatomy.side}"
-    spec, clues = _describe(robot, structure, flexion, anatomy, name)
+    spec, clues = _describe(robot, structure, fingers, flexion, anatomy, name)
     notes = (*left_out, *structure.notes, *robot.notes)
     chains = {
         finger: (*dict.fromkeys([*map(robot.drivers, chain.joints), *chain.joints]),)
@@ -170,7 +172,12 @@ def _wrist_note(robot: Robot, structure: Structure) -> tuple[str, ...]:
 
 
 def _describe(
-    robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy, name: str
+    robot: Robot,
+    structure: Structure,
+    fingers: list[Finger],
+    flexion: HandFlexion,
+    anatomy: Anatomy,
+    name: str,
 ) -> tuple[HandSpec, tuple[Clue, ...]]:
     joints = _ordered_joints(robot, structure, anatomy)
     q_rest = _rest(robot, flexion, anatomy)
@@ -221,7 +228,8 @@ def _describe(
         )
         for finger, chain in _in_order(anatomy, structure.chains)
     ]
-    moved = FingertipKinematics(robot, structure).tips(q_rest) - flexion.tips_open
+    tips_at_rest = PalmKinematics(robot).points(q_rest, [finger.tip for finger in fingers])
+    moved = tips_at_rest - flexion.tips_open
     share = float(np.mean((moved @ -anatomy.dorsal) > 0.0))
     rest_clue = Clue(
         "rest",
@@ -258,32 +266,41 @@ def _ordered_joints(robot: Robot, structure: Structure, anatomy: Anatomy) -> tup
     return tuple(found)
 
 
-def _rest(robot: Robot, flexion: FingerFlexion, anatomy: Anatomy) -> np.ndarray:
+def _rest(robot: Robot, flexion: HandFlexion, anatomy: Anatomy) -> np.ndarray:
     """Return the half-open posture; joints that do not flex are near zero, or centred (thumb)."""
     travel = flexion.q_closed - flexion.q_open
-    slides = np.array([robot.kinds[name] == "prismatic" for name in robot.active])
-    step = np.where(slides, 0.5 * travel, np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST))
+    step = np.where(
+        robot.slides, 0.5 * travel, np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
+    )
     q = np.where(flexion.flexes, flexion.q_open + step, robot.zero)
     if "thumb" in anatomy.fingers:
         of_thumb = flexion.moves[anatomy.fingers.index("thumb")] & ~flexion.flexes
-        one_sided = of_thumb & ((robot.lower > -0.1) | (robot.upper < 0.1))
-        q = np.where(one_sided, 0.5 * (robot.lower + robot.upper), q)
+        one_sided = of_thumb & ((robot.lower_limits > -0.1) | (robot.upper_limits < 0.1))
+        q = np.where(one_sided, 0.5 * (robot.lower_limits + robot.upper_limits), q)
     # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
     spreads = flexion.moves.any(axis=0) & ~flexion.flexes & (q == robot.zero)
-    width = robot.upper - robot.lower
-    q = np.where(spreads & (q - robot.lower < _AT_LIMIT * width), robot.lower + _SPREAD * width, q)
-    q = np.where(spreads & (robot.upper - q < _AT_LIMIT * width), robot.upper - _SPREAD * width, q)
-    return np.clip(q, robot.lower, robot.upper)
+    width = robot.upper_limits - robot.lower_limits
+    q = np.where(
+        spreads & (q - robot.lower_limits < _AT_LIMIT * width),
+        robot.lower_limits + _SPREAD * width,
+        q,
+    )
+    q = np.where(
+        spreads & (robot.upper_limits - q < _AT_LIMIT * width),
+        robot.upper_limits - _SPREAD * width,
+        q,
+    )
+    return np.clip(q, robot.lower_limits, robot.upper_limits)
 
 
 def _inside(value: float, robot: Robot, joint: str) -> float:
     """Clip a rounded value to the joint's limits."""
     at = robot.active.index(joint)
-    return float(np.clip(value, robot.lower[at], robot.upper[at]))
+    return float(np.clip(value, robot.lower_limits[at], robot.upper_limits[at]))
 
 
 def _points(
-    robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy
+    robot: Robot, structure: Structure, flexion: HandFlexion, anatomy: Anatomy
 ) -> tuple[tuple[PointSpec, ...], tuple[str, ...]]:
     """Return fingertips, and the PIP joint of each finger and the IP joint of the thumb, if any."""
     tips, middles = [], []
@@ -325,7 +342,7 @@ def _pad(robot: Robot, chain: Chain) -> PadSpec | None:
 
 
 def _palm_origin(
-    robot: Robot, structure: Structure, flexion: FingerFlexion, anatomy: Anatomy
+    robot: Robot, structure: Structure, flexion: HandFlexion, anatomy: Anatomy
 ) -> tuple[np.ndarray, Clue]:
     """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
     robot.place(robot.zero)
@@ -367,7 +384,7 @@ def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec,
             f"no joint moves between {base!r} and the hand {hand!r}", file=urdf, value=base
         )
     still = [joint for joint in robot.active if joint not in arm and joint not in spec.joints]
-    middle = 0.5 * (robot.lower + robot.upper)
+    middle = 0.5 * (robot.lower_limits + robot.upper_limits)
     # A straight arm is singular; at mid-range it seldom is.
     rest = {joint: round(float(middle[robot.active.index(joint)]), 4) + 0.0 for joint in arm}
     changes = {

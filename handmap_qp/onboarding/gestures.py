@@ -11,17 +11,18 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers, moving_columns
+from handmap_qp.hands.fingers import (
+    THUMB,
+    Finger,
+    PalmKinematics,
+    columns_of,
+    find_fingers,
+    zero_posture,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.spec import PointSpec
 
-# Random postures of a finger, and the share of them that is a fist.
-_SAMPLES, _FIST_SHARE = 200, 0.1
-# A finger closes if its tip comes this share of its reach nearer to its knuckle.
-_CLOSING = 0.15
-# A finger is straight with this share of its reach.
-_STRAIGHT = 0.97
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
 # Search for a pinch: iterations, damping [m/rad], and random starts.
@@ -69,7 +70,7 @@ class Pinch:
 
 
 def make_fist(hand: Hand) -> Fist | None:
-    """Close every finger but the thumb, and compare its motion with the palm's axes.
+    """Compare the way in which the fingers, but the thumb, close with the palm's axes.
 
     Args:
         hand: The hand.
@@ -77,66 +78,27 @@ def make_fist(hand: Hand) -> Fist | None:
     Returns:
         The directions; None if fewer than two fingers close, or they close about different axes.
     """
-    axes, directions, names = [], [], []
-    for name, chain in find_fingers(hand).items():
-        if name == THUMB or chain.is_jaw or not chain.joints:
+    view, axes, directions = PalmKinematics(hand), {}, []
+    for name, finger in find_fingers(hand).items():
+        flexion = finger.flexion
+        if name == THUMB or flexion is None or not flexion.curls or flexion.sense == 0.0:
             continue
-        found = _closing(hand, chain)
-        if found is not None:
-            directions.append(found[0])
-            axes.append(found[1])
-            names.append(name)
+        straight = zero_posture(hand)
+        straight[flexion.columns] = flexion.straight
+        line = view.points(straight, [finger.tip])[0] - flexion.knuckle
+        directions.append(line / np.linalg.norm(line))
+        axes[name] = flexion.sense * flexion.axis
     if len(axes) < 2:
         return None
-    axis, direction = np.mean(axes, axis=0), np.mean(directions, axis=0)
+    axis, direction = np.mean([*axes.values()], axis=0), np.mean(directions, axis=0)
     if np.linalg.norm(axis) < _COMMON or np.linalg.norm(direction) < _COMMON:
         return None
     # Flexion turns distal (y) towards palmar (-z), about -x.
     return Fist(
-        _degrees(axis, np.array([-1.0, 0.0, 0.0])),
-        _degrees(direction, np.array([0.0, 1.0, 0.0])),
-        tuple(names),
+        angle_between(axis, np.array([-1.0, 0.0, 0.0])),
+        angle_between(direction, np.array([0.0, 1.0, 0.0])),
+        tuple(axes),
     )
-
-
-def _closing(hand: Hand, chain: FingerChain) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a finger's stretched direction and its axis of flexion in palm axes, unit vectors."""
-    columns = moving_columns(hand, list(chain.joints))
-    # Joints of one range through zero may abduct; a fist is made with all joints.
-    postures = np.repeat(chain.stretched[None], _SAMPLES, axis=0)
-    shares = np.random.default_rng(0).random((_SAMPLES, len(columns)))
-    low, high = hand.lower_limits[columns], hand.upper_limits[columns]
-    postures[:, columns] = low + shares * (high - low)
-    straight = np.clip(0.0, hand.lower_limits, hand.upper_limits)
-    postures = np.vstack([straight[None], chain.stretched[None], postures])
-    places = _in_palm(hand, chain, postures)
-    lengths = np.linalg.norm(places, axis=1)
-    # The knuckle's angle does not change the length: of all straight postures take the first one,
-    # which is zero, else the nearest to it.
-    long = np.flatnonzero(lengths > _STRAIGHT * lengths.max())
-    first = long[np.argmin(np.abs(postures[long] - straight).sum(axis=1))]
-    closest = np.argsort(lengths)[: int(_FIST_SHARE * _SAMPLES)]
-    closed = places[closest].mean(axis=0)
-    if np.linalg.norm(closed) > (1.0 - _CLOSING) * lengths[first]:
-        return None
-    axis = np.cross(places[first], closed - places[first])
-    length = float(np.linalg.norm(axis))
-    if length < 1e-9:
-        return None
-    return places[first] / lengths[first], axis / length
-
-
-def _in_palm(hand: Hand, chain: FingerChain, postures: np.ndarray) -> np.ndarray:
-    """Return tip minus knuckle in palm axes for each posture [m], shape (k, 3)."""
-    model, data = hand.model, hand.model.createData()
-    found = []
-    for q in postures:
-        pin.framesForwardKinematics(model, data, hand.configuration_vector(q))
-        tip = data.oMi[chain.tip[0]].act(chain.tip[1])
-        knuckle = data.oMi[chain.knuckle[0]].act(chain.knuckle[1])
-        palm = data.oMf[hand.palm_frame_id].rotation
-        found.append(palm.T @ (tip - knuckle))
-    return np.array(found)
 
 
 def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
@@ -161,7 +123,7 @@ def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
     for i, name in enumerate(names):
         if name != THUMB:
             joints = [*chains[THUMB].joints, *chains[name].joints]
-            columns = moving_columns(hand, joints)
+            columns = np.sort(columns_of(hand, joints))
             radii = pads[THUMB].radius + pads[name].radius
             distance, q = _nearest(padded, thumb, i, columns, radii)
             gap = distance - radii
@@ -169,7 +131,7 @@ def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
     return tuple(pinches)
 
 
-def fingertip_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]:
+def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
     """Return the pad of each fingertip; a ball of 6 mm around it if the shapes cannot be read."""
     try:
         return find_pads(hand, chains)
@@ -218,6 +180,7 @@ def _nearest(
     return best, best_q
 
 
-def _degrees(one: np.ndarray, other: np.ndarray) -> float:
-    cosine = float(one @ other / np.linalg.norm(one) / np.linalg.norm(other))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+def angle_between(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the angle between two vectors [deg]; 180 if one is zero."""
+    length = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(np.degrees(np.arccos(np.clip(one @ other / length, -1.0, 1.0)))) if length else 180

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handmap_qp.onboarding.flexion import FingerFlexion
+from handmap_qp.onboarding.flexion import HandFlexion
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.onboarding.structure import Structure
 from handmap_qp.transform import transform_points
@@ -18,7 +18,7 @@ _LEAST, _MOST = 0.15, 0.88
 
 
 def middle_joint(
-    robot: Robot, structure: Structure, flexion: FingerFlexion, finger: int, *, is_thumb: bool
+    robot: Robot, structure: Structure, flexion: HandFlexion, finger: int, *, is_thumb: bool
 ) -> tuple[str, np.ndarray] | None:
     """Find the PIP joint of a finger, or the IP joint of a thumb.
 

@@ -20,7 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_model
+from handmap_qp.hands.fingers import Place
+from handmap_qp.hands.mimic import Expansion, expansion_matrix, read_mimic_rules, tighten_model
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf.check import check_tree
 from handmap_qp.hands.urdf.compose import prepare_urdf
@@ -74,8 +75,8 @@ class Robot:
         balls: Centres of each link's spheres, in its frame [m], shape (k, 3).
         rules: Resolved mimic rules.
         active: The n joints that are neither fixed nor mimic joints, in the order of the file.
-        lower: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
-        upper: Their upper limits, shape (n,).
+        lower_limits: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
+        upper_limits: Their upper limits, shape (n,).
         endless: Joints of type `continuous` in the file.
         assumed: Limits that the URDF lacks, by joint.
         dropped_rules: Mimic rules whose leader is not in this part of the robot; these joints are
@@ -201,11 +202,12 @@ class Robot:
             self._remark("", note)
         names = list(self.model.names)[1:]
         columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in names]
-        self._matrix, self._offset = expansion_matrix(names, self.active, self.rules)
+        matrix, offset = expansion_matrix(names, self.active, self.rules)
         order = np.argsort(columns)
-        self._matrix, self._offset = self._matrix[order], self._offset[order]
+        self.expansion = Expansion(matrix[order], offset[order])
+        self.joint_columns = np.arange(len(self.active))
         at = [self.model.joints[self.model.getJointId(name)].idx_q for name in self.active]
-        self.lower, self.upper = (
+        self.lower_limits, self.upper_limits = (
             self.model.lowerPositionLimit[at],
             self.model.upperPositionLimit[at],
         )
@@ -221,6 +223,7 @@ class Robot:
             link: joints[self.parent[self.body(link)][0]] if self.body(link) != self.root else 0
             for link in self.links
         }
+        self.palm_frame_id = 0
         self.place(self.zero)
 
     @property
@@ -300,13 +303,35 @@ class Robot:
     # -- kinematics
 
     @cached_property
+    def slides(self) -> np.ndarray:
+        """Which active joints are prismatic, shape (n,)."""
+        return np.array([self.kinds[name] == "prismatic" for name in self.active])
+
+    @cached_property
     def zero(self) -> np.ndarray:
         """Zero clipped to the limits [rad or m], shape (n,)."""
-        return np.clip(0.0, self.lower, self.upper)
+        return np.clip(0.0, self.lower_limits, self.upper_limits)
 
     def place(self, q: np.ndarray) -> None:
         """Place the active joints at `q`, shape (n,), and their mimic joints accordingly."""
-        pin.forwardKinematics(self.model, self._data, self._matrix @ q + self._offset)
+        pin.forwardKinematics(self.model, self._data, self.configuration_vector(q))
+
+    def configuration_vector(self, q: np.ndarray) -> np.ndarray:
+        """Return Pinocchio's configuration at positions of the active joints, shape (n,)."""
+        return self.expansion.matrix @ q + self.expansion.offset
+
+    def write_configuration(self, vector: np.ndarray, q: np.ndarray) -> None:
+        """Write a configuration into an array of the caller's."""
+        vector[:] = self.configuration_vector(q)
+
+    def set_palm(self, link: str) -> None:
+        """Add the frame of the palm's link to the model; before that, the root is the palm."""
+        frame = pin.Frame("/palm", self._carriers[link], 0, self._in_body[link], pin.OP_FRAME)
+        self.palm_frame_id = self.model.addFrame(frame)
+
+    def place_of(self, link: str, xyz: np.ndarray) -> Place:
+        """Return a point on a link as one on a joint of the model."""
+        return self._carriers[link], self._in_body[link].act(xyz)
 
     def pose(self, link: str) -> np.ndarray:
         """Return a link's pose in the frame of `root` at the last `place`, shape (4, 4)."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handmap_qp.errors import HandError
+from handmap_qp.hands.fingers import Finger
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.transform import transform_points
 
@@ -366,7 +367,9 @@ def _sweep(robot: Robot, chain: Chain, samples: int = 5) -> Iterator[None]:
     ]
     for share in np.linspace(0.0, 1.0, samples):
         q = robot.zero.copy()
-        q[columns] = robot.lower[columns] + share * (robot.upper[columns] - robot.lower[columns])
+        q[columns] = robot.lower_limits[columns] + share * (
+            robot.upper_limits[columns] - robot.lower_limits[columns]
+        )
         robot.place(q)
         yield
     robot.place(robot.zero)
@@ -401,6 +404,19 @@ def _drop_forks(chains: list[Chain], notes: list[str]) -> list[Chain]:
                 f"{chain.links[-1]}: a second end of the finger that ends at {fork.links[-1]}"
             )
     return [chain for chain in chains if chain in kept]
+
+
+def fingers_of(robot: Robot, structure: Structure) -> list[Finger]:
+    """Return the fingers on the robot's model, in the frame of the palm's link."""
+    robot.set_palm(structure.palm)
+    return [
+        Finger(
+            robot,
+            [robot.model.getJointId(joint) for joint in chain.joints],
+            robot.place_of(chain.tip.link, chain.tip.xyz),
+        )
+        for chain in structure.chains
+    ]
 
 
 def _shared(chain: Chain, other: Chain) -> int:
