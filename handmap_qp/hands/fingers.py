@@ -25,14 +25,18 @@ from handmap_qp.hands.spec import PointSpec
 THUMB = "thumb"
 """Name of the finger that the others pinch."""
 PARALLEL = 0.85
-"""Cosine from which on two axes are parallel. On the 31 hands of `benchmarks/bench_hands.py` and the
-human one, joints that flex a finger have 0.99 and more at zero, and no other has more than 0.82."""
+"""Cosine from which on two axes are parallel.
+
+On the 30 robot hands of `benchmarks/bench_hands.py` and the human one, joints that flex a finger have
+0.99 and more with its last joint at zero, and no other joint has more than 0.82.
+"""
 
 Place = tuple[int, np.ndarray]
 """A joint of the model, and a point's offset on it [m], shape (3,)."""
 
-# A middle joint is at least this share of the reach away from the knuckle.
-_MIDDLE_SHARE = 0.2
+# Place of the PIP joint between knuckle and tip on a person, and the least and largest share of the
+# finger at which a joint counts as one.
+_PIP, _LEAST, _MOST = 0.45, 0.15, 0.88
 _REACH_SAMPLES = 200
 # Samples of a joint's range, and of the way from straight to one end of the ranges.
 _GRID, _SWEEP = 25, 11
@@ -221,22 +225,40 @@ class Finger:
             return self._knuckle or self.tip
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
-        return self._on_axis(self.bending[0])
+        return self._on_axis(self.bending[0], zero_posture(self.hand))
 
     @cached_property
     def middle(self) -> Place:
-        """The given one; else on the first bending axis beyond a fifth of the reach.
-
-        A thumb's is the origin of its last joint.
-        """
+        """The given one; else the found one, else the origin of the last joint."""
         if self._middle is not None or not self.joints:
             return self._middle or self.tip
-        if self.name == THUMB:
-            return self._own[-1], np.zeros(3)
-        places = [self.knuckle, *((j, np.zeros(3)) for j in self.bending)]
-        base, *origins = PalmKinematics(self.hand).points(self.stretched, places)
-        far = np.linalg.norm(np.array(origins) - base, axis=1) > _MIDDLE_SHARE * self.reach
-        return self._on_axis(self.bending[int(far.argmax())] if far.any() else self._own[-1])
+        return self.find_middle() or (self._own[-1], np.zeros(3))
+
+    def find_middle(self) -> Place | None:
+        """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
+
+        A thumb's is its last bending joint, a finger's the one next to the place of a person's
+        joint among those beyond the knuckle. The point lies on the joint's axis, where the axis is
+        nearest to the fingertip.
+        """
+        view, q = PalmKinematics(self.hand), zero_posture(self.hand)
+        if self.flexion is not None:
+            q[self.flexion.columns] = self.flexion.straight
+        tip, is_thumb = view.points(q, [self.tip])[0], self.name == THUMB
+        turns, points = view.axes(q, self.bending)
+        points = points + ((tip - points) * turns).sum(axis=1, keepdims=True) * turns
+        joints = self.bending
+        if is_thumb and len(joints) < 2 and self._own[0] != joints[0]:
+            # A thumb's joint at its root counts as its knuckle, whatever its axis.
+            joints = [self._own[0], *joints]
+            points = np.vstack([view.axes(q, joints[:1])[1], points])
+        ways = np.cumsum(np.linalg.norm(np.diff([*points, tip], axis=0), axis=1))
+        shares = ways[:-1] / max(ways[-1], 1e-6)
+        near = [k for k, share in enumerate(shares) if _LEAST < share < _MOST]
+        if not near or not turns.any():
+            return None
+        best = near[-1] if is_thumb else min(near, key=lambda k: abs(shares[k] - _PIP))
+        return self._on_axis(joints[best + 1], q)
 
     @property
     def reach(self) -> float:
@@ -332,15 +354,14 @@ class Finger:
     def _axes(self, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)
 
-    def _on_axis(self, joint: int) -> Place:
-        """Return the point of a turning joint's axis nearest to the tip at zero."""
+    def _on_axis(self, joint: int, q: np.ndarray) -> Place:
+        """Return the point of a turning joint's axis nearest to the tip in a posture."""
         hand, data = self.hand, self.hand.model.createData()
-        vector = hand.configuration_vector(zero_posture(hand))
-        axis = pin.computeJointJacobians(hand.model, data, vector)[
-            3:, hand.model.joints[joint].idx_v
-        ]
-        lever = data.oMi[self.tip[0]].act(self.tip[1]) - data.oMi[joint].translation
-        return joint, data.oMi[joint].rotation.T @ ((lever @ axis) * axis)
+        column = hand.model.joints[joint].idx_v
+        pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q))
+        axis, placed = data.J[3:, column], data.oMi[joint]
+        lever = data.oMi[self.tip[0]].act(self.tip[1]) - placed.translation
+        return joint, placed.rotation.T @ ((lever @ axis) * axis)
 
     def _flexing_columns(self, turns: np.ndarray) -> np.ndarray:
         """Return the columns that turn the tip about the axis of the last one that does."""

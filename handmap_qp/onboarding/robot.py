@@ -74,6 +74,7 @@ class Robot:
         axes: Axis of each movable joint in its child link's frame, a unit vector.
         balls: Centres of each link's spheres, in its frame [m], shape (k, 3).
         rules: Resolved mimic rules.
+        carried: First link of the body on each joint of the model.
         active: The n joints that are neither fixed nor mimic joints, in the order of the file.
         lower_limits: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
         upper_limits: Their upper limits, shape (n,).
@@ -218,6 +219,8 @@ class Robot:
             advice = "name the link at which the hand begins by --root"
             raise HandError(f"{problem}: {advice}", file=self.file) from error
         joints = {name: i for i, name in enumerate(self.model.names)}
+        self.carried = {joints[self.parent[body][0]]: body for body in self._bodies.values()
+                        if body != self.root}
         # The frame of a body's first link is that of the joint that moves it.
         self._carriers = {
             link: joints[self.parent[self.body(link)][0]] if self.body(link) != self.root else 0

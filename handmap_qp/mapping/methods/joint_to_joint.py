@@ -38,7 +38,7 @@ from handmap_qp.hands.fingers import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.ik.tasks import AttachedPoints, TaskRows
+from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
 from handmap_qp.mapping.method import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.palm import PalmFollower, palm_of
