@@ -231,7 +231,7 @@ class _FoundHand:
         )
 
     def _rest(self) -> np.ndarray:
-        """Return the half-open posture; joints that do not flex are near zero, or centred (thumb)."""
+        """Return the half-open posture; other joints are near zero, or centred (thumb)."""
         robot, flexion = self.robot, self.flexion
         lower, upper = robot.lower_limits, robot.upper_limits
         travel = flexion.q_closed - flexion.q_open
@@ -306,7 +306,9 @@ class _FoundHand:
         confidence = 0.8
         if not low <= back <= high:
             back, confidence = float(np.clip(back, low, high)), 0.5
-            how += f"; moved to {1e3 * back:.0f} mm behind the knuckles, as in a person's proportions"
+            how += (
+                f"; moved to {1e3 * back:.0f} mm behind the knuckles, as in a person's proportions"
+            )
         confidence = min(confidence, self._sure["distal"])
         self._add("palm origin", f"{1e3 * back:.0f} mm behind the knuckles", how, confidence)
         return knuckles - back * distal
