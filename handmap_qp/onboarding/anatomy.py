@@ -108,12 +108,12 @@ def find_anatomy(
     hand = _Evidence(flexion, names, thumb)
     distal, distal_clue = hand.find_distal()
     bend = hand.find_dorsal(distal)
-    if hand.thumb is not None and len(hand.rest) > 1:
-        if flexion.directions[hand.thumb] @ distal < _OPPOSED:
-            # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
-            how = "the thumb points the other way: the best direction may be nearer to the palm's"
-            how = f"{distal_clue.how}; {how}"
-            distal_clue = replace(distal_clue, how=how, confidence=_DISPUTED)
+    is_round = hand.thumb is not None and flexion.directions[hand.thumb] @ distal < _OPPOSED
+    if is_round and len(hand.rest) > 1:
+        # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
+        how = "the thumb points the other way: the best direction may be nearer to the palm's"
+        how = f"{distal_clue.how}; {how}"
+        distal_clue = replace(distal_clue, how=how, confidence=_DISPUTED)
     bend = replace(bend, confidence=min(bend.confidence, distal_clue.confidence))
     across = np.cross(distal, bend.dorsal)
     radial = hand.find_radial(across)
@@ -436,17 +436,10 @@ def _find_side(
         confidence = min(radial.confidence, thumb.confidence, bend.confidence)
         return bend, found, Clue("side", found, how, confidence)
     if declared == found:
-        raised = bend.confidence
-        if bend.sign_certainty > 0.6 and raised >= _LIKELY:
-            raised = _CERTAIN
-        elif bend.sign_certainty > 0.05:
-            raised = max(raised, _LIKELY)
-        if raised > bend.confidence or bend.confidence < _LIKELY:
-            bend = replace(bend, how=f"{bend.how}; the side agrees", confidence=raised)
         least = min(radial.confidence, thumb.confidence)
         confidence = 1.0 if is_given else _CERTAIN if least >= _LIKELY else _LIKELY
         what = source if is_given else f"{source}, and {how}"
-        return bend, declared, Clue("side", declared, what, confidence)
+        return _confirmed(bend), declared, Clue("side", declared, what, confidence)
     # They disagree: names yield to clear flexion, an owner's word does not.
     is_clear = bend.sign_certainty > 0.9
     if not is_given and is_clear and radial.confidence >= _LIKELY:
@@ -461,6 +454,18 @@ def _find_side(
     turned = f"the back of a {declared} hand with its thumb there; {why}"
     bend = _Bend(-bend.dorsal + 0.0, turned, sure, 0.0)
     return bend, declared, Clue("side", declared, how, confidence)
+
+
+def _confirmed(bend: _Bend) -> _Bend:
+    """Return a dorsal direction with which the side agrees."""
+    raised = bend.confidence
+    if bend.sign_certainty > 0.6 and raised >= _LIKELY:
+        raised = _CERTAIN
+    elif bend.sign_certainty > 0.05:
+        raised = max(raised, _LIKELY)
+    if raised > bend.confidence or raised < _LIKELY:
+        return replace(bend, how=f"{bend.how}; the side agrees", confidence=raised)
+    return bend
 
 
 # -- geometry
