@@ -62,8 +62,12 @@ class Jointed(Protocol):
     palm_frame_id: int
     lower_limits: np.ndarray
     upper_limits: np.ndarray
-    expansion: Expansion | None
     joint_columns: np.ndarray
+
+    @property
+    def expansion(self) -> Expansion | None:
+        """From the active coordinates to all of the model's; None if all are active."""
+        ...
 
     def configuration_vector(self, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration at joint angles, shape (n,)."""
@@ -457,7 +461,10 @@ def nearing(view: PalmKinematics, ends: np.ndarray, tips: Sequence[Place], i: in
 
 
 def ends_of(
-    hand: Jointed, q: np.ndarray, columns: Sequence[int], signs: np.ndarray | float = 1.0
+    hand: Jointed,
+    q: np.ndarray,
+    columns: np.ndarray | Sequence[int],
+    signs: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
     ends = np.tile(q, (2, 1))
