@@ -231,7 +231,7 @@ class _Evidence:
         how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
         confidence = _LIKELY if agreement > 0.8 else 0.4
         more = ""
-        if _angle(mean, knuckles) < _AGREEING:
+        if angle_between(mean, knuckles) < _AGREEING:
             more = "the knuckles lie in this direction from the palm's origin"
         elif len(rest) > 2 and axis is not None:
             line = _widest(flexion.bases[rest])
@@ -289,7 +289,7 @@ class _Evidence:
         flexion, rest, thumb, more, against = self.flexion, self.rest, self.thumb, [], ""
         if len(rest) > 2:
             normal = np.cross(_widest(flexion.bases[rest]), distal)
-            angle = _angle(normal, dorsal)
+            angle = angle_between(normal, dorsal)
             angle = min(angle, 180.0 - angle)
             if np.linalg.norm(normal) > 0.5 and angle < _AGREEING:
                 more.append("at right angles to the row of the knuckles")
@@ -476,7 +476,7 @@ def _widest(points: np.ndarray) -> np.ndarray:
     return np.linalg.svd(points - points.mean(axis=0))[2][0]
 
 
-def _angle(one: np.ndarray, other: np.ndarray) -> float:
+def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     """Return the angle between two vectors [deg]; 180 if one is zero."""
     length = float(np.linalg.norm(one) * np.linalg.norm(other))
     return float(np.degrees(np.arccos(np.clip(one @ other / length, -1.0, 1.0)))) if length else 180
@@ -493,13 +493,13 @@ def _snapped(
     """
     nearest = int(np.argmax(np.abs(direction)))
     ahead = np.sign(direction[nearest]) * np.eye(3)[nearest]
-    angle = _angle(direction, ahead)
+    angle = angle_between(direction, ahead)
     if angle < _SNAP:
         return ahead
     if knuckles is not None and axis is not None and angle < _SNAP_WITH_PALM:
         lateral = np.delete(np.abs(axis), nearest).max() > np.cos(np.radians(_SNAP_AXIS))
         sagittal = knuckles - (knuckles @ axis) * axis
-        if lateral and _angle(sagittal, ahead) < angle:
+        if lateral and angle_between(sagittal, ahead) < angle:
             return ahead
     direction = np.where(np.abs(direction) < 1e-6, 0.0, direction)
     return direction / np.linalg.norm(direction)

@@ -8,20 +8,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
     THUMB,
     Finger,
     PalmKinematics,
-    columns_of,
+    Place,
     find_fingers,
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.hands.spec import PointSpec
+from handmap_qp.onboarding.anatomy import angle_between
 
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
@@ -112,22 +111,18 @@ def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
     Returns:
         One entry per finger; none if the hand has no thumb or no second finger.
     """
-    chains = find_fingers(hand)
-    if THUMB not in chains or len(chains) < 2:
+    fingers = find_fingers(hand)
+    if THUMB not in fingers:
         return ()
-    pads = fingertip_pads(hand, chains)
-    padded = hand.with_points([_pad_point(hand, name, pad) for name, pad in pads.items()])
-    names = list(pads)
-    thumb = names.index(THUMB)
-    pinches = []
-    for i, name in enumerate(names):
+    pads, pinches = fingertip_pads(hand, fingers), []
+    for name, finger in fingers.items():
         if name != THUMB:
-            joints = [*chains[THUMB].joints, *chains[name].joints]
-            columns = np.sort(columns_of(hand, joints))
-            radii = pads[THUMB].radius + pads[name].radius
-            distance, q = _nearest(padded, thumb, i, columns, radii)
-            gap = distance - radii
-            pinches.append(Pinch(name, gap, q))
+            used = [pads[THUMB], pads[name]]
+            radii = sum(pad.radius for pad in used)
+            columns = np.union1d(fingers[THUMB].columns, finger.columns)
+            places = [(pad.joint, pad.offset) for pad in used]
+            distance, q = _nearest(hand, places, columns, radii)
+            pinches.append(Pinch(name, distance - radii, q))
     return tuple(pinches)
 
 
@@ -139,25 +134,13 @@ def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
         return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
 
 
-def _pad_point(hand: Hand, finger: str, pad: Pad) -> PointSpec:
-    """Return the centre of a pad as a point on a link of the pad's joint."""
-    frames = (
-        (point, hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)])
-        for point in hand.spec.points
-    )
-    tip, frame = next(pair for pair in frames if pair[1].parentJoint == pad.joint)
-    x, y, z = (float(value) for value in frame.placement.actInv(pad.offset))
-    return PointSpec(f"{finger}_pad", tip.link, (x, y, z), finger)
-
-
 def _nearest(
-    hand: Hand, one: int, other: int, columns: np.ndarray, near: float
+    hand: Hand, places: list[Place], columns: np.ndarray, near: float
 ) -> tuple[float, np.ndarray]:
     """Return the smallest distance of two points, or one below `near`, and the posture there."""
-    low, high = hand.lower_limits[columns], hand.upper_limits[columns]
-    generator = np.random.default_rng(0)
-    starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high)]
-    starts += [low + generator.random(len(columns)) * (high - low) for _ in range(_STARTS)]
+    view, low, high = PalmKinematics(hand), hand.lower_limits[columns], hand.upper_limits[columns]
+    random = low + np.random.default_rng(0).random((_STARTS, len(columns))) * (high - low)
+    starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high), *random]
     best, best_q = np.inf, hand.rest.copy()
     for start in starts:
         if best < near:
@@ -165,22 +148,14 @@ def _nearest(
         q = hand.rest.copy()
         q[columns] = start
         for _ in range(_ITERATIONS):
-            points = hand.points(q)
-            gap = points[one] - points[other]
+            gap = np.subtract(*view.points(q, places))
             distance = float(np.linalg.norm(gap))
             if distance < best:
                 best, best_q = distance, q.copy()
-            jacobian = hand.point_jacobian(q)[:, columns]
-            J = jacobian[3 * other : 3 * other + 3] - jacobian[3 * one : 3 * one + 3]
+            J = np.subtract(*(view.motion(q, place)[:3, columns] for place in reversed(places)))
             step = J.T @ np.linalg.solve(J @ J.T + _DAMPING**2 * np.eye(3), gap)
             moved = np.clip(q[columns] + step, low, high)
             if distance < near or np.abs(moved - q[columns]).max() < 1e-4:
                 break
             q[columns] = moved
     return best, best_q
-
-
-def angle_between(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the angle between two vectors [deg]; 180 if one is zero."""
-    length = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(np.degrees(np.arccos(np.clip(one @ other / length, -1.0, 1.0)))) if length else 180
