@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handmap_qp.hands import human
 from handmap_qp.hands.spec import Side
 from handmap_qp.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.onboarding.flexion import HandFlexion
 
-FINGERS = ("index", "middle", "ring", "little")
+FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
 # Confidence with two kinds of evidence that agree, with one, and with two that disagree.
 _CERTAIN, _LIKELY, _DISPUTED = 0.95, 0.75, 0.5

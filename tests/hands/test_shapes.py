@@ -81,6 +81,13 @@ def test_flexing_joints_shorten_a_straight_finger_towards_the_palm(name: str) ->
             assert motion @ finger.closing[flexion.columns] < 0.0
 
 
+def test_axes_a_few_degrees_apart_bend_a_finger_and_others_do_not() -> None:
+    """Axes of Romeo's fingers are 7 degrees apart, those of its thumb 35."""
+    fingers = find_fingers(hand("romeo_right"))
+    assert fingers["index"].bending == [*fingers["index"].joints]
+    assert fingers["thumb"].bending == [*fingers["thumb"].joints[1:]]
+
+
 def test_a_round_fingertip_is_its_own_pad() -> None:
     robot = hand("allegro_right")
     chains = find_fingers(robot)
