@@ -1,102 +1,537 @@
-"""The fingers of any hand: knuckle, middle joint, fingertip and reach, found on its model."""
+"""The fingers of any hand: one analysis of their joints, on the hand's Pinocchio model.
+
+The joints of a finger whose axes are nearly parallel to that of its last turning joint *flex* it.
+The finger is straight where its tip is farthest from the first of these axes. It closes towards the
+end of their ranges where it is shortest, or to which the ranges are longer. All other joints spread
+it, or bring a thumb before the palm.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.mimic import Expansion
 from handmap_qp.hands.spec import PointSpec
 
 THUMB = "thumb"
 """Name of the finger that the others pinch."""
+PARALLEL = 0.85
+"""Cosine from which on two axes are parallel.
 
-# A joint flexes a finger if its axis is as parallel as this to that of the finger's last joint.
-_PARALLEL = 0.7
-# A middle joint is at least this share of the reach away from the knuckle.
-_MIDDLE_SHARE = 0.2
+On the 30 robot hands of `benchmarks/bench_hands.py` and the human one, joints that flex a finger
+have 0.99 and more with its last joint at zero, and no other joint has more than 0.82.
+"""
+
+Place = tuple[int, np.ndarray]
+"""A joint of the model, and a point's offset on it [m], shape (3,)."""
+
+# Place of the PIP joint between knuckle and tip on a person, and the least and largest share of the
+# finger at which a joint counts as one.
+_PIP, _LEAST, _MOST = 0.45, 0.15, 0.88
 _REACH_SAMPLES = 200
-# Pinocchio's names of prismatic joints, along an axis of the frame or any other.
-_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic")
+# Samples of a joint's range, and of the way from straight to one end of the ranges.
+_GRID, _SWEEP = 25, 11
+# Least relative change of a finger's length that counts as curling.
+_LEAST_CURL = 0.06
+# A joint of a parallelogram turns the tip by less than this per radian: a jaw that moves on a
+# circle, and curls nothing.
+_LEAST_TURN = 0.1
+# Largest relative difference of a finger's lengths at both ends of a range, and of the ranges to
+# both sides, that count as equal.
+_EVEN_LENGTH, _EVEN_RANGE = 0.08, 0.25
+# A finger that is this near to its full length at the zero position is straight there.
+_STRAIGHT = 0.993
+# Joints that are flexed by more than this at the zero position say that it is no straight one
+# [rad].
+_FLEXED_ZERO = 0.3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FingerEnd:
-    """Where a fingertip is on a hand's model.
+class Jointed(Protocol):
+    """What the analysis reads of a hand, or of a robot in which a hand is looked for."""
 
-    Attributes:
-        joints: Joints of the model that move this finger's tip and not the palm, outwards.
-        tip: Joint of the model that carries the fingertip, and its offset there [m], shape (3,).
+    model: pin.Model
+    palm_frame_id: int
+    lower_limits: np.ndarray
+    upper_limits: np.ndarray
+    joint_columns: np.ndarray
+
+    @property
+    def expansion(self) -> Expansion | None:
+        """From the active coordinates to all of the model's; None if all are active."""
+        ...
+
+    def configuration_vector(self, q: np.ndarray) -> np.ndarray:
+        """Return Pinocchio's configuration at joint angles, shape (n,)."""
+        ...
+
+    def write_configuration(self, vector: np.ndarray, q: np.ndarray) -> None:
+        """Write the joints into a configuration of the caller's."""
+        ...
+
+
+class PalmKinematics:
+    """Points and motions of a hand's joints in palm axes; for one user at a time.
+
+    Args:
+        hand: The hand.
     """
 
-    joints: tuple[int, ...]
-    tip: tuple[int, np.ndarray]
+    def __init__(self, hand: Jointed) -> None:
+        self.hand, self._data = hand, hand.model.createData()
+        self._vector = hand.configuration_vector(zero_posture(hand))
+
+    def points(self, q: np.ndarray, places: Sequence[Place]) -> np.ndarray:
+        """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
+        rows = []
+        for posture in np.reshape(q, (-1, np.shape(q)[-1])):
+            self.hand.write_configuration(self._vector, posture)
+            pin.forwardKinematics(self.hand.model, self._data, self._vector)
+            to_palm = self._palm.inverse()
+            rows.append([(to_palm * self._data.oMi[j]).act(offset) for j, offset in places])
+        return np.array(rows).reshape(*np.shape(q)[:-1], len(places), 3)
+
+    def axes(self, q: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return axes of joints (zero of prismatic ones) and points on them [m], (k, 3) each."""
+        model, palm = self.hand.model, self._place(q)
+        turns = self._data.J[3:, [model.joints[j].idx_v for j in joints]].T
+        points = [palm.actInv(self._data.oMi[j].translation) for j in joints]
+        return turns @ palm.rotation, np.array(points)
+
+    def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
+        """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
+        hand, palm = self.hand, self._place(q)
+        supports = hand.model.supports
+        mine = set(supports[place[0]]) - set(
+            supports[hand.model.frames[hand.palm_frame_id].parentJoint]
+        )
+        rows = [hand.model.joints[j].idx_v for j in mine]
+        point = self._data.oMi[place[0]].act(place[1])
+        linear, turns = self._data.J[:3, rows], self._data.J[3:, rows]
+        linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
+        blocks = [palm.rotation.T @ part @ joint_motion(hand)[rows] for part in (linear, turns)]
+        return np.vstack(blocks)
+
+    def _place(self, q: np.ndarray) -> pin.SE3:
+        self.hand.write_configuration(self._vector, q)
+        pin.computeJointJacobians(self.hand.model, self._data, self._vector)
+        return self._palm
+
+    @property
+    def _palm(self) -> pin.SE3:
+        frame = self.hand.model.frames[self.hand.palm_frame_id]
+        return self._data.oMi[frame.parentJoint] * frame.placement
+
+
+def joint_motion(hand: Jointed) -> np.ndarray:
+    """Return the motion of the model per unit of every joint that is set, shape (nv, n)."""
+    every = np.eye(hand.model.nv) if hand.expansion is None else hand.expansion.matrix
+    return every[:, hand.joint_columns]
+
+
+def zero_posture(hand: Jointed) -> np.ndarray:
+    """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
+    return np.clip(0.0, hand.lower_limits, hand.upper_limits)
+
+
+def columns_of(hand: Jointed, joints: Sequence[int]) -> np.ndarray:
+    """Return the columns of q that move joints of the model, in the order of their last ones."""
+    moves = joint_motion(hand)[[hand.model.joints[j].idx_v for j in joints]] != 0.0
+    columns = np.flatnonzero(moves.any(axis=0))
+    return columns[np.argsort(-moves[::-1, columns].argmax(axis=0), kind="stable")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FingerChain(FingerEnd):
-    """Where all of a finger's points are on a hand's model.
+class Flexion:
+    """How the joints of a finger with parallel axes curl it; k of them.
 
     Attributes:
+        columns: Their columns in q, from the palm outwards, shape (k,).
+        signs: Sense of each about `axis`, shape (k,).
+        axis: Common axis in palm axes, shape (3,).
+        knuckle: Point of the first axis nearest to the tip, in palm axes [m], shape (3,).
+        straight: Joint positions where the finger is straight [rad], shape (k,).
+        sense: Sense of the closed end about `axis`; 0 if both ends are alike.
+        certainty: Confidence in the sense, from 0 to 1.
+        curls: Whether they shorten the finger by more than a few hundredths.
+    """
+
+    columns: np.ndarray
+    signs: np.ndarray
+    axis: np.ndarray
+    knuckle: np.ndarray
+    straight: np.ndarray
+    sense: float
+    certainty: float
+    curls: bool
+
+
+class Finger:
+    """A finger on a hand's model; what is found by a search is found when it is first read.
+
+    Args:
+        hand: The hand.
+        joints: Joints of the model that move the fingertip and not the palm, outwards.
+        tip: The fingertip.
         name: Anatomical name.
-        knuckle: Joint of the model that carries the knuckle, and its offset there [m], shape (3,).
-        middle: The same of the middle joint.
-        reach: Largest distance from knuckle to tip within the joint limits [m].
-        stretched: Joint angles in the order of `Hand.joint_names` where it has that reach [rad],
-            shape (n,).
-        is_jaw: True if all its joints are prismatic, so that it can neither bend nor stretch.
+        own: Those joints that move no other fingertip; all if omitted.
+        knuckle: The knuckle, if it is known.
+        middle: The middle joint, if it is known.
     """
 
-    name: str
-    knuckle: tuple[int, np.ndarray]
-    middle: tuple[int, np.ndarray]
-    reach: float
-    stretched: np.ndarray
-    is_jaw: bool = False
+    def __init__(
+        self,
+        hand: Jointed,
+        joints: Sequence[int],
+        tip: Place,
+        *,
+        name: str = "",
+        own: Sequence[int] = (),
+        knuckle: Place | None = None,
+        middle: Place | None = None,
+    ) -> None:
+        self.hand, self.joints, self.tip, self.name = hand, tuple(joints), tip, name
+        self._own = tuple(own) or self.joints
+        self._knuckle, self._middle = knuckle, middle
+
+    @property
+    def is_jaw(self) -> bool:
+        """Whether all joints are prismatic, so that the finger can neither bend nor stretch."""
+        return bool(self.joints) and not self._axes(self.joints)[0].any()
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """Columns of q that move the finger, from the palm outwards, shape (c,)."""
+        return columns_of(self.hand, self.joints)
+
+    @cached_property
+    def bending(self) -> list[int]:
+        """Its own joints with axes parallel to the last one's; all if there is none."""
+        turns = self._axes(self._own)[0]
+        parallel = np.abs(turns @ turns[-1]) > PARALLEL
+        return [j for j, is_one in zip(self._own, parallel, strict=True) if is_one] or [*self._own]
+
+    @cached_property
+    def knuckle(self) -> Place:
+        """The given one; else the point of the first bending axis nearest to the tip.
+
+        A thumb's is the origin of its first joint.
+        """
+        if self._knuckle is not None or not self.joints:
+            return self._knuckle or self.tip
+        if self.name == THUMB:
+            return self._own[0], np.zeros(3)
+        return self._on_axis(self.bending[0], zero_posture(self.hand))
+
+    @cached_property
+    def middle(self) -> Place:
+        """The given one; else the found one, else the origin of the last joint."""
+        if self._middle is not None or not self.joints:
+            return self._middle or self.tip
+        return self.find_middle() or (self._own[-1], np.zeros(3))
+
+    def find_middle(self) -> Place | None:
+        """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
+
+        A thumb's is its last bending joint, a finger's the one next to the place of a person's
+        joint among those beyond the knuckle. The point lies on the joint's axis, where the axis is
+        nearest to the fingertip.
+        """
+        view, q = PalmKinematics(self.hand), zero_posture(self.hand)
+        if self.flexion is not None:
+            q[self.flexion.columns] = self.flexion.straight
+        tip, is_thumb = view.points(q, [self.tip])[0], self.name == THUMB
+        turns, points = view.axes(q, self.bending)
+        points = points + ((tip - points) * turns).sum(axis=1, keepdims=True) * turns
+        joints = self.bending
+        if is_thumb and len(joints) < 2 and self._own[0] != joints[0]:
+            # A thumb's joint at its root counts as its knuckle, whatever its axis.
+            joints = [self._own[0], *joints]
+            points = np.vstack([view.axes(q, joints[:1])[1], points])
+        ways = np.cumsum(np.linalg.norm(np.diff([*points, tip], axis=0), axis=1))
+        shares = ways[:-1] / max(ways[-1], 1e-6)
+        near = [k for k, share in enumerate(shares) if _LEAST < share < _MOST]
+        if not near or not turns.any():
+            return None
+        best = near[-1] if is_thumb else min(near, key=lambda k: abs(shares[k] - _PIP))
+        return self._on_axis(joints[best + 1], q)
+
+    @property
+    def reach(self) -> float:
+        """Largest distance from knuckle to tip within the joint limits [m]; NaN without joints."""
+        return self._farthest[0]
+
+    @property
+    def stretched(self) -> np.ndarray:
+        """Joint angles where it has that reach [rad or m], shape (n,)."""
+        return self._farthest[1]
+
+    @cached_property
+    def _farthest(self) -> tuple[float, np.ndarray]:
+        """Find reach and its posture: random search, refined."""
+        hand, data, moving = self.hand, self.hand.model.createData(), np.sort(self.columns)
+        best_q, (tip, knuckle) = zero_posture(hand), (self.tip, self.knuckle)
+        vector = hand.configuration_vector(best_q)
+        if not self.joints:
+            return float("nan"), best_q
+
+        def distance(q: np.ndarray) -> float:
+            hand.write_configuration(vector, q)
+            pin.forwardKinematics(hand.model, data, vector)
+            return math.dist(data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1]))
+
+        best = distance(best_q)
+        low, high = hand.lower_limits[moving], hand.upper_limits[moving]
+        random = np.random.default_rng(0)
+        for _ in range(_REACH_SAMPLES if len(moving) else 0):
+            q = best_q.copy()
+            q[moving] = random.uniform(low, high)
+            if (d := distance(q)) > best + 1e-9:
+                best, best_q = d, q
+        step = 0.25 * (high - low)
+        while (step > 1e-3).any():
+            improved = False
+            for i, column in enumerate(moving):
+                for sign in (-1.0, 1.0):
+                    q = best_q.copy()
+                    q[column] = min(max(q[column] + sign * step[i], low[i]), high[i])
+                    if (d := distance(q)) > best + 1e-9:
+                        best, best_q, improved = d, q, True
+            if not improved:
+                step = 0.5 * step
+        return best, best_q
+
+    @cached_property
+    def flexion(self) -> Flexion | None:
+        """How it curls; None if no joint turns the tip."""
+        hand, view, zero = self.hand, PalmKinematics(self.hand), zero_posture(self.hand)
+        lower, upper = hand.lower_limits, hand.upper_limits
+        columns = self._flexing_columns(view.motion(zero, self.tip)[3:])
+        if not len(columns):
+            return None
+        _, base, signs, gears = self._axis(view, columns, zero)
+
+        def lengths(postures: np.ndarray) -> np.ndarray:
+            return np.linalg.norm(view.points(postures, [self.tip])[..., 0, :] - base, axis=-1)
+
+        q = self._straightened(columns, zero, lengths)
+        shares, travels = np.zeros(2), np.zeros(2)
+        for k, sense in enumerate((1.0, -1.0)):
+            way = np.where(sense * signs > 0.0, upper[columns], lower[columns]) - q[columns]
+            postures = np.tile(q, (_SWEEP, 1))
+            postures[:, columns] += np.linspace(0.0, 1.0, _SWEEP)[:, None] * way
+            bent = lengths(postures)
+            shares[k], travels[k] = 1.0 - bent.min() / max(bent[0], 1e-9), np.abs(gears * way).sum()
+        sense, certainty = _sense(shares, travels)
+        straight = self._with_knuckle(columns, q[columns], sense * signs)
+        q[columns] = straight
+        axis, base, signs, _ = self._axis(view, columns, q)
+        curls = bool(shares.max() > _LEAST_CURL)
+        return Flexion(columns, signs, axis, base, straight, sense, certainty, curls)
+
+    @cached_property
+    def closing(self) -> np.ndarray:
+        """Sense in which each joint flexes the finger; 0 of all other joints, shape (n,).
+
+        A finger that curls equally far both ways flexes to the palm's side.
+        """
+        found, senses = self.flexion, np.zeros(len(self.hand.lower_limits))
+        if found is not None:
+            motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
+            dorsal = float(motion[2, found.columns] @ found.signs)
+            senses[found.columns] = found.signs * (found.sense or -np.sign(dorsal) or 1.0)
+        return senses
+
+    def flexion_at(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return axis (3,), knuckle (3,) [m] and signs (k,) of the flexion in another posture."""
+        assert self.flexion is not None
+        return self._axis(PalmKinematics(self.hand), self.flexion.columns, q)[:3]
+
+    def _axes(self, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)
+
+    def _on_axis(self, joint: int, q: np.ndarray) -> Place:
+        """Return the point of a turning joint's axis nearest to the tip in a posture."""
+        hand, data = self.hand, self.hand.model.createData()
+        column = hand.model.joints[joint].idx_v
+        pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q))
+        axis, placed = data.J[3:, column], data.oMi[joint]
+        lever = data.oMi[self.tip[0]].act(self.tip[1]) - placed.translation
+        return joint, placed.rotation.T @ ((lever @ axis) * axis)
+
+    def _flexing_columns(self, turns: np.ndarray) -> np.ndarray:
+        """Return the columns that turn the tip about the axis of the last one that does."""
+        sizes = np.linalg.norm(turns, axis=0)
+        turning = [j for j in self.columns if sizes[j] > _LEAST_TURN]
+        last = turning[-1:]
+        return np.array(
+            [
+                j
+                for j in turning
+                if abs(turns[:, j] @ turns[:, last[0]]) > PARALLEL * sizes[j] * sizes[last[0]]
+            ],
+            dtype=int,
+        )
+
+    def _axis(
+        self, view: PalmKinematics, columns: np.ndarray, q: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return axis (3,), knuckle on it (3,), and each column's sense and gear about it (k,)."""
+        turns = view.motion(q, self.tip)[3:, columns]
+        # The sense of the axis is that of the last joint, in every posture.
+        axis = turns[:, -1] / np.linalg.norm(turns[:, -1])
+        along = axis @ turns
+        model, motion = self.hand.model, joint_motion(self.hand)
+        moved = [j for j in self.joints if motion[model.joints[j].idx_v, columns[0]] != 0.0]
+        all_axes, points = view.axes(q, moved)
+        first = int(np.argmax(all_axes.any(axis=1)))
+        tip = view.points(q, [self.tip])[0]
+        base = points[first] + ((tip - points[first]) @ all_axes[first]) * all_axes[first]
+        return axis, base, np.sign(along), np.abs(along)
+
+    def _straightened(
+        self, columns: np.ndarray, zero: np.ndarray, lengths: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Return the posture of some joints at which the finger is longest, else zero."""
+        hand, q, best = self.hand, zero.copy(), 0.0
+        # Coordinate descent: the best value of a joint depends on the others; three rounds suffice.
+        for _ in range(3):
+            for j in columns:
+                grid = np.append(
+                    np.linspace(hand.lower_limits[j], hand.upper_limits[j], _GRID), q[j]
+                )
+                postures = np.tile(q, (len(grid), 1))
+                postures[:, j] = grid
+                found = lengths(postures)
+                best = float(found.max())
+                # Several postures are equally straight: take the one nearest to zero.
+                near = grid[found >= (1.0 - 1e-4) * best]
+                q[j] = near[np.argmin(np.abs(near - zero[j]))]
+        return zero.copy() if lengths(zero) > _STRAIGHT * best else q
+
+    def _with_knuckle(
+        self, columns: np.ndarray, straight: np.ndarray, sense: np.ndarray
+    ) -> np.ndarray:
+        """Return a straight posture whose knuckle is stretched too, if zero is half a fist.
+
+        The knuckle's angle does not change the finger's length, so that its zero position counts as
+        straight. If the joints beyond it are flexed at zero, the knuckle is too: it is put at the
+        same share of its range as they are at when straight.
+        """
+        lower, upper = self.hand.lower_limits[columns], self.hand.upper_limits[columns]
+        flexed = sense * (np.clip(0.0, lower, upper) - straight)
+        if sense[0] == 0.0 or len(columns) < 2 or flexed[1:].mean() < _FLEXED_ZERO:
+            return straight
+        open_end = np.where(sense > 0.0, lower, upper)
+        share = float((np.abs(straight - open_end) / (upper - lower))[1:].mean())
+        knuckle = open_end[0] + sense[0] * share * (upper[0] - lower[0])
+        return np.array([knuckle, *straight[1:]])
 
 
-def find_finger_ends(hand: Hand) -> dict[str, FingerEnd]:
-    """Find the fingertip of every finger, and the joints that move it.
+def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
+    """Return the sense of the closed end, 0 if unknown, and the confidence in it.
+
+    Args:
+        shares: Relative shortening of the finger towards either sense, shape (2,).
+        travels: Sum of the ranges towards either sense [rad], shape (2,).
+    """
+    by_share = float(shares[0] - shares[1])
+    by_range = float(travels[0] - travels[1]) / max(float(travels.sum()), 1e-9)
+    has_share, has_range = abs(by_share) > _EVEN_LENGTH, abs(by_range) > _EVEN_RANGE
+    if has_share and has_range:
+        return float(np.sign(by_share)), 0.95 if by_share * by_range > 0.0 else 0.5
+    if has_share or has_range:
+        return float(np.sign(by_share if has_share else by_range)), 0.75
+    return 0.0, 0.0
+
+
+def nearing(view: PalmKinematics, ends: np.ndarray, tips: Sequence[Place], i: int) -> float:
+    """Return how much nearer a tip is to all others in the second of two postures (2, n) [m]."""
+    points = view.points(ends, tips)
+    before, after = np.linalg.norm(points - points[:, i : i + 1], axis=2).sum(axis=1)
+    return float(before - after)
+
+
+def ends_of(
+    hand: Jointed,
+    q: np.ndarray,
+    columns: np.ndarray | Sequence[int],
+    signs: np.ndarray | float = 1.0,
+) -> np.ndarray:
+    """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
+    ends = np.tile(q, (2, 1))
+    limits = np.array([hand.lower_limits[columns], hand.upper_limits[columns]])
+    ends[:, columns] = np.where(np.asarray(signs) > 0.0, limits, limits[::-1])
+    return ends
+
+
+def open_and_closing(hand: Hand, fingers: Sequence[Finger]) -> tuple[np.ndarray, np.ndarray]:
+    """Find how a described hand closes.
+
+    Fingers that curl start straight. Jaws start open, and close towards the other fingertips. Other
+    joints keep their rest positions.
+
+    Args:
+        hand: The hand.
+        fingers: Its fingers.
+
+    Returns:
+        The open posture [rad or m], and the sense in which each joint closes, 0 if it does not;
+        shape (n,) each.
+    """
+    view, q, senses = PalmKinematics(hand), hand.rest.copy(), np.zeros(len(hand.rest))
+    tips = [finger.tip for finger in fingers]
+    for i, finger in enumerate(fingers):
+        if finger.flexion is not None:
+            columns = finger.flexion.columns
+            senses[columns], q[columns] = finger.closing[columns], finger.flexion.straight
+        else:
+            for column in finger.columns:
+                ends = ends_of(hand, hand.rest, [column])
+                senses[column] = np.sign(round(nearing(view, ends, tips, i), 4))
+                if senses[column] != 0.0:
+                    q[column] = ends[int(senses[column] < 0.0), column]
+    return q, senses
+
+
+def find_fingers(hand: Hand) -> dict[str, Finger]:
+    """Find the fingers that a hand's description names.
+
+    Points that it names after landmarks (as name or partner) are taken from there. Otherwise the
+    tip is the finger's named point farthest from the palm when stretched.
 
     Args:
         hand: The hand.
 
     Returns:
-        Fingers by name, as of `find_fingers`.
+        Fingers by name, in the order of `FINGERS`.
     """
-    named = _points_by_finger(hand)
-    places = {f: _place(hand, _tip(hand, f, named[f])) for f in FINGERS if f in named}
-    return {finger: FingerEnd(_moving_joints(hand, tip), tip) for finger, tip in places.items()}
-
-
-def find_fingers(hand: Hand) -> dict[str, FingerChain]:
-    """Find knuckle, middle joint, tip and reach of every finger of a hand.
-
-    Points that the description names after landmarks (as name or partner) are taken from there.
-    Otherwise the tip is the finger's named point farthest from the palm when stretched. The knuckle
-    lies on the axis of the first joint that flexes the finger (one whose axis is nearly parallel to
-    the last joint's), where it is nearest to the stretched tip. The middle joint lies in the same
-    way on the first flexing axis beyond a fifth of the reach. A thumb's knuckle is the origin of
-    its first joint, its middle joint that of its last.
-
-    Args:
-        hand: The hand.
-
-    Returns:
-        Fingers by name, in the order of `FINGERS`; those that the description does not name are
-        left out.
-    """
-    named = _points_by_finger(hand)
-    ends = find_finger_ends(hand)
-    carriers = {finger: end.tip[0] for finger, end in ends.items()}
-    return {
-        finger: _chain(hand, finger, named[finger], end, carriers) for finger, end in ends.items()
-    }
+    named, supports = _points_by_finger(hand), hand.model.supports
+    tips = {f: place_of(hand, _tip(hand, f, named[f])) for f in FINGERS if f in named}
+    in_palm = set(supports[hand.model.frames[hand.palm_frame_id].parentJoint])
+    fingers = {}
+    for finger, tip in tips.items():
+        joints = [joint for joint in supports[tip[0]] if joint not in in_palm]
+        others = {j for f, (joint, _) in tips.items() if f != finger for j in supports[joint]}
+        first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
+        fingers[finger] = Finger(
+            hand,
+            joints,
+            tip,
+            name=finger,
+            own=[joint for joint in joints if joint not in others],
+            knuckle=_named(hand, f"{finger}_{first}", named[finger]),
+            middle=_named(hand, f"{finger}_{last}", named[finger]),
+        )
+    return fingers
 
 
 def finger_tips(hand: Hand) -> dict[str, str]:
@@ -140,167 +575,17 @@ def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
     for point in points:
         if f"{finger}_tip" in (point.partner, point.name):
             return point
-    data = hand.model.createData()
-    place_robot(hand, data, np.clip(0.0, hand.lower_limits, hand.upper_limits), None)
-    origin = data.oMf[hand.palm_frame_id].translation
-    distances = []
-    for point in points:
-        joint, offset = _place(hand, point)
-        distances.append(np.linalg.norm(data.oMi[joint].act(offset) - origin))
-    return points[int(np.argmax(distances))]
+    places = [place_of(hand, point) for point in points]
+    in_palm = PalmKinematics(hand).points(zero_posture(hand), places)
+    return points[int(np.linalg.norm(in_palm, axis=1).argmax())]
 
 
-def _place(hand: Hand, point: PointSpec) -> tuple[int, np.ndarray]:
-    """The joint of the model that carries a point, and the point's offset on it."""
+def _named(hand: Hand, landmark: str, points: list[PointSpec]) -> Place | None:
+    found = (point for point in points if landmark in (point.partner, point.name))
+    return next((place_of(hand, point) for point in found), None)
+
+
+def place_of(hand: Hand, point: PointSpec) -> Place:
+    """Return the joint of the model that carries a point, and the point's offset on it."""
     frame = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)]
     return frame.parentJoint, frame.placement.act(np.array(point.xyz))
-
-
-def _moving_joints(hand: Hand, tip: tuple[int, np.ndarray]) -> tuple[int, ...]:
-    """Return the joints that move a fingertip and not the palm, outwards."""
-    supports = hand.model.supports
-    in_palm = set(supports[hand.model.frames[hand.palm_frame_id].parentJoint])
-    return tuple(joint for joint in supports[tip[0]] if joint not in in_palm)
-
-
-def _chain(
-    hand: Hand, finger: str, points: list[PointSpec], end: FingerEnd, carriers: dict[str, int]
-) -> FingerChain:
-    supports, joints, tip = hand.model.supports, end.joints, end.tip
-    own = [
-        j
-        for j in joints
-        if not any(j in supports[other] for name, other in carriers.items() if name != finger)
-    ] or list(joints)
-    if not own:
-        return FingerChain((), tip, finger, tip, tip, float("nan"), hand.rest.copy())
-    first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
-    bending = _bending_joints(hand, own)
-    knuckle = _named(hand, finger, first, points)
-    middle = _named(hand, finger, last, points)
-    if knuckle is None:
-        on_first = (own[0] if finger == THUMB else bending[0], np.zeros(3))
-        knuckle = on_first if finger == THUMB else _nearest_on_axis(hand, on_first[0], tip)
-    reach, stretched = _reach(hand, joints, knuckle, tip)
-    if middle is None and finger == THUMB:
-        middle = (own[-1], np.zeros(3))
-    elif middle is None:
-        joint = _middle_joint(hand, own, bending, knuckle, reach, stretched)
-        middle = _nearest_on_axis(hand, joint, tip)
-    is_jaw = all(hand.model.joints[j].shortname().startswith(_PRISMATIC) for j in joints)
-    return FingerChain(joints, tip, finger, knuckle, middle, reach, stretched, is_jaw)
-
-
-def _nearest_on_axis(hand: Hand, joint: int, tip: tuple[int, np.ndarray]) -> tuple[int, np.ndarray]:
-    """The point of a turning joint's axis nearest to the stretched hand's fingertip."""
-    data = hand.model.createData()
-    axis = pin.computeJointJacobians(hand.model, data, _stretched(hand))[
-        3:, hand.model.joints[joint].idx_v
-    ]
-    lever = data.oMi[tip[0]].act(tip[1]) - data.oMi[joint].translation
-    return joint, data.oMi[joint].rotation.T @ ((lever @ axis) * axis)
-
-
-def _named(
-    hand: Hand, finger: str, joint: str, points: list[PointSpec]
-) -> tuple[int, np.ndarray] | None:
-    for point in points:
-        if f"{finger}_{joint}" in (point.partner, point.name):
-            return _place(hand, point)
-    return None
-
-
-def _bending_joints(hand: Hand, joints: list[int]) -> list[int]:
-    """Those whose axes are nearly parallel to the last one's in the stretched hand."""
-    jacobian = pin.computeJointJacobians(hand.model, hand.model.createData(), _stretched(hand))
-    axes = {j: jacobian[3:, hand.model.joints[j].idx_v] for j in joints}
-    last = axes[joints[-1]]
-    bending = [j for j in joints if abs(float(axes[j] @ last)) > _PARALLEL]
-    return bending or joints
-
-
-def _stretched(hand: Hand) -> np.ndarray:
-    """Configuration vector of the stretched hand, its wrist at the origin."""
-    q = np.zeros(hand.model.nq)
-    hand.write_configuration(q, np.clip(0.0, hand.lower_limits, hand.upper_limits), np.eye(4))
-    return q
-
-
-def _middle_joint(
-    hand: Hand,
-    own: list[int],
-    bending: list[int],
-    knuckle: tuple[int, np.ndarray],
-    reach: float,
-    stretched: np.ndarray,
-) -> int:
-    """The first flexing joint far enough from the knuckle."""
-    data = hand.model.createData()
-    place_robot(hand, data, stretched, None)
-    base = data.oMi[knuckle[0]].act(knuckle[1])
-    for joint in bending:
-        if np.linalg.norm(data.oMi[joint].translation - base) > _MIDDLE_SHARE * reach:
-            return joint
-    return own[-1]
-
-
-def _reach(
-    hand: Hand,
-    joints: Sequence[int],
-    knuckle: tuple[int, np.ndarray],
-    tip: tuple[int, np.ndarray],
-) -> tuple[float, np.ndarray]:
-    """Largest distance from knuckle to tip within the limits, and where: random search, refined."""
-    data, model = hand.model.createData(), hand.model
-    moving, vector = moving_columns(hand, joints), _stretched(hand)
-
-    def distance(q: np.ndarray) -> float:
-        hand.write_configuration(vector, q)
-        pin.forwardKinematics(model, data, vector)
-        return math.dist(data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1]))
-
-    best_q = np.clip(0.0, hand.lower_limits, hand.upper_limits)
-    best = distance(best_q)
-    if not len(moving) or model.nq == 0:
-        return best, best_q
-    low, high = hand.lower_limits[moving], hand.upper_limits[moving]
-    random = np.random.default_rng(0)
-    for _ in range(_REACH_SAMPLES):
-        q = best_q.copy()
-        q[moving] = random.uniform(low, high)
-        if (d := distance(q)) > best + 1e-9:
-            best, best_q = d, q
-    step = 0.25 * (high - low)
-    while (step > 1e-3).any():
-        improved = False
-        for i, column in enumerate(moving):
-            for sign in (-1.0, 1.0):
-                q = best_q.copy()
-                q[column] = min(max(q[column] + sign * step[i], low[i]), high[i])
-                if (d := distance(q)) > best + 1e-9:
-                    best, best_q, improved = d, q, True
-        if not improved:
-            step = 0.5 * step
-    return best, best_q
-
-
-def moving_columns(hand: Hand, joints: Sequence[int]) -> np.ndarray:
-    """Columns of q that move any of these joints of the model, followers included."""
-    base, columns = np.clip(0.0, hand.lower_limits, hand.upper_limits), []
-    indices = [hand.model.joints[j].idx_q for j in joints]
-    vector, changed = np.zeros(hand.model.nq), np.zeros(hand.model.nq)
-    hand.write_configuration(vector, base, np.eye(4))
-    for i in range(len(base)):
-        q = base.copy()
-        q[i] += 0.1
-        hand.write_configuration(changed, q, np.eye(4))
-        if not np.array_equal(changed[indices], vector[indices]):
-            columns.append(i)
-    return np.array(columns, dtype=int)
-
-
-def place_robot(hand: Hand, data: pin.Data, q: np.ndarray, wrist: np.ndarray | None) -> None:
-    """Place joints and frames of a hand at joint angles (n,) and a wrist pose (4, 4) or None."""
-    vector = np.zeros(hand.model.nq)
-    hand.write_configuration(vector, q, np.eye(4) if wrist is None else wrist)
-    pin.framesForwardKinematics(hand.model, data, vector)

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import FingerEnd
+from handmap_qp.hands.fingers import Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import distal_shapes
 from handmap_qp.hands.spec import PointSpec
@@ -46,7 +46,7 @@ class Pad(NamedTuple):
     cover: float = 0.0
 
 
-def find_pads(hand: Hand, chains: Mapping[str, FingerEnd]) -> dict[str, Pad]:
+def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     """Find the pad of every finger: that of its description, or in the shapes of its last joint.
 
     The depth of a point under a convex surface is the smallest of `support(n) - n p` over
@@ -72,7 +72,7 @@ def find_pads(hand: Hand, chains: Mapping[str, FingerEnd]) -> dict[str, Pad]:
     }
 
 
-def _given_pad(hand: Hand, point: PointSpec, chain: FingerEnd, geometry: pin.GeometryModel) -> Pad:
+def _given_pad(hand: Hand, point: PointSpec, chain: Finger, geometry: pin.GeometryModel) -> Pad:
     """Return the pad that a description gives, in the frame of the joint that carries it."""
     assert point.pad is not None
     frame = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)]
@@ -82,13 +82,13 @@ def _given_pad(hand: Hand, point: PointSpec, chain: FingerEnd, geometry: pin.Geo
     return Pad(frame.parentJoint, offset, radius, max(0.0, radius - max(0.0, depth)))
 
 
-def _pad(chain: FingerEnd, geometry: pin.GeometryModel) -> Pad:
+def _pad(chain: Finger, geometry: pin.GeometryModel) -> Pad:
     joint, tip = chain.tip
     supports = _supports_of(chain, joint, geometry)
     return Pad(joint, *_ball(supports, tip)) if supports else Pad(joint, tip, _RADIUS)
 
 
-def _supports_of(chain: FingerEnd, joint: int, geometry: pin.GeometryModel) -> list[np.ndarray]:
+def _supports_of(chain: Finger, joint: int, geometry: pin.GeometryModel) -> list[np.ndarray]:
     """Return the supports of a finger's shapes on one joint, in the joint's frame."""
     shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
     return [_supports(shape) for shape in shapes if shape.parentJoint == joint]

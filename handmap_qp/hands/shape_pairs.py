@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, FingerChain, FingerEnd
+from handmap_qp.hands.fingers import THUMB, Finger
 from handmap_qp.hands.hand import Hand
 
 
@@ -57,7 +57,7 @@ def named_pairs(hand: Hand) -> ShapePairs:
     return ShapePairs(geometry, tuple(links), ("",) * len(links))
 
 
-def all_pairs(hand: Hand, chains: dict[str, FingerChain]) -> ShapePairs:
+def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     """Pair all shapes that may collide.
 
     Pairs on one joint, on neighbouring joints, on one finger, or that overlap at rest or with the
@@ -95,7 +95,7 @@ def all_pairs(hand: Hand, chains: dict[str, FingerChain]) -> ShapePairs:
     )
 
 
-def distal_shapes(chain: FingerEnd, geometry: pin.GeometryModel) -> list[int]:
+def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     """Find the shapes on a finger's last joint, or on the nearest one before it that has any.
 
     Args:

@@ -10,12 +10,12 @@ leave the plane of their finger, give the nearest in that sense.
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.fingers import THUMB
+from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
-from handmap_qp.transform import inverse_pose, transform_points
 
 # Bones that point along the axis of abduction say nothing of it: length that pulls it to zero [m].
 _STRAIGHTENING = 0.0005
@@ -56,7 +56,11 @@ class FingerAngles:
             )
         self._points = np.array([[names[name] for name in needed[finger]] for finger in fingers])
         self.columns = np.array([4 * FINGERS.index(finger) + np.arange(4) for finger in fingers])
-        self._fingers = [_FingerFrames(human, columns) for columns in self.columns]
+        found = find_fingers(human)
+        self._fingers = [
+            _FingerFrames(human, found[finger], columns)
+            for finger, columns in zip(fingers, self.columns, strict=True)
+        ]
 
     def measure(self, in_palm: np.ndarray) -> np.ndarray:
         """Return the joint angles [rad], shape (f, 4).
@@ -73,9 +77,11 @@ class FingerAngles:
 class _FingerFrames:
     """One finger's joint frames at zero, in palm axes: x along the bones, z along the axis."""
 
-    def __init__(self, human: Hand, columns: np.ndarray) -> None:
-        tip = human.with_points((f"{HUMAN_JOINTS[columns[0]].partition('_')[0]}_tip",))
-        axes, bone = _axes_at_zero(tip, columns)
+    def __init__(self, human: Hand, finger: Finger, columns: np.ndarray) -> None:
+        view, zero = PalmKinematics(human), np.zeros(len(human.joint_names))
+        axes, origins = view.axes(zero, finger.joints)
+        bone = view.points(zero, [finger.tip])[0] - origins[-1]
+        bone = bone / np.linalg.norm(bone)
         self._frames = [np.column_stack([bone, np.cross(axis, bone), axis]) for axis in axes]
         self._lower, self._upper = human.lower_limits[columns], human.upper_limits[columns]
         # Bones that stay in one plane however the finger bends.
@@ -103,36 +109,12 @@ class _FingerFrames:
     def _bend(self, abduction: float, bones: np.ndarray) -> np.ndarray:
         """Return all angles, given the first."""
         angles = [abduction]
-        turned = _about_axis(self._frames[0], abduction)
+        turned = pin.exp3(abduction * self._frames[0][:, 2])
         for frame, bone in zip(self._frames[1:], bones, strict=True):
             x, y, _ = frame.T.dot(turned.T.dot(bone))
             angles.append(float(np.arctan2(y, x)))
-            turned = turned.dot(_about_axis(frame, angles[-1]))
+            turned = turned.dot(pin.exp3(angles[-1] * frame[:, 2]))
         return np.array(angles)
-
-
-def _about_axis(frame: np.ndarray, angle: float) -> np.ndarray:
-    """Return the rotation about a frame's z axis, shape (3, 3)."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, y, z = frame.T
-    return (
-        cosine * (np.outer(x, x) + np.outer(y, y))
-        + sine * (np.outer(y, x) - np.outer(x, y))
-        + np.outer(z, z)
-    )
-
-
-def _axes_at_zero(tip: Hand, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a finger's joint axes (4, 3) and its direction (3,) at zero, in palm axes."""
-    zero = np.zeros(len(tip.joint_names))
-    palm = inverse_pose(tip.frame_pose("palm", zero))
-    configuration = tip.configuration()
-    configuration.place_with_jacobians(tip.configuration_vector(zero))
-    axes = configuration.joint_jacobian()[3:, tip.v_indices[columns]].T
-    last = tip.frame_pose(HUMAN_JOINTS[columns[-1]], zero)[:3, 3]
-    ends = transform_points(palm, np.array([last, tip.points(zero)[0]]))
-    bone = ends[1] - ends[0]
-    return axes @ palm[:3, :3].T, bone / np.linalg.norm(bone)
 
 
 def _landmarks(finger: str) -> tuple[str, ...]:

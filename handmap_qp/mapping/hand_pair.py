@@ -17,14 +17,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.fingers import (
-    THUMB,
-    FingerChain,
-    FingerEnd,
-    find_finger_ends,
-    find_fingers,
-    partner_names,
-)
+from handmap_qp.hands.fingers import THUMB, Finger, find_fingers, partner_names
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.library import HUMAN_HANDS, load_hand
@@ -240,7 +233,7 @@ class HandPair:
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
         pinching = _pinching_robot(self._given_robot)
-        ends = find_finger_ends(self.human)
+        ends = find_fingers(self.human)
         human_pinching = _pinching_thumb(self.human, ends, _human_pads(self.human, ends))
         return (
             _THUMB_FROM_PINCH * (pinching + gain * (tip - human_pinching))
@@ -250,7 +243,7 @@ class HandPair:
 
 # A robot's parts are shared by all people, because reading meshes takes longest.
 @lru_cache(maxsize=32)
-def _fingers_and_pads(robot: Hand) -> tuple[dict[str, FingerChain], dict[str, Pad]]:
+def _fingers_and_pads(robot: Hand) -> tuple[dict[str, Finger], dict[str, Pad]]:
     chains = find_fingers(robot)
     return chains, find_pads(robot, chains)
 
@@ -349,9 +342,7 @@ _PAIRS: WeakValueDictionary[tuple[Any, ...], HandPair] = WeakValueDictionary()
 _RECENT: deque[HandPair] = deque(maxlen=8)
 
 
-def _finger_points(
-    robot: Hand, chains: dict[str, FingerChain], tip_weight: float
-) -> list[PointSpec]:
+def _finger_points(robot: Hand, chains: dict[str, Finger], tip_weight: float) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
     points = []
     for finger, chain in chains.items():
@@ -438,7 +429,7 @@ def _named_points_at_rest(human: Hand) -> dict[str, np.ndarray]:
     return dict(zip(names, points.points(human.rest), strict=True))
 
 
-def _human_pads(human: Hand, ends: Mapping[str, FingerEnd]) -> dict[str, Pad]:
+def _human_pads(human: Hand, ends: Mapping[str, Finger]) -> dict[str, Pad]:
     """Return the pads of a person's fingers.
 
     All thicknesses of the package's hands scale with the length of the hand, so its shapes need not
@@ -455,7 +446,7 @@ def _human_pads(human: Hand, ends: Mapping[str, FingerEnd]) -> dict[str, Pad]:
 def _standard_pads(name: str) -> tuple[float, dict[str, float]]:
     """Return the length of a human hand of the package [m], and the radii of its pads [m]."""
     human = load_hand(name)
-    pads = find_pads(human, find_finger_ends(human))
+    pads = find_pads(human, find_fingers(human))
     return _hand_length(human), {finger: pad.radius for finger, pad in pads.items()}
 
 
@@ -467,7 +458,7 @@ def _hand_length(human: Hand) -> float:
 
 
 def _pinching_thumb(
-    hand: Hand, chains: Mapping[str, FingerEnd], pads: Mapping[str, Pad]
+    hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     others = [finger for finger in chains if finger != THUMB]

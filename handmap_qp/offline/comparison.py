@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands.fingers import FingerChain, find_fingers
+from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.offline.fidelity import Fidelity, JointMotion, assess_fidelity
 from handmap_qp.offline.finger_traces import HandTrace, trace_robot
@@ -162,7 +162,7 @@ def _run(
     method: ComparedMethod,
     take: Take,
     robot: Hand,
-    chains: dict[str, FingerChain],
+    chains: dict[str, Finger],
     workspace: dict[str, np.ndarray],
 ) -> Run:
     try:
@@ -198,7 +198,7 @@ def _check(
     takes: Sequence[Take],
     robot: Hand,
     methods: Sequence[ComparedMethod],
-    chains: dict[str, FingerChain],
+    chains: dict[str, Finger],
 ) -> None:
     for argument, names in (
         ("takes", [take.name for take in takes]),

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers, place_robot
+from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.spec import Side
@@ -136,7 +137,7 @@ def trace_robot(
     hand: Hand,
     q: np.ndarray,
     wrist: np.ndarray | None = None,
-    chains: dict[str, FingerChain] | None = None,
+    chains: dict[str, Finger] | None = None,
 ) -> HandTrace:
     """Describe a robot's motion by its joint angles and wrist poses.
 
@@ -152,10 +153,12 @@ def trace_robot(
     chains = chains or find_fingers(hand)
     count = len(q)
     data, palm = hand.model.createData(), np.empty((count, 4, 4))
+    vector = np.zeros(hand.model.nq)
     points = np.empty((count, len(chains), 3, 3))
     places = [(chain.knuckle, chain.middle, chain.tip) for chain in chains.values()]
     for t in range(count):
-        place_robot(hand, data, q[t], None if wrist is None else wrist[t])
+        hand.write_configuration(vector, q[t], np.eye(4) if wrist is None else wrist[t])
+        pin.framesForwardKinematics(hand.model, data, vector)
         palm[t] = data.oMf[hand.palm_frame_id].homogeneous
         for i, three in enumerate(places):
             for k, (joint, offset) in enumerate(three):
@@ -167,15 +170,12 @@ def trace_robot(
     return HandTrace(fingers, palm, _robot_size(hand, chains))
 
 
-def _robot_size(hand: Hand, chains: dict[str, FingerChain]) -> float:
+def _robot_size(hand: Hand, chains: dict[str, Finger]) -> float:
     """Distance from the palm's origin over the knuckles to the stretched tips [m]."""
-    data = hand.model.createData()
-    place_robot(hand, data, np.clip(0.0, hand.lower_limits, hand.upper_limits), None)
     others = [chain for name, chain in chains.items() if name != THUMB] or list(chains.values())
-    middle = np.mean([data.oMi[c.knuckle[0]].act(c.knuckle[1]) for c in others], axis=0)
-    origin = data.oMf[hand.palm_frame_id].translation
+    knuckles = PalmKinematics(hand).points(zero_posture(hand), [c.knuckle for c in others])
     reach = np.mean([chain.reach for chain in others])
-    return float(np.linalg.norm(middle - origin) + reach)
+    return float(np.linalg.norm(knuckles.mean(axis=0)) + reach)
 
 
 def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:

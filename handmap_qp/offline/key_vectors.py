@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from handmap_qp.hands.fingers import THUMB, FingerChain
+from handmap_qp.hands.fingers import THUMB, Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.offline.finger_traces import HandTrace, trace_robot
 
@@ -108,7 +108,7 @@ def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float
 
 
 def sample_workspace(
-    hand: Hand, chains: dict[str, FingerChain] | None = None, *, count: int = 20_000, seed: int = 42
+    hand: Hand, chains: dict[str, Finger] | None = None, *, count: int = 20_000, seed: int = 42
 ) -> dict[str, np.ndarray]:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import homogeneous, placement_views
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
@@ -38,7 +38,7 @@ class SurfaceGaps:
 def measure_gaps(
     hand: Hand,
     q: np.ndarray,
-    chains: dict[str, FingerChain] | None = None,
+    chains: dict[str, Finger] | None = None,
 ) -> SurfaceGaps:
     """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
 
@@ -107,7 +107,7 @@ class GapMeter:
         HandError: If a shape cannot be read.
     """
 
-    def __init__(self, hand: Hand, chains: dict[str, FingerChain] | None = None) -> None:
+    def __init__(self, hand: Hand, chains: dict[str, Finger] | None = None) -> None:
         chains = chains or find_fingers(hand)
         self._hand = hand
         pinching, self._groups = _pinch_pairs(hand, chains)
@@ -159,7 +159,7 @@ class GapMeter:
 
 
 def _pinch_pairs(
-    hand: Hand, chains: dict[str, FingerChain]
+    hand: Hand, chains: dict[str, Finger]
 ) -> tuple[pin.GeometryModel, dict[str, slice]]:
     """All pairs of distal shapes of the thumb and another finger, and which pairs are whose."""
     geometry, groups = read_collision_shapes(hand), {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import msgspec
@@ -9,9 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers
+from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.onboarding.detect import Detection
@@ -59,9 +59,10 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     Raises:
         HandError: If a collision shape cannot be read.
     """
-    chains = find_fingers(hand)
-    pairs = all_pairs(hand, chains)
-    wanted = [_is_wanted(hand, chains, links) for links in pairs.links]
+    fingers = find_fingers(hand)
+    pairs = all_pairs(hand, fingers)
+    owners = {link: _owner(hand, fingers, link) for link in {*itertools.chain(*pairs.links)}}
+    wanted = [_is_wanted(owners[one], owners[other], [*fingers]) for one, other in pairs.links]
     distances = _distances(hand, pairs)
     touches = distances[0] < 2.0 * MARGIN
     pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
@@ -75,34 +76,25 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     return CollisionSpec(found, MARGIN) if found else None
 
 
-def _is_wanted(hand: Hand, chains: dict[str, FingerChain], links: tuple[str, str]) -> bool:
-    """Return whether links are of the thumb and another finger or the palm, or of neighbours."""
-    if any(_is_bar(hand, chains, link) for link in links):
-        return False
-    owners = {_owner(hand, chains, link) for link in links}
-    if THUMB in owners:
-        return len(owners) == 2
-    if None in owners or len(owners) < 2:
-        return False
-    row = [finger for finger in FINGERS if finger in chains and finger != THUMB]
-    places = sorted(row.index(finger) for finger in owners if finger in row)
-    return len(places) == 2 and places[1] - places[0] == 1
-
-
-def _owner(hand: Hand, chains: dict[str, FingerChain], link: str) -> str | None:
-    """Return the finger that a link is on; None for the palm and the arm."""
-    joint = hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
-    owners = [finger for finger, chain in chains.items() if joint in chain.joints]
-    return owners[0] if len(owners) == 1 else None
-
-
-def _is_bar(hand: Hand, chains: dict[str, FingerChain], link: str) -> bool:
-    """Return whether a link moves on the palm and is on no finger, as the bars of linkages."""
+def _owner(hand: Hand, fingers: dict[str, Finger], link: str) -> str:
+    """Return the finger that a link is on; `palm`, or `bar` of a linkage, which is on none."""
     model = hand.model
     joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
-    palm = model.frames[model.getFrameId(hand.spec.palm.link, pin.FrameType.BODY)].parentJoint
-    is_below = palm in model.supports[joint].tolist() and joint != palm
-    return is_below and not any(joint in chain.joints for chain in chains.values())
+    palm = model.frames[hand.palm_frame_id].parentJoint
+    owners = [name for name, finger in fingers.items() if joint in finger.joints]
+    if not owners and joint != palm and palm in [*model.supports[joint]]:
+        return "bar"
+    return owners[0] if len(owners) == 1 else "palm"
+
+
+def _is_wanted(one: str, other: str, fingers: list[str]) -> bool:
+    """Return whether owners are the thumb and another finger or the palm, or neighbours."""
+    if one == other or "bar" in (one, other):
+        return False
+    row = [finger for finger in fingers if finger != THUMB]
+    if THUMB in (one, other):
+        return True
+    return "palm" not in (one, other) and abs(row.index(one) - row.index(other)) == 1
 
 
 def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:

@@ -8,20 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers, moving_columns
+from handmap_qp.hands.fingers import (
+    THUMB,
+    Finger,
+    PalmKinematics,
+    Place,
+    find_fingers,
+    zero_posture,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.hands.spec import PointSpec
+from handmap_qp.onboarding.anatomy import angle_between
 
-# Random postures of a finger, and the share of them that is a fist.
-_SAMPLES, _FIST_SHARE = 200, 0.1
-# A finger closes if its tip comes this share of its reach nearer to its knuckle.
-_CLOSING = 0.15
-# A finger is straight with this share of its reach.
-_STRAIGHT = 0.97
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
 # Search for a pinch: iterations, damping [m/rad], and random starts.
@@ -69,7 +69,7 @@ class Pinch:
 
 
 def make_fist(hand: Hand) -> Fist | None:
-    """Close every finger but the thumb, and compare its motion with the palm's axes.
+    """Compare the way in which the fingers, but the thumb, close with the palm's axes.
 
     Args:
         hand: The hand.
@@ -77,66 +77,27 @@ def make_fist(hand: Hand) -> Fist | None:
     Returns:
         The directions; None if fewer than two fingers close, or they close about different axes.
     """
-    axes, directions, names = [], [], []
-    for name, chain in find_fingers(hand).items():
-        if name == THUMB or chain.is_jaw or not chain.joints:
+    view, axes, directions = PalmKinematics(hand), {}, []
+    for name, finger in find_fingers(hand).items():
+        flexion = finger.flexion
+        if name == THUMB or flexion is None or not flexion.curls or flexion.sense == 0.0:
             continue
-        found = _closing(hand, chain)
-        if found is not None:
-            directions.append(found[0])
-            axes.append(found[1])
-            names.append(name)
+        straight = zero_posture(hand)
+        straight[flexion.columns] = flexion.straight
+        line = view.points(straight, [finger.tip])[0] - flexion.knuckle
+        directions.append(line / np.linalg.norm(line))
+        axes[name] = flexion.sense * flexion.axis
     if len(axes) < 2:
         return None
-    axis, direction = np.mean(axes, axis=0), np.mean(directions, axis=0)
+    axis, direction = np.mean([*axes.values()], axis=0), np.mean(directions, axis=0)
     if np.linalg.norm(axis) < _COMMON or np.linalg.norm(direction) < _COMMON:
         return None
     # Flexion turns distal (y) towards palmar (-z), about -x.
     return Fist(
-        _degrees(axis, np.array([-1.0, 0.0, 0.0])),
-        _degrees(direction, np.array([0.0, 1.0, 0.0])),
-        tuple(names),
+        angle_between(axis, np.array([-1.0, 0.0, 0.0])),
+        angle_between(direction, np.array([0.0, 1.0, 0.0])),
+        tuple(axes),
     )
-
-
-def _closing(hand: Hand, chain: FingerChain) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a finger's stretched direction and its axis of flexion in palm axes, unit vectors."""
-    columns = moving_columns(hand, list(chain.joints))
-    # Joints of one range through zero may abduct; a fist is made with all joints.
-    postures = np.repeat(chain.stretched[None], _SAMPLES, axis=0)
-    shares = np.random.default_rng(0).random((_SAMPLES, len(columns)))
-    low, high = hand.lower_limits[columns], hand.upper_limits[columns]
-    postures[:, columns] = low + shares * (high - low)
-    straight = np.clip(0.0, hand.lower_limits, hand.upper_limits)
-    postures = np.vstack([straight[None], chain.stretched[None], postures])
-    places = _in_palm(hand, chain, postures)
-    lengths = np.linalg.norm(places, axis=1)
-    # The knuckle's angle does not change the length: of all straight postures take the first one,
-    # which is zero, else the nearest to it.
-    long = np.flatnonzero(lengths > _STRAIGHT * lengths.max())
-    first = long[np.argmin(np.abs(postures[long] - straight).sum(axis=1))]
-    closest = np.argsort(lengths)[: int(_FIST_SHARE * _SAMPLES)]
-    closed = places[closest].mean(axis=0)
-    if np.linalg.norm(closed) > (1.0 - _CLOSING) * lengths[first]:
-        return None
-    axis = np.cross(places[first], closed - places[first])
-    length = float(np.linalg.norm(axis))
-    if length < 1e-9:
-        return None
-    return places[first] / lengths[first], axis / length
-
-
-def _in_palm(hand: Hand, chain: FingerChain, postures: np.ndarray) -> np.ndarray:
-    """Return tip minus knuckle in palm axes for each posture [m], shape (k, 3)."""
-    model, data = hand.model, hand.model.createData()
-    found = []
-    for q in postures:
-        pin.framesForwardKinematics(model, data, hand.configuration_vector(q))
-        tip = data.oMi[chain.tip[0]].act(chain.tip[1])
-        knuckle = data.oMi[chain.knuckle[0]].act(chain.knuckle[1])
-        palm = data.oMf[hand.palm_frame_id].rotation
-        found.append(palm.T @ (tip - knuckle))
-    return np.array(found)
 
 
 def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
@@ -150,26 +111,22 @@ def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
     Returns:
         One entry per finger; none if the hand has no thumb or no second finger.
     """
-    chains = find_fingers(hand)
-    if THUMB not in chains or len(chains) < 2:
+    fingers = find_fingers(hand)
+    if THUMB not in fingers:
         return ()
-    pads = fingertip_pads(hand, chains)
-    padded = hand.with_points([_pad_point(hand, name, pad) for name, pad in pads.items()])
-    names = list(pads)
-    thumb = names.index(THUMB)
-    pinches = []
-    for i, name in enumerate(names):
+    pads, pinches = fingertip_pads(hand, fingers), []
+    for name, finger in fingers.items():
         if name != THUMB:
-            joints = [*chains[THUMB].joints, *chains[name].joints]
-            columns = moving_columns(hand, joints)
-            radii = pads[THUMB].radius + pads[name].radius
-            distance, q = _nearest(padded, thumb, i, columns, radii)
-            gap = distance - radii
-            pinches.append(Pinch(name, gap, q))
+            used = [pads[THUMB], pads[name]]
+            radii = sum(pad.radius for pad in used)
+            columns = np.union1d(fingers[THUMB].columns, finger.columns)
+            places = [(pad.joint, pad.offset) for pad in used]
+            distance, q = _nearest(hand, places, columns, radii)
+            pinches.append(Pinch(name, distance - radii, q))
     return tuple(pinches)
 
 
-def fingertip_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]:
+def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
     """Return the pad of each fingertip; a ball of 6 mm around it if the shapes cannot be read."""
     try:
         return find_pads(hand, chains)
@@ -177,25 +134,13 @@ def fingertip_pads(hand: Hand, chains: dict[str, FingerChain]) -> dict[str, Pad]
         return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
 
 
-def _pad_point(hand: Hand, finger: str, pad: Pad) -> PointSpec:
-    """Return the centre of a pad as a point on a link of the pad's joint."""
-    frames = (
-        (point, hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)])
-        for point in hand.spec.points
-    )
-    tip, frame = next(pair for pair in frames if pair[1].parentJoint == pad.joint)
-    x, y, z = (float(value) for value in frame.placement.actInv(pad.offset))
-    return PointSpec(f"{finger}_pad", tip.link, (x, y, z), finger)
-
-
 def _nearest(
-    hand: Hand, one: int, other: int, columns: np.ndarray, near: float
+    hand: Hand, places: list[Place], columns: np.ndarray, near: float
 ) -> tuple[float, np.ndarray]:
     """Return the smallest distance of two points, or one below `near`, and the posture there."""
-    low, high = hand.lower_limits[columns], hand.upper_limits[columns]
-    generator = np.random.default_rng(0)
-    starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high)]
-    starts += [low + generator.random(len(columns)) * (high - low) for _ in range(_STARTS)]
+    view, low, high = PalmKinematics(hand), hand.lower_limits[columns], hand.upper_limits[columns]
+    random = low + np.random.default_rng(0).random((_STARTS, len(columns))) * (high - low)
+    starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high), *random]
     best, best_q = np.inf, hand.rest.copy()
     for start in starts:
         if best < near:
@@ -203,21 +148,14 @@ def _nearest(
         q = hand.rest.copy()
         q[columns] = start
         for _ in range(_ITERATIONS):
-            points = hand.points(q)
-            gap = points[one] - points[other]
+            gap = np.subtract(*view.points(q, places))
             distance = float(np.linalg.norm(gap))
             if distance < best:
                 best, best_q = distance, q.copy()
-            jacobian = hand.point_jacobian(q)[:, columns]
-            J = jacobian[3 * other : 3 * other + 3] - jacobian[3 * one : 3 * one + 3]
+            J = np.subtract(*(view.motion(q, place)[:3, columns] for place in reversed(places)))
             step = J.T @ np.linalg.solve(J @ J.T + _DAMPING**2 * np.eye(3), gap)
             moved = np.clip(q[columns] + step, low, high)
             if distance < near or np.abs(moved - q[columns]).max() < 1e-4:
                 break
             q[columns] = moved
     return best, best_q
-
-
-def _degrees(one: np.ndarray, other: np.ndarray) -> float:
-    cosine = float(one @ other / np.linalg.norm(one) / np.linalg.norm(other))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandmapError
+from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
 from handmap_qp.mapping.mapper import HandMapper
 
 HUMAN_LENGTH = 0.19
@@ -98,7 +98,9 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     Returns:
         One entry per point.
     """
-    fingers = np.array([not _moves_wrist(hand, v) for v in hand.v_indices])
+    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
+    arm = {hand.model.joints[joint].idx_v for joint in hand.model.supports[wrist]}
+    fingers = np.array([v not in arm or wrist == 0 for v in hand.v_indices])
     generator = np.random.default_rng(0)
     shares = np.vstack(
         [
@@ -184,33 +186,23 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         Pairs of link names.
 
     Raises:
-        HandmapError: If the shapes cannot be read.
+        HandError: If a shape cannot be read.
     """
-    text = urdf_with_mesh_paths(hand.spec, hand.urdf_text)
-    try:
-        geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
-    except (RuntimeError, ValueError) as error:
-        reason = str(error).rpartition("message:")[2]
-        raise HandmapError(f"shapes cannot be read: {' '.join(reason.split())}") from error
-    model, shapes = hand.model, geometry.geometryObjects
+    geometry, model, data = read_collision_shapes(hand), hand.model, hand.model.createData()
+    shapes = geometry.geometryObjects
     with_shape = {shape.parentJoint for shape in shapes}
-    for i, one in enumerate(shapes):
-        for j in range(i + 1, len(shapes)):
-            if not _meet(model, one.parentJoint, shapes[j].parentJoint, with_shape):
-                geometry.addCollisionPair(pin.CollisionPair(i, j))
-    data, posture = geometry.createData(), model.createData()
+    for i, j in itertools.combinations(range(len(shapes)), 2):
+        if not _meet(model, shapes[i].parentJoint, shapes[j].parentJoint, with_shape):
+            geometry.addCollisionPair(pin.CollisionPair(i, j))
+    results = geometry.createData()
 
     def overlaps(angles: np.ndarray) -> np.ndarray:
-        pin.computeCollisions(
-            model, posture, geometry, data, hand.configuration_vector(angles), False
-        )
-        return np.array([result.isCollision() for result in data.collisionResults], dtype=bool)
+        vector = hand.configuration_vector(angles)
+        pin.computeCollisions(model, data, geometry, results, vector, False)
+        return np.array([result.isCollision() for result in results.collisionResults], dtype=bool)
 
-    generator = np.random.default_rng(0)
-    others = [
-        hand.lower_limits + generator.random(len(q)) * (hand.upper_limits - hand.lower_limits)
-        for _ in range(8)
-    ]
+    shares = np.random.default_rng(0).random((8, len(q)))
+    others = hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
     # Shapes that overlap in most postures overlap by design: ignore them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
@@ -285,14 +277,6 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     }
 
 
-def _moves_wrist(hand: Hand, v: int) -> bool:
-    """Return whether a velocity index of the model belongs to a joint of an arm."""
-    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
-    return any(
-        hand.model.joints[joint].idx_v == v for joint in hand.model.supports[wrist] if joint > 0
-    )
-
-
 def _spread(points: np.ndarray) -> float:
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
@@ -310,10 +294,8 @@ def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
             parent = model.parents[at]
             if parent == far:
                 return True
-            if (
-                parent in with_shape
-                and np.linalg.norm(model.jointPlacements[at].translation) > _SHORT
-            ):
+            length = np.linalg.norm(model.jointPlacements[at].translation)
+            if parent in with_shape and length > _SHORT:
                 break
             at = parent
     return False

@@ -16,19 +16,19 @@ import msgspec
 import yaml
 
 from handmap_qp.errors import HandError, without_errno
+from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.detect import Detection, detect
 from handmap_qp.onboarding.robot import Robot
 
 # Names of MediaPipe's landmarks, which dex-retargeting counts from the wrist.
-_FINGERS = ("thumb", "index", "middle", "ring", "little")
 _THUMB_JOINTS, _FINGER_JOINTS = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
 _LANDMARKS = (
     "wrist",
     *(
         f"{finger}_{joint}"
-        for finger in _FINGERS
+        for finger in FINGERS
         for joint in (_THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS)
     ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.hand import Hand
@@ -13,6 +13,8 @@ from handmap_qp.onboarding.gestures import Pinch
 from handmap_qp.onboarding.measure import FingerReach, MotionPart, Size
 
 Level = Literal["error", "warning", "advice", "fine"]
+LEVELS = get_args(Level)
+"""All levels, the worst first."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,35 +6,33 @@ and recorded, so that they can be written to the `hand.yaml` for its owner to co
 
 from __future__ import annotations
 
-import copy
-import io
 import itertools
 import math
 import warnings
 import xml.etree.ElementTree as ET
-from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
+from handmap_qp.hands.fingers import Place
 from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_model
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf.check import check_tree
 from handmap_qp.hands.urdf.compose import prepare_urdf
-from handmap_qp.hands.urdf.elements import (
-    axis_of,
-    get_numbers,
-    origin_of,
-    parse_urdf,
-    set_numbers,
-)
+from handmap_qp.hands.urdf.elements import axis_of, get_numbers, origin_of, parse_urdf
 from handmap_qp.hands.urdf.files import find_mesh
 from handmap_qp.hands.urdf.joints import fix_free_joints
-from handmap_qp.hands.urdf.tree import MOVABLE, cut_subtree, edges, link_names, root_links
-from handmap_qp.transform import rpy_from_rotation, transform_points
+from handmap_qp.hands.urdf.tree import (
+    MOVABLE,
+    cut_subtree,
+    edges,
+    joints_by_name,
+    link_names,
+    root_links,
+)
+from handmap_qp.transform import transform_points
 
 # Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
@@ -47,6 +45,7 @@ _ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
 _LARGEST_TURN = 4.0 * math.pi + 0.01
 # Corners of a box of size 1.
 _CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+_NONE = np.zeros((0, 3))
 # Most names in one note.
 _MOST_NAMES = 12
 # Most surface points kept of one mesh.
@@ -60,24 +59,28 @@ class Robot:
         text: The URDF.
         file: The URDF's file, for messages and mesh paths.
         root: Link to start at; the URDF's own root if omitted.
-        locked: Joints to lock, with their positions [rad or m].
 
     Attributes:
         file: The URDF's file.
         name: The robot's name.
         root: Link that it starts at.
         is_whole: Whether `root` is the root of the URDF.
+        links: Names of all links, in the order of the file.
         parent: Parent joint of each link, and that joint's parent link.
         children: Child joints of each link, each with its child link.
         kinds: Type of each joint: `revolute`, `prismatic` or `fixed`.
         axes: Axis of each movable joint in its child link's frame, a unit vector.
         balls: Centres of each link's spheres, in its frame [m], shape (k, 3).
-        rules: Resolved mimic rules.
+        model: Pinocchio model of the movable joints, without frames of links.
+        carried: First link of the body on each joint of the model.
         active: The n joints that are neither fixed nor mimic joints, in the order of the file.
-        lower: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
-        upper: Their upper limits, shape (n,).
+        lower_limits: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
+        upper_limits: Their upper limits, shape (n,).
+        zero: Zero clipped to the limits [rad or m], shape (n,).
+        slides: Which of them are prismatic, shape (n,).
         endless: Joints of type `continuous` in the file.
         assumed: Limits that the URDF lacks, by joint.
+        locked: Positions of joints that are locked [rad or m].
         dropped_rules: Mimic rules whose leader is not in this part of the robot; these joints are
             treated as independent.
 
@@ -85,15 +88,9 @@ class Robot:
         HandError: If the URDF cannot be used, in one line.
     """
 
-    def __init__(
-        self,
-        text: str,
-        file: Path,
-        *,
-        root: str | None = None,
-        locked: dict[str, float] | None = None,
-    ) -> None:
+    def __init__(self, text: str, file: Path, *, root: str | None = None) -> None:
         self.file = file
+        self._remarks: dict[str, list[str]] = {}
         try:
             robot = parse_urdf(text)
             check_tree(robot)
@@ -103,125 +100,84 @@ class Robot:
             if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
                 raise HandError(f"no movable joint hangs from the link {root!r}", value=root)
             self.name = robot.get("name", "") or file.stem
-            self._remarks: dict[str, list[str]] = {}
-            self.endless = {
-                joint.get("name", "")
-                for joint in robot.iterfind("joint")
-                if joint.get("type") == "continuous"
-            }
+            joints = joints_by_name(robot)
+            self.endless = {name for name in joints if joints[name].get("type") == "continuous"}
             for name in fix_free_joints(robot):
                 self._remark(name, "has more than one coordinate: it is taken as fixed")
-            self.dropped_rules = self._drop_rules(robot)
+            self.dropped_rules = self._drop_rules(joints)
             self.assumed = self._assume_limits(robot)
-            self.locked = prepare_urdf(
-                robot, None, {}, {**self._immovable(robot), **(locked or {})}, self.assumed
-            )
-            self.rules = read_mimic_rules(robot)
+            self.locked = prepare_urdf(robot, None, {}, self._immovable(robot), self.assumed)
+            self._follow = {rule.follower: rule for rule in read_mimic_rules(robot)}
+            self._read(robot)
         except HandError as error:
             raise HandError(error.problem, file=file, key=error.key, value=error.value) from error
-        (self.root,) = root_links(robot)
-        self.links = link_names(robot)
-        self.kinds = {
-            joint.get("name", ""): joint.get("type", "") for joint in robot.iterfind("joint")
-        }
-        self.parent: dict[str, tuple[str, str]] = {}
-        self._bodies: dict[str, str] = {}
-        self._surfaces: dict[str, np.ndarray] = {}
-        self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
-        for joint, parent, child in edges(robot):
-            self.parent[child] = (joint.get("name", ""), parent)
-            self.children[parent].append((joint.get("name", ""), child))
-        self.axes = {
-            joint.get("name", ""): axis_of(joint)
-            for joint in robot.iterfind("joint")
-            if joint.get("type") in MOVABLE
-        }
-        self.balls = {
-            link.get("name", ""): np.array(
-                [
-                    origin_of(shape)[:3, 3]
-                    for shape in (*link.iterfind("visual"), *link.iterfind("collision"))
-                    if shape.find("geometry/sphere") is not None
-                ]
-            ).reshape(-1, 3)
-            for link in robot.iterfind("link")
-        }
-        self._rule_of = {rule.follower: rule for rule in self.rules}
-        followers = set(self._rule_of)
-        self.active = [
-            name for name, kind in self.kinds.items() if kind in MOVABLE and name not in followers
-        ]
-        self.urdf_text = ET.tostring(robot, encoding="unicode")
-        self._build(self._skeleton(robot))
-
-    def _skeleton(self, robot: ET.Element) -> str:
-        """Return a URDF of the bodies' first links: Pinocchio takes long for thousands of links."""
-        origins = {joint.get("name", ""): origin_of(joint) for joint in robot.iterfind("joint")}
-        self._in_body: dict[str, pin.SE3] = {}
-        pending = [self.root]
-        while pending:
-            link = pending.pop()
-            body = self.body(link)
-            joint, parent = self.parent.get(link, ("", ""))
-            self._in_body[link] = (
-                pin.SE3.Identity()
-                if link == body
-                else self._in_body[parent] * pin.SE3(origins[joint])
-            )
-            pending.extend(child for _, child in self.children[link])
-        skeleton = ET.Element("robot", {"name": "skeleton"})
-        for link in self.links:
-            if self.body(link) == link:
-                ET.SubElement(skeleton, "link", {"name": link})
-        for joint in robot.iterfind("joint"):
-            if joint.get("type") == "fixed":
-                continue
-            moved = copy.deepcopy(joint)
-            parent, origin = moved.find("parent"), moved.find("origin")
-            if parent is None:
-                continue
-            link = parent.get("link", "")
-            parent.set("link", self.body(link))
-            pose = (self._in_body[link] * pin.SE3(origins[joint.get("name", "")])).homogeneous
-            if origin is None:
-                origin = ET.SubElement(moved, "origin")
-            set_numbers(origin, "xyz", pose[:3, 3].tolist())
-            set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]).tolist())
-            skeleton.append(moved)
-        return ET.tostring(skeleton, encoding="unicode")
-
-    def _build(self, text: str) -> None:
-        try:
-            self.model = pin.buildModelFromXML(text)
-        except (RuntimeError, ValueError) as error:
-            raise HandError(
-                f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}", file=self.file
-            ) from error
-        for note in tighten_model(self.model, self.rules):
+        for note in tighten_model(self.model, self._follow.values()):
             self._remark("", note)
         names = list(self.model.names)[1:]
-        columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in names]
-        self._matrix, self._offset = expansion_matrix(names, self.active, self.rules)
-        order = np.argsort(columns)
-        self._matrix, self._offset = self._matrix[order], self._offset[order]
-        at = [self.model.joints[self.model.getJointId(name)].idx_q for name in self.active]
-        self.lower, self.upper = (
-            self.model.lowerPositionLimit[at],
-            self.model.upperPositionLimit[at],
-        )
+        self.expansion = expansion_matrix(names, self.active, self._follow.values())
+        self.joint_columns = np.arange(len(self.active))
+        at = [names.index(name) for name in self.active]
+        self.lower_limits = self.model.lowerPositionLimit[at]
+        self.upper_limits = self.model.upperPositionLimit[at]
+        self.zero = np.clip(0.0, self.lower_limits, self.upper_limits)
+        self.slides = np.array([self.kinds[name] == "prismatic" for name in self.active])
+        self.palm_frame_id = 0
         try:
             self._data = self.model.createData()
         except MemoryError as error:
             problem = f"its {len(names)} movable joints need more memory than there is"
             advice = "name the link at which the hand begins by --root"
             raise HandError(f"{problem}: {advice}", file=self.file) from error
-        joints = {name: i for i, name in enumerate(self.model.names)}
-        # The frame of a body's first link is that of the joint that moves it.
-        self._carriers = {
-            link: joints[self.parent[self.body(link)][0]] if self.body(link) != self.root else 0
-            for link in self.links
-        }
         self.place(self.zero)
+
+    def _read(self, robot: ET.Element) -> None:
+        """Read links and joints, and build the model."""
+        (self.root,) = root_links(robot)
+        self.links, self._surfaces = link_names(robot), dict[str, np.ndarray]()
+        self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
+        self.balls = {
+            name: np.array(
+                [
+                    origin_of(shape)[:3, 3]
+                    for shape in (*link.iterfind("visual"), *link.iterfind("collision"))
+                    if shape.find("geometry/sphere") is not None
+                ]
+            ).reshape(-1, 3)
+            for name, link in self._elements.items()
+        }
+        joints = joints_by_name(robot)
+        self.kinds = {name: joint.get("type", "") for name, joint in joints.items()}
+        movable = [name for name, kind in self.kinds.items() if kind in MOVABLE]
+        self.axes = {name: axis_of(joints[name]) for name in movable}
+        self.active = [name for name in movable if name not in self._follow]
+        self.parent: dict[str, tuple[str, str]] = {}
+        self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
+        for joint, parent, child in edges(robot):
+            self.parent[child] = (joint.get("name", ""), parent)
+            self.children[parent].append((joint.get("name", ""), child))
+        # Pinocchio takes long to add frames of thousands of links: the model has joints only.
+        self.model, self.carried = pin.Model(), {0: self.root}
+        self._placed_on = {self.root: (0, pin.SE3.Identity())}
+        pending = [self.root]
+        for link in pending:
+            carrier, placement = self._placed_on[link]
+            for name, child in self.children[link]:
+                pose, at = placement * pin.SE3(origin_of(joints[name])), carrier
+                if name in self.axes:
+                    at, pose = self._add_joint(joints[name], carrier, pose), pin.SE3.Identity()
+                    self.carried[at] = child
+                self._placed_on[child] = (at, pose)
+                pending.append(child)
+
+    def _add_joint(self, joint: ET.Element, carrier: int, pose: pin.SE3) -> int:
+        name, limit = joint.get("name", ""), joint.find("limit")
+        if limit is None or limit.get("effort") is None:
+            raise HandError(f"the joint {name!r} has no <limit> with an effort", value=name)
+        is_slide = self.kinds[name] == "prismatic"
+        kind = pin.JointModelPrismaticUnaligned if is_slide else pin.JointModelRevoluteUnaligned
+        ends = [np.array([_number(limit, key)]) for key in ("velocity", "lower", "upper")]
+        effort = np.array([_number(limit, "effort")])
+        return self.model.addJoint(carrier, kind(self.axes[name]), pose, name, effort, *ends)
 
     @property
     def notes(self) -> list[str]:
@@ -242,35 +198,19 @@ class Robot:
 
     def body(self, link: str) -> str:
         """Return the first link of a link's body."""
-        passed = []
-        while link not in self._bodies:
-            joint, parent = self.parent.get(link, ("", ""))
-            if self.kinds.get(joint) != "fixed":
-                self._bodies[link] = link
-                break
-            passed.append(link)
-            link = parent
-        first = self._bodies[link]
-        self._bodies.update(dict.fromkeys(passed, first))
-        return first
+        return self.carried[self._placed_on[link][0]]
 
     def body_links(self, body: str) -> list[str]:
         """Return all links of a body, from its first one outwards."""
         found = [body]
         for link in found:
-            found.extend(
-                child for joint, child in self.children[link] if self.kinds[joint] == "fixed"
-            )
+            found += [child for joint, child in self.children[link] if joint not in self.axes]
         return found
 
     def branches(self, body: str) -> list[tuple[str, str]]:
         """Return the movable joints attached to a body, each with its child link."""
-        return [
-            pair
-            for link in self.body_links(body)
-            for pair in self.children[link]
-            if self.kinds[pair[0]] != "fixed"
-        ]
+        pairs = (pair for link in self.body_links(body) for pair in self.children[link])
+        return [pair for pair in pairs if pair[0] in self.axes]
 
     def leaves(self, body: str) -> list[str]:
         """Return the last bodies of all branches of a body; the body itself if it has none."""
@@ -282,152 +222,116 @@ class Robot:
         passed = []
         while link != above and link in self.parent:
             joint, parent = self.parent[link]
-            if self.kinds[joint] != "fixed":
+            if joint in self.axes:
                 passed.append((joint, link))
             link = parent
         return passed[::-1]
 
     def drivers(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
-        rule = self._rule_of.get(joint)
-        return joint if rule is None else rule.leader
-
-    def gear(self, joint: str) -> float:
-        """Return a joint's motion per motion of the active joint that moves it."""
-        rule = self._rule_of.get(joint)
-        return 1.0 if rule is None else rule.multiplier
+        return self._follow[joint].leader if joint in self._follow else joint
 
     # -- kinematics
 
-    @cached_property
-    def zero(self) -> np.ndarray:
-        """Zero clipped to the limits [rad or m], shape (n,)."""
-        return np.clip(0.0, self.lower, self.upper)
-
     def place(self, q: np.ndarray) -> None:
         """Place the active joints at `q`, shape (n,), and their mimic joints accordingly."""
-        pin.forwardKinematics(self.model, self._data, self._matrix @ q + self._offset)
+        pin.forwardKinematics(self.model, self._data, self.configuration_vector(q))
 
-    def pose(self, link: str) -> np.ndarray:
-        """Return a link's pose in the frame of `root` at the last `place`, shape (4, 4)."""
-        return self._placed(link).homogeneous
+    def configuration_vector(self, q: np.ndarray) -> np.ndarray:
+        """Return Pinocchio's configuration at positions of the active joints, shape (n,)."""
+        return self.expansion.matrix @ q + self.expansion.offset
+
+    def write_configuration(self, vector: np.ndarray, q: np.ndarray) -> None:
+        """Write a configuration into an array of the caller's."""
+        vector[:] = self.configuration_vector(q)
+
+    def set_palm(self, link: str) -> None:
+        """Add the frame of the palm's link to the model; before that, the root is the palm."""
+        carrier, placement = self._placed_on[link]
+        frame = pin.Frame("/palm", carrier, 0, placement, pin.OP_FRAME)
+        self.palm_frame_id = self.model.addFrame(frame)
+
+    def place_of(self, link: str, xyz: np.ndarray) -> Place:
+        """Return a point on a link as one on a joint of the model."""
+        carrier, placement = self._placed_on[link]
+        return carrier, placement.act(xyz)
 
     def pose_in(self, link: str, other: str) -> np.ndarray:
         """Return a link's pose in another link's frame at the last `place`, shape (4, 4)."""
         return self._placed(other).actInv(self._placed(link)).homogeneous
 
     def _placed(self, link: str) -> pin.SE3:
-        return self._data.oMi[self._carriers[link]] * self._in_body[link]
+        carrier, placement = self._placed_on[link]
+        return self._data.oMi[carrier] * placement
 
     # -- surface
 
-    @cached_property
-    def _shapes(self) -> dict[str, Any]:
-        """The parsed links by name; empty if the shapes cannot be read."""
-        from yourdfpy import URDF
-
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                model = URDF.load(
-                    io.BytesIO(self.urdf_text.encode()), build_scene_graph=False, load_meshes=False
-                ).robot
-        except Exception as error:
-            self._remark(
-                "the links' shapes",
-                f"cannot be read and are ignored ({type(error).__name__}: {error})",
-            )
-            return {}
-        return {link.name: link for link in model.links}
-
     def has_collision_shapes(self, body: str) -> bool:
         """Return whether a link of a body has a collision shape."""
-        links = (self._shapes.get(link) for link in self.body_links(body))
-        return any(link is not None and link.collisions for link in links)
+        return any(
+            self._elements[link].find("collision") is not None for link in self.body_links(body)
+        )
 
     def surface(self, link: str) -> np.ndarray:
         """Return points on a link's visuals, else on its collision shapes [m], shape (k, 3)."""
         if link not in self._surfaces:
-            parsed = self._shapes.get(link)
-            groups = () if parsed is None else (parsed.visuals, parsed.collisions)
-            self._surfaces[link] = np.zeros((0, 3))
-            for shapes in groups:
-                clouds = [cloud for shape in shapes if (cloud := self._cloud(shape)) is not None]
-                if clouds:
-                    self._surfaces[link] = np.concatenate(clouds)
-                    break
+            groups = (self._elements[link].iterfind(kind) for kind in ("visual", "collision"))
+            try:
+                clouds = (np.vstack([_NONE, *map(self._cloud, shapes)]) for shapes in groups)
+                self._surfaces[link] = next((cloud for cloud in clouds if len(cloud)), _NONE)
+            except HandError as error:
+                raise HandError(error.problem, file=self.file, key=error.key) from error
         return self._surfaces[link]
 
     def body_surface(self, body: str) -> np.ndarray:
         """Return surface points of a body in its first link's frame [m], shape (k, 3)."""
         clouds = [
-            transform_points(self.pose_in(link, body), points)
+            transform_points(self.pose_in(link, body), self.surface(link))
             for link in self.body_links(body)
-            if len(points := self.surface(link))
         ]
-        return np.concatenate(clouds) if clouds else np.zeros((0, 3))
+        return np.concatenate(clouds)
 
-    def _cloud(self, shape: Any) -> np.ndarray | None:
-        """Return points on one shape in its link's frame; None if its mesh cannot be read."""
+    def _cloud(self, shape: ET.Element) -> np.ndarray:
+        """Return points on one shape in its link's frame; none if its mesh cannot be read."""
         import trimesh
 
-        geometry = shape.geometry
-        if geometry is None:
-            return None
-        if geometry.box is not None:
-            points = _CORNERS * self._three(geometry.box.size, "size of a box")
-        elif geometry.sphere is not None:
-            points = np.array(
-                trimesh.creation.icosphere(subdivisions=2, radius=geometry.sphere.radius).vertices
-            )
-        elif geometry.cylinder is not None:
-            solid = trimesh.creation.cylinder(
-                geometry.cylinder.radius, geometry.cylinder.length, sections=24
-            )
-            points = np.array(solid.vertices)
-        elif geometry.mesh is not None:
+        solid = shape.find("geometry/*")
+        kind, points = None if solid is None else solid.tag, _NONE
+        if solid is None:
+            return points
+        if kind == "box":
+            points = _CORNERS * get_numbers(solid, "size", 3)
+        elif kind == "sphere":
+            points = trimesh.creation.icosphere(2, _number(solid, "radius")).vertices
+        elif kind == "cylinder":
+            radius, length = _number(solid, "radius"), _number(solid, "length")
+            points = trimesh.creation.cylinder(radius, length, sections=24).vertices
+        elif kind == "mesh":
+            name, scale = solid.get("filename", ""), get_numbers(solid, "scale", 3, "1 1 1")
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    mesh = trimesh.load_mesh(find_mesh(geometry.mesh.filename, self.file.parent))
-                    solid = mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
+                    mesh = trimesh.load_mesh(find_mesh(name, self.file.parent))
+                    points = (
+                        mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
+                    ).vertices
             # Mesh readers raise many types; the end of a finger can be found without its mesh.
             except Exception:
-                self._remark(f"the mesh {geometry.mesh.filename}", "cannot be read")
-                return None
-            points = np.array(solid.vertices)
-            points = points[:: max(1, len(points) // _MOST_POINTS)]
-            if geometry.mesh.scale is not None:
-                points = points * self._three(geometry.mesh.scale, "scale of a mesh")
-        else:
-            return None
-        if not len(points):
-            return None
-        return points if shape.origin is None else transform_points(shape.origin, points)
-
-    def _three(self, numbers: Any, what: str) -> np.ndarray:
-        """Return the numbers of a URDF's attribute as an array, shape (3,).
-
-        Raises:
-            HandError: If they are not three.
-        """
-        array = np.asarray(numbers, dtype=float)
-        if array.shape not in ((), (3,)):
-            found = " ".join(f"{number:g}" for number in array.ravel())
-            raise HandError(f"the {what} has three numbers, got {found}", file=self.file)
-        return np.broadcast_to(array, 3)
+                self._remark(f"the mesh {name}", "cannot be read")
+                return _NONE
+            points = points[:: max(1, len(points) // _MOST_POINTS)] * np.array(scale)
+        return transform_points(origin_of(shape), np.array(points))
 
     # -- assumptions
 
-    def _drop_rules(self, robot: ET.Element) -> dict[str, MimicSpec | None]:
-        joints = {joint.get("name"): joint for joint in robot.iterfind("joint")}
+    def _drop_rules(self, joints: dict[str, ET.Element]) -> dict[str, MimicSpec | None]:
         dropped: dict[str, MimicSpec | None] = {}
         leaders: dict[str | None, None] = {}
         for name, joint in joints.items():
             mimic = joint.find("mimic")
-            if name is None or mimic is None or joint.get("type") not in MOVABLE:
+            if mimic is None or joint.get("type") not in MOVABLE:
                 continue
-            leader = joints.get(mimic.get("joint"))
+            leader = joints.get(mimic.get("joint", ""))
             if leader is None or leader.get("type") not in MOVABLE:
                 joint.remove(mimic)
                 dropped[name] = None

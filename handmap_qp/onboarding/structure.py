@@ -8,12 +8,12 @@ metacarpal with two fingers, are not the palm.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from handmap_qp.errors import HandError
+from handmap_qp.hands.fingers import Finger
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.transform import transform_points
 
@@ -33,8 +33,6 @@ _LINKAGE_SLACK = 0.004
 # A bar turns at least this far about its pivot [rad], which is at least this share of the bar's
 # length away from the bar's own joint.
 _LEAST_PIVOT, _PIVOT_SHARE = 0.1, 0.4
-
-
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
 
@@ -108,46 +106,55 @@ def find_structure(robot: Robot) -> Structure:
     """
     bodies = [body for body in robot.links if robot.body(body) == body]
     candidates = {body: found for body in bodies if len(found := _fingerlike(robot, body)) >= 2}
-    inner = {
+    palms = [
         body
         for body in candidates
-        for other, joints in candidates.items()
-        if _hangs_in(robot, body, other, joints)
-    }
-    palms = [body for body in candidates if body not in inner]
+        if not any(_hangs_in(robot, body, *other) for other in candidates.items())
+    ]
     if len(palms) > 1:
+        named = ", ".join(_common_palm_link(robot, body, candidates[body]) for body in palms[:8])
         raise HandError(
-            f"there are {len(palms)} possible palms: "
-            f"{', '.join(_common_palm_link(robot, body) for body in palms[:8])}; "
-            "choose one with --root",
+            f"there are {len(palms)} possible palms: {named}; choose one with --root",
             file=robot.file,
             value=palms,
         )
     if not palms:
         return _one_finger(robot)
-    palm = palms[0]
-    below = [
-        leaf
+    palm, notes = palms[0], []
+    chains = [
+        _chain(robot, leaf, palm)
         for joint, child in robot.branches(palm)
         if joint in candidates[palm]
         for leaf in robot.leaves(child)
     ]
-    chains = [_chain(robot, leaf, palm) for leaf in below]
-    kept, notes = _drop_idle(robot, chains)
-    kept = _drop_linkages(robot, _drop_forks(kept, notes), notes)
+    kept = _drop_linkages(robot, _drop_forks(_drop_idle(robot, chains, notes), notes), notes)
     if not kept:
         raise HandError("no branch of the palm moves its end", file=robot.file, value=palm)
     _check_one_hand(robot, palm, kept)
-    link = _common_link(robot, palm, kept)
+    used = {robot.drivers(joint) for chain in kept for joint in chain.joints}
+    below = {joint for leaf in robot.leaves(palm) for joint, _ in robot.chain(leaf, palm)}
     return Structure(
-        palm=link,
+        palm=_common_link(robot, palm, kept),
         chains=tuple(kept),
         above=tuple(joint for joint, _ in robot.chain(palm, robot.root)),
-        idle=_idle(robot, palm, kept),
+        idle=tuple(joint for joint in robot.active if joint in below and joint not in used),
         how=f"the only link from which {len(kept)} chains of at most {LONGEST_FINGER:g} m branch",
         confidence=0.95 if len(kept) > 2 else 0.85,
         notes=tuple(notes),
     )
+
+
+def fingers_of(robot: Robot, structure: Structure) -> list[Finger]:
+    """Return the fingers on the robot's model, in the frame of the palm's link."""
+    robot.set_palm(structure.palm)
+    return [
+        Finger(
+            robot,
+            [robot.model.getJointId(joint) for joint in chain.joints],
+            robot.place_of(chain.tip.link, chain.tip.xyz),
+        )
+        for chain in structure.chains
+    ]
 
 
 def _check_one_hand(robot: Robot, palm: str, chains: list[Chain]) -> None:
@@ -156,23 +163,19 @@ def _check_one_hand(robot: Robot, palm: str, chains: list[Chain]) -> None:
     Raises:
         HandError: If there are two; the message names their links for `root`.
     """
-    robot.place(robot.zero)
     roots = np.array([robot.pose_in(chain.links[0], palm)[:3, 3] for chain in chains])
     near = np.linalg.norm(roots[:, None] - roots[None], axis=2) < _APART
-    group = {0}
-    for _ in chains:
-        group |= {j for i in group for j in np.flatnonzero(near[i]).tolist()}
-    rest = set(range(len(chains))) - group
-    if len(group) < 2 or len(rest) < 2:
+    group = np.linalg.matrix_power(near.astype(float), len(chains))[0] > 0.0
+    if group.sum() < 2 or (~group).sum() < 2:
         return
-    links = [_common_link(robot, palm, [chains[i] for i in sorted(part)]) for part in (group, rest)]
-    if links[0] != links[1]:
-        advice = "choose one with --root"
-    else:
+    parts = (np.flatnonzero(group), np.flatnonzero(~group))
+    links = [_common_link(robot, palm, [chains[i] for i in part]) for part in parts]
+    advice = "choose one with --root"
+    if links[0] == links[1]:
         advice = "keep the links of one hand in the URDF, because both start at the same link"
     raise HandError(
-        f"there are two hands on one base: {len(group)} fingers from {links[0]!r} and {len(rest)} "
-        f"from {links[1]!r}; {advice}",
+        f"there are two hands on one base: {len(parts[0])} fingers from {links[0]!r} and "
+        f"{len(parts[1])} from {links[1]!r}; {advice}",
         file=robot.file,
         value=links,
     )
@@ -192,42 +195,24 @@ def _fingerlike(robot: Robot, body: str) -> set[str]:
 def _reach(robot: Robot, chain: list[tuple[str, str]]) -> float:
     """Return the length of a chain from its first joint to its tip [m]."""
     links = [link for _, link in chain]
-    steps = [
-        np.linalg.norm(robot.pose_in(link, before)[:3, 3])
-        for before, link in itertools.pairwise(links)
-    ]
+    steps = [robot.pose_in(link, before)[:3, 3] for before, link in itertools.pairwise(links)]
     end = find_tip(robot, links[-1], links[-2] if len(links) > 1 else None)
-    return float(sum(steps) + np.linalg.norm(robot.pose_in(end.link, links[-1])[:3, 3] + end.xyz))
+    steps.append(robot.pose_in(end.link, links[-1])[:3, 3] + end.xyz)
+    return float(np.linalg.norm(steps, axis=1).sum())
 
 
 def _hangs_in(robot: Robot, body: str, other: str, joints: set[str]) -> bool:
     """Return whether a body lies on one of another body's finger-like branches."""
-    way = robot.chain(body, other)
-    return (
-        body != other
-        and bool(way)
-        and robot.body(other) == other
-        and way[0][0] in joints
-        and _is_above(robot, other, body)
-    )
+    way, first = robot.chain(body, other), body
+    while first in robot.parent and first != other:
+        first = robot.parent[first][1]
+    return body != other and first == other and bool(way) and way[0][0] in joints
 
 
-def _is_above(robot: Robot, above: str, link: str) -> bool:
-    while link in robot.parent:
-        link = robot.parent[link][1]
-        if robot.body(link) == above:
-            return True
-    return False
-
-
-def _common_palm_link(robot: Robot, body: str) -> str:
+def _common_palm_link(robot: Robot, body: str, joints: set[str]) -> str:
     """Return the link of a palm from which all its finger-like branches start."""
-    chains = [
-        _chain(robot, child, body)
-        for joint, child in robot.branches(body)
-        if joint in _fingerlike(robot, body)
-    ]
-    return _common_link(robot, body, chains)
+    branches = [child for joint, child in robot.branches(body) if joint in joints]
+    return _common_link(robot, body, [_chain(robot, child, body) for child in branches])
 
 
 def _one_finger(robot: Robot) -> Structure:
@@ -235,16 +220,11 @@ def _one_finger(robot: Robot) -> Structure:
     chain = _chain(robot, leaves[0], robot.root)
     reach = _reach(robot, robot.chain(leaves[0], robot.root))
     if len(leaves) > 1 or reach > LONGEST_FINGER:
-        what = (
-            f"{len(leaves)} chains, none of which branches into fingers"
-            if len(leaves) > 1
-            else f"one chain of {reach:.2f} m"
-        )
-        hint = (
-            "; are its lengths in millimetres?"
-            if reach > 10.0
-            else ", or name the palm with --root"
-        )
+        what = f"one chain of {reach:.2f} m"
+        if len(leaves) > 1:
+            what = f"{len(leaves)} chains, none of which branches into fingers"
+        is_large = reach > 10.0
+        hint = "; are its lengths in millimetres?" if is_large else ", or name the palm with --root"
         raise HandError(
             f"no hand found from {robot.root!r} outwards: {what}{hint}",
             file=robot.file,
@@ -262,12 +242,8 @@ def _one_finger(robot: Robot) -> Structure:
 
 
 def _chain(robot: Robot, leaf: str, palm: str) -> Chain:
-    way = robot.chain(leaf, palm)
-    return Chain(
-        joints=tuple(joint for joint, _ in way),
-        links=tuple(link for _, link in way),
-        tip=find_tip(robot, leaf, way[-2][1] if len(way) > 1 else None),
-    )
+    joints, links = zip(*robot.chain(leaf, palm), strict=True)
+    return Chain(joints, links, find_tip(robot, leaf, links[-2] if len(links) > 1 else None))
 
 
 def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
@@ -283,18 +259,17 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
     """
     cloud = robot.body_surface(leaf)
     size = float(np.linalg.norm(cloud, axis=1).max()) if len(cloud) else 0.0
-    last = 0.0 if before is None else float(np.linalg.norm(robot.pose_in(leaf, before)[:3, 3]))
-    ends = [link for link in robot.body_links(leaf) if not robot.children[link] and link != leaf]
+    ends = {
+        link: robot.pose_in(link, leaf)[:3, 3]
+        for link in robot.body_links(leaf)
+        if not robot.children[link] and link != leaf
+    }
     if ends:
-        far = max(ends, key=lambda link: float(np.linalg.norm(robot.pose_in(link, leaf)[:3, 3])))
-        distance = float(np.linalg.norm(robot.pose_in(far, leaf)[:3, 3]))
-        if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, far, cloud):
-            return Tip(
-                far,
-                np.zeros(3),
-                f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint",
-                0.95,
-            )
+        far = max(ends, key=lambda link: float(np.linalg.norm(ends[link])))
+        distance = float(np.linalg.norm(ends[far]))
+        if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far], cloud):
+            how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
+            return Tip(far, np.zeros(3), how, 0.95)
     if size > _LEAST_TIP:
         # The centre of the outermost slice lies on the finger's axis, not on its skin.
         middle = cloud[np.linalg.norm(cloud, axis=1) > 0.95 * size].mean(axis=0)
@@ -304,127 +279,103 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
             middle = 0.5 * (outermost.min(axis=0) + outermost.max(axis=0))
         way = middle / np.linalg.norm(middle)
         middle = middle + ((cloud @ way).max() - middle @ way) * way
-        return Tip(
-            leaf,
-            middle,
-            f"the far end of the surface of {leaf}, {1e3 * size:.0f} mm from the last joint",
-            0.8,
-        )
-    if last > _LEAST_TIP and before is not None:
-        straight = (
-            np.linalg.inv(robot.pose_in(leaf, before)[:3, :3]) @ robot.pose_in(leaf, before)[:3, 3]
-        )
-        return Tip(
-            leaf,
-            0.8 * straight,
-            f"{leaf} has no surface and no end frame: 0.8 of the previous link's length",
-            0.3,
-        )
-    return Tip(leaf, np.zeros(3), f"{leaf} has no surface and no end frame: its origin", 0.1)
+        how = f"the far end of the surface of {leaf}, {1e3 * size:.0f} mm from the last joint"
+        return Tip(leaf, middle, how, 0.8)
+    how, last = f"{leaf} has no surface and no end frame", np.zeros(3)
+    if before is not None:
+        pose = robot.pose_in(leaf, before)
+        last = pose[:3, :3].T @ pose[:3, 3]
+    if np.linalg.norm(last) > _LEAST_TIP:
+        return Tip(leaf, 0.8 * last, f"{how}: 0.8 of the previous link's length", 0.3)
+    return Tip(leaf, np.zeros(3), f"{how}: its origin", 0.1)
 
 
-def _is_at_end(robot: Robot, leaf: str, end: str, cloud: np.ndarray) -> bool:
+def _is_at_end(robot: Robot, leaf: str, place: np.ndarray, cloud: np.ndarray) -> bool:
     """Return whether an end frame is at the end of its body's surface, or there is none.
 
     The centre of a ball is the end of a round fingertip.
     """
     if not len(cloud):
         return True
-    place = robot.pose_in(end, leaf)[:3, 3]
     length = float(np.linalg.norm(place))
     beyond = float((cloud @ (place / length)).max()) - length
-    if -_IN_THE_AIR < beyond < _INSIDE:
-        return True
-    balls = np.concatenate(
-        [
-            transform_points(robot.pose_in(link, leaf), robot.balls[link])
-            for link in robot.body_links(leaf)
-        ]
-    )
-    at_centre = bool((np.linalg.norm(balls - place, axis=1) < _AT_CENTRE).any())
-    return at_centre and 0.0 < beyond < _LARGEST_BALL
+    balls = [
+        transform_points(robot.pose_in(link, leaf), robot.balls[link])
+        for link in robot.body_links(leaf)
+    ]
+    at_centre = bool((np.linalg.norm(np.concatenate(balls) - place, axis=1) < _AT_CENTRE).any())
+    return -_IN_THE_AIR < beyond < _INSIDE or (at_centre and 0.0 < beyond < _LARGEST_BALL)
 
 
-def tip_track(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
-    """Return a tip's positions in a frame while the joints of its chain cross their ranges.
+def _swept(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
+    """Return the poses of a chain's last link in a frame while its joints cross their ranges.
+
+    All joints cross together.
 
     Returns:
-        Positions [m], shape (samples, 3).
+        Poses, shape (samples, 4, 4).
     """
-    tip = chain.tip
-    return np.array(
-        [transform_points(robot.pose_in(tip.link, frame), tip.xyz) for _ in _sweep(robot, chain)]
-    )
-
-
-def _sweep(robot: Robot, chain: Chain, samples: int = 5) -> Iterator[None]:
-    """Place the joints of a chain at evenly spaced positions of their ranges, one after another."""
-    columns = [
-        robot.active.index(robot.drivers(joint))
-        for joint in chain.joints
-        if robot.drivers(joint) in robot.active
-    ]
-    for share in np.linspace(0.0, 1.0, samples):
-        q = robot.zero.copy()
-        q[columns] = robot.lower[columns] + share * (robot.upper[columns] - robot.lower[columns])
-        robot.place(q)
-        yield
+    drivers = {robot.drivers(joint) for joint in chain.joints}
+    mine, poses = np.array([joint in drivers for joint in robot.active]), []
+    for share in np.linspace(0.0, 1.0, 5):
+        across = robot.lower_limits + share * (robot.upper_limits - robot.lower_limits)
+        robot.place(np.where(mine, across, robot.zero))
+        poses.append(robot.pose_in(chain.links[-1], frame))
     robot.place(robot.zero)
+    return np.array(poses)
 
 
-def _drop_idle(robot: Robot, chains: list[Chain]) -> tuple[list[Chain], list[str]]:
-    """Return the chains that move their own ends, and notes on the others."""
-    kept, notes = [], []
+def _tip_track(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
+    """Return a tip's positions in a frame while its joints cross their ranges [m], (samples, 3)."""
+    tip = transform_points(robot.pose_in(chain.tip.link, chain.links[-1]), chain.tip.xyz)
+    return np.array([transform_points(pose, tip) for pose in _swept(robot, chain, frame)])
+
+
+def _drop_idle(robot: Robot, chains: list[Chain], notes: list[str]) -> list[Chain]:
+    """Keep the chains that move their own ends."""
+    kept = []
     for chain in chains:
-        frame = robot.parent[chain.links[0]][1]
-        track = tip_track(robot, chain, frame)
-        if float(np.ptp(track, axis=0).max()) < _LEAST_TRAVEL:
-            notes.append(
-                f"{', '.join(chain.joints)}: does not move the end of its chain, so not a finger"
-            )
-        else:
+        track = _tip_track(robot, chain, robot.parent[chain.links[0]][1])
+        if float(np.ptp(track, axis=0).max()) >= _LEAST_TRAVEL:
             kept.append(chain)
-    return kept, notes
+        else:
+            joints = ", ".join(chain.joints)
+            notes.append(f"{joints}: does not move the end of its chain, so not a finger")
+    return kept
 
 
 def _drop_forks(chains: list[Chain], notes: list[str]) -> list[Chain]:
     """Keep the longest of chains that share most joints: one finger with two ends."""
     kept: list[Chain] = []
     for chain in sorted(chains, key=lambda one: -len(one.joints)):
-        fork = next(
-            (other for other in kept if _shared(chain, other) > 0.5 * len(chain.joints)), None
+        longer = (
+            other
+            for other in kept
+            if sum(map(str.__eq__, chain.joints, other.joints)) > 0.5 * len(chain.joints)
         )
-        if fork is None:
+        if (fork := next(longer, None)) is None:
             kept.append(chain)
         else:
-            notes.append(
-                f"{chain.links[-1]}: a second end of the finger that ends at {fork.links[-1]}"
-            )
+            end = fork.links[-1]
+            notes.append(f"{chain.links[-1]}: a second end of the finger that ends at {end}")
     return [chain for chain in chains if chain in kept]
-
-
-def _shared(chain: Chain, other: Chain) -> int:
-    return sum(one == two for one, two in zip(chain.joints, other.joints, strict=False))
 
 
 def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[Chain]:
     """Drop bars of linkages: driven by another finger's joint, and hinged to that finger."""
     kept = []
-    for chain in chains:
-        drivers = {robot.drivers(joint) for joint in chain.joints}
+    drivers = [{robot.drivers(joint) for joint in chain.joints} for chain in chains]
+    for chain, own in zip(chains, drivers, strict=True):
         hosts = [
             other
-            for other in chains
-            if other is not chain
-            and len(other.joints) > len(chain.joints)
-            and drivers == {robot.drivers(joint) for joint in other.joints}
+            for other, theirs in zip(chains, drivers, strict=True)
+            if len(other.joints) > len(chain.joints)
+            and own == theirs
             and any(_is_hinged(robot, chain, link) for link in other.links)
         ]
         if hosts:
-            notes.append(
-                f"{', '.join(chain.joints)}: a bar of the linkage of the finger "
-                f"that ends at {hosts[0].links[-1]}"
-            )
+            what = f"a bar of the linkage of the finger that ends at {hosts[0].links[-1]}"
+            notes.append(f"{', '.join(chain.joints)}: {what}")
         else:
             kept.append(chain)
     return kept
@@ -435,31 +386,21 @@ def _is_hinged(robot: Robot, bar: Chain, link: str) -> bool:
 
     The pivot p in the bar and c in the link solve `R p + t = c` for the bar's poses (R, t).
     """
-    own = bar.links[-1]
-    tip = transform_points(robot.pose_in(bar.tip.link, own), bar.tip.xyz)
-    length = float(np.linalg.norm(tip))
-    poses = [robot.pose_in(own, link) for _ in _sweep(robot, bar)]
-    turns = [float(np.linalg.norm(pose[:3, :3] - poses[0][:3, :3])) for pose in poses]
-    if max(turns) < _LEAST_PIVOT:
-        return bool(np.ptp(tip_track(robot, bar, link), axis=0).max() < _LINKAGE_SLACK)
-    matrix = np.vstack([np.hstack([pose[:3, :3], -np.eye(3)]) for pose in poses])
-    shifts = np.concatenate([-pose[:3, 3] for pose in poses])
+    poses = _swept(robot, bar, link)
+    rotations, shifts = poses[:, :3, :3], -poses[:, :3, 3].ravel()
+    if np.linalg.norm(rotations - rotations[0], axis=(1, 2)).max() < _LEAST_PIVOT:
+        return bool(np.ptp(_tip_track(robot, bar, link), axis=0).max() < _LINKAGE_SLACK)
+    matrix = np.hstack([rotations.reshape(-1, 3), np.tile(-np.eye(3), (len(poses), 1))])
     # All points on the pivot's axis fit: the shortest solution is the one nearest to both origins.
     solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
     residual = np.linalg.norm((matrix @ solution - shifts).reshape(-1, 3), axis=1)
-    axis = robot.axes[bar.joints[-1]]
-    off_axis = float(np.linalg.norm(np.cross(axis, solution[:3])))
+    off_axis = float(np.linalg.norm(np.cross(robot.axes[bar.joints[-1]], solution[:3])))
+    tip = transform_points(robot.pose_in(bar.tip.link, bar.links[-1]), bar.tip.xyz)
+    length = float(np.linalg.norm(tip))
     return bool(
         residual.max() < _LINKAGE_SLACK
         and _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
     )
-
-
-def _idle(robot: Robot, palm: str, chains: list[Chain]) -> tuple[str, ...]:
-    """Return the active joints beyond the palm that move no finger."""
-    used = {robot.drivers(joint) for chain in chains for joint in chain.joints}
-    below = {joint for leaf in robot.leaves(palm) for joint, _ in robot.chain(leaf, palm)}
-    return tuple(joint for joint in robot.active if joint in below and joint not in used)
 
 
 def _common_link(robot: Robot, palm: str, chains: list[Chain]) -> str:
@@ -470,9 +411,5 @@ def _common_link(robot: Robot, palm: str, chains: list[Chain]) -> str:
         while way[-1] != palm:
             way.append(robot.parent[way[-1]][1])
         ways.append(way[::-1])
-    common = palm
-    for links in zip(*ways, strict=False):
-        if len(set(links)) > 1:
-            break
-        common = links[0]
-    return common
+    shared = itertools.takewhile(lambda links: len(set(links)) == 1, zip(*ways, strict=False))
+    return [palm, *(links[0] for links in shared)][-1]

@@ -253,6 +253,20 @@ def test_geometry_bends_the_allegro_fingers_and_leaves_their_spread() -> None:
     assert (direction >= 0.0).all()
 
 
+def test_a_hand_whose_zero_is_a_fist_starts_open() -> None:
+    preshape = default_preshape(load("romeo_right"))
+    assert (preshape.start.tolist(), preshape.direction.tolist()) == ([1.0], [-1.0])
+
+
+def test_jaws_start_open_and_close() -> None:
+    hand = load("panda_gripper")
+    preshape = default_preshape(hand)
+    closes = np.where(preshape.direction > 0.0, hand.upper_limits, hand.lower_limits)
+    tips = hand.with_points("fingertips")
+    gaps = [np.linalg.norm(np.subtract(*tips.points(q))) for q in (preshape.start, closes)]
+    assert gaps[1] < gaps[0] - 0.05
+
+
 @pytest.mark.parametrize(
     ("name", "centre"), [("human", [-0.0074, 0.0674, 0.0]), ("three_finger", [0.0, 0.0, 0.0])]
 )

@@ -13,7 +13,13 @@ from scipy.spatial import ConvexHull
 
 from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, find_fingers, finger_tips
+from handmap_qp.hands.fingers import (
+    THUMB,
+    PalmKinematics,
+    find_fingers,
+    finger_tips,
+    zero_posture,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.pads import find_pads
@@ -96,6 +102,49 @@ def test_tips_are_found_whatever_points_are_in_use(
     name: str, tips: dict[str, str], points: str | None
 ) -> None:
     assert finger_tips(load_hand(name, points=points)) == tips
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_motions_of_a_fingertip_are_derivatives_of_its_place(name: str) -> None:
+    robot = hand(name)
+    view = PalmKinematics(robot)
+    for finger in find_fingers(robot).values():
+        motion = view.motion(robot.rest, finger.tip)
+        others = np.setdiff1d(np.arange(len(robot.rest)), finger.columns)
+        assert not motion[:, others].any()
+        for column in finger.columns:
+            ends = np.tile(robot.rest, (2, 1))
+            ends[:, column] += -1e-6, 1e-6
+            before, after = view.points(ends, [finger.tip])[:, 0]
+            np.testing.assert_allclose(motion[:3, column], (after - before) / 2e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_flexing_joints_shorten_a_straight_finger_towards_the_palm(name: str) -> None:
+    robot = hand(name)
+    view, limits = PalmKinematics(robot), (robot.lower_limits, robot.upper_limits)
+    for finger in find_fingers(robot).values():
+        flexion = finger.flexion
+        if flexion is None or not flexion.curls:
+            continue
+        straight, closed = zero_posture(robot), zero_posture(robot)
+        straight[flexion.columns] = flexion.straight
+        for column in flexion.columns:
+            closed[column] = limits[int(finger.closing[column] > 0.0)][column]
+        lengths = np.linalg.norm(
+            view.points(np.array([straight, closed]), [finger.tip])[:, 0] - flexion.knuckle, axis=1
+        )
+        assert lengths[1] < 0.95 * lengths[0]
+        if finger.name != THUMB:
+            motion = view.motion(straight, finger.tip)[2, flexion.columns]
+            assert motion @ finger.closing[flexion.columns] < 0.0
+
+
+def test_axes_a_few_degrees_apart_bend_a_finger_and_others_do_not() -> None:
+    """Axes of Romeo's fingers are 7 degrees apart, those of its thumb 35."""
+    fingers = find_fingers(hand("romeo_right"))
+    assert fingers["index"].bending == [*fingers["index"].joints]
+    assert fingers["thumb"].bending == [*fingers["thumb"].joints[1:]]
 
 
 def test_a_round_fingertip_is_its_own_pad() -> None:

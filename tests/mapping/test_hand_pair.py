@@ -8,7 +8,7 @@ import pytest
 from marks import slow
 
 from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.hands.fingers import find_finger_ends
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.pads import find_pads
@@ -142,7 +142,7 @@ def test_pads_and_bones_of_a_person_are_those_of_the_scaled_shapes(
 ) -> None:
     person = HumanLengths.from_hand_length(length)
     human = load_hand(name, lengths=person)
-    ends = find_finger_ends(human)
+    ends = find_fingers(human)
     for finger, pad in find_pads(human, ends).items():
         quick = _human_pads(human, ends)[finger]
         assert quick.joint == pad.joint

@@ -17,6 +17,7 @@ from handmap_qp import (
     JointToJoint,
     load_hand,
 )
+from handmap_qp.hands.fingers import PalmKinematics, find_fingers
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.mapping.finger_angles import FingerAngles
 from handmap_qp.mapping.methods.joint_to_joint import BoundJointToJoint
@@ -43,6 +44,25 @@ def in_palm(hand: Any, q: np.ndarray) -> np.ndarray:
 def closing(share: float) -> np.ndarray:
     """Return the straight hand with four fingers flexed by a share of their range."""
     return np.where(FLEXES, share * HUMAN.upper_limits, HUMAN.rest)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "allegro_left", "ur5_allegro"])
+def test_spreading_fingers_move_sideways_as_the_humans_do(name: str) -> None:
+    """At zero, the axes of Allegro's spread joints are at right angles to the human's."""
+    robot = load_hand(name)
+    human = LEFT if robot.side == "left" else HUMAN
+    view, spread = PalmKinematics(robot), human.rest.copy()
+    bound, fingers = BoundJointToJoint(human, robot), find_fingers(robot)
+    spread[4::4] += 0.2
+    ends = [bound.positions(bound.angles.measure(in_palm(human, q))) for q in (human.rest, spread)]
+    for link in bound.links:
+        if link.human[0] and link.finger != "thumb":
+            postures = np.tile(robot.rest, (2, 1))
+            postures[:, link.column] = [q[link.column] for q in ends]
+            before, after = view.points(postures, [fingers[link.finger].tip])[:, 0]
+            tip = human.with_points((f"{link.finger}_tip",))
+            wanted = in_palm(tip, spread) - in_palm(tip, human.rest)
+            assert (after - before)[0] * wanted[0, 0] > 1e-6
 
 
 # -- angles

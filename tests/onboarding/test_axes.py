@@ -75,6 +75,16 @@ def test_axes_of_odd_hands_are_right_and_nothing_wrong_is_certain() -> None:
         assert "thumb" not in certain(found) or tips(found)["thumb"] == made.tips["thumb"], kind
 
 
+@pytest.mark.parametrize("seed", [5, 6])
+def test_followers_beyond_a_spread_joint_show_the_flexion(seed: int) -> None:
+    """The leader is before the spread joint, and its followers beyond: the leader flexes."""
+    kind = "coupled"
+    made = make_odd_hand(np.random.default_rng([0, seed, list(ODDITIES).index(kind)]), kind)
+    found = found_in(made)
+    assert found.spec.side == made.side
+    assert degrees(found.spec.palm.dorsal, made.dorsal) < 5.0
+
+
 def symmetric(has_names: bool) -> MadeHand:
     generator = np.random.default_rng(3)
     while True:
@@ -130,8 +140,9 @@ def test_leap_is_as_its_drawing_says(side: str) -> None:
         assert points[f"{finger}_pip"].link == link
         assert points[f"{finger}_pip"].xyz[2] == pytest.approx(0.015, abs=0.001)
     assert points["thumb_ip"].link.startswith("thumb_fingertip")
-    # Abduction joints rest at zero.
+    # Abduction joints rest at zero; a thumb's base joint that moves the tip as flexion does bends.
     assert all(abs(found.spec.rest[joint]) < 1e-9 for joint in ("0", "4", "8"))
+    assert found.spec.rest["13"] < -0.1
 
 
 @pytest.mark.skipif(SHARED is None, reason="LEAP and SVH are not here: set HANDMAP_HANDS")

@@ -15,8 +15,7 @@ import yaml
 from handmap_qp import HandError, load_hand
 from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.onboarding.check import _check_arm, check_hand
-from handmap_qp.onboarding.check_files import check_files
+from handmap_qp.onboarding.check import _check_arm, _check_wrist, check_hand
 from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
 from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.gestures import make_fist, measure_pinches
@@ -181,7 +180,7 @@ def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
 
 def test_wrist_joints_above_the_root_are_advice() -> None:
     report = Report("g1_right")
-    check_files(report, load_hand("g1_right"))
+    _check_wrist(report, load_hand("g1_right"))
     found = [finding for finding in report.findings if finding.where == "root"]
     assert len(found) == 1
     assert "right_wrist_yaw_joint" in found[0].what

@@ -16,8 +16,7 @@ from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
 from handmap_qp.hands.urdf.files import urdf_path
 from handmap_qp.hands.urdf.package_data import urdf_directory
-from handmap_qp.onboarding.check import check_hand
-from handmap_qp.onboarding.check_joints import _check_speeds
+from handmap_qp.onboarding.check import _check_speeds, check_hand
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.measure import (

@@ -316,6 +316,14 @@ def test_a_urdf_in_millimetres_is_recognised() -> None:
         detect_text(large, DATA / "one_finger.urdf")
 
 
+def test_the_last_joints_of_a_thumb_flex_it() -> None:
+    """An inner joint of the Allegro hand's thumb shortens it more than its last two together."""
+    folder = ROBOTS / "allegro_hand_description" / "urdf"
+    rest = detect(folder / "allegro_right_hand.urdf").spec.rest
+    assert rest["joint_13.0"] == 0.0
+    assert min(rest["joint_14.0"], rest["joint_15.0"]) > 0.5
+
+
 def test_given_side_thumb_and_name_are_used() -> None:
     found = detect(
         urdf_directory() / "three_finger" / "hand.urdf",

@@ -20,15 +20,24 @@ the tips, and thumbs are built too differently for joints to correspond.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.fingers import THUMB, FingerChain, find_fingers, moving_columns
+from handmap_qp.hands.fingers import (
+    THUMB,
+    Finger,
+    PalmKinematics,
+    ends_of,
+    find_fingers,
+    nearing,
+    zero_posture,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.ik.tasks import AttachedPoints, TaskRows
+from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
 from handmap_qp.mapping.method import (
     FOLLOWING,
@@ -43,13 +52,9 @@ from handmap_qp.transform import inverse_pose, transform_points
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0
-# A joint flexes a finger if its axis is as parallel as this to that of the finger's last joint.
-_PARALLEL = 0.7
-# Change of the distance from knuckle to tip over a joint's range that counts as curling, as a share
-# of the finger's reach.
+# Change of the distance from knuckle to tip over the range of a thumb's joint that counts as
+# curling, as a share of the thumb's reach.
 _CURLING = 0.06
-# Step of derivatives by differences [rad or m].
-_STEP = 1e-5
 
 
 class JointToJoint(MethodOptions, frozen=True):
@@ -146,7 +151,13 @@ class BoundJointToJoint:
         self.links = [
             link
             for finger, columns in zip(self.fingers, self.angles.columns, strict=True)
-            for link in _FingerLinks(human, robot, chains, finger, columns).links
+            for link in _finger_links(
+                human,
+                robot,
+                chains[finger],
+                [other for name, other in chains.items() if name != finger],
+                columns,
+            )
         ]
         self.columns = np.unique([link.column for link in self.links])
 
@@ -196,148 +207,89 @@ class JointMap:
         )
 
 
-class _FingerLinks:
-    """Finds which joints of one finger correspond, from where to where they go, and which way.
-
-    Attributes:
-        links: The correspondences.
-    """
-
-    def __init__(
-        self,
-        human: Hand,
-        robot: Hand,
-        chains: dict[str, FingerChain],
-        finger: str,
-        human_columns: np.ndarray,
-    ) -> None:
-        self._human, self._robot, self._chain = human, robot, chains[finger]
-        self._others = [chain for name, chain in chains.items() if name != finger]
-        self._human_columns = human_columns
-        self._tip = human.with_points((f"{finger}_tip",))
-        self._is_thumb = finger == THUMB
-        self._human_zero = human.rest if self._is_thumb else np.zeros(len(human.rest))
-        straight = np.clip(0.0, robot.lower_limits, robot.upper_limits)
-        self._posture = robot.rest if self._is_thumb else straight
-        columns, axes = self._columns_outwards()
-        bends = [len(axes) == 1 or abs(float(axis @ axes[-1])) > _PARALLEL for axis in axes]
-        spreads = [column for column, bend in zip(columns, bends, strict=True) if not bend]
-        if self._is_thumb and spreads:
-            # A thumb's axes are not parallel: the first joint brings it before the palm.
-            spreads = columns[:1]
-        flexes = [column for column in columns if column not in spreads]
-        self.links = [self._link(column, [0]) for column in spreads[:1]]
-        for place, column in enumerate(flexes):
-            self.links.append(self._link(column, _leaders(place, len(flexes))))
-
-    def _columns_outwards(self) -> tuple[list[int], np.ndarray]:
-        """Return the joints of this finger from the palm outwards, and the axis of each."""
-        joints = self._chain.joints
-        first = {
-            column: place
-            for place, joint in reversed(list(enumerate(joints)))
-            for column in moving_columns(self._robot, [joint]).tolist()
-        }
-        columns = sorted(first, key=lambda column: first[column])
-        return columns, np.array([self._motion(column)[1] for column in columns])
-
-    def _link(self, column: int, leaders: list[int]) -> JointLink:
-        """Say where a robot joint goes with the human joints that lead it."""
-        human, columns = self._human, self._human_columns
-        lower, upper = self._robot.lower_limits[column], self._robot.upper_limits[column]
+def _finger_links(
+    human: Hand, robot: Hand, finger: Finger, others: list[Finger], human_columns: np.ndarray
+) -> list[JointLink]:
+    """Find which joints of one finger correspond, from where to where they go, and which way."""
+    is_thumb, columns = finger.name == THUMB, finger.columns.tolist()
+    flexes = [column for column in columns if finger.closing[column]] or columns[:1]
+    spreads = [column for column in columns if column not in flexes]
+    if is_thumb and spreads:
+        # A thumb's axes are not parallel: the first joint brings it before the palm.
+        spreads, flexes = columns[:1], columns[1:]
+    pairs = [(column, [0]) for column in spreads[:1]]
+    pairs += [(column, _leaders(place, len(flexes))) for place, column in enumerate(flexes)]
+    found = []
+    for column, leaders in pairs:
         # Every flexion of the resting hand is one: its sign is the sense.
         senses = np.zeros(4)
         for k in leaders:
-            senses[k] = -1.0 if k > 0 and human.rest[columns[k]] < 0.0 else 1.0
-        is_curling, is_upper = self._curls(column)
-        counts_from_rest = self._is_thumb and not is_curling
-        zero = self._human_zero[columns] if counts_from_rest else np.zeros(4)
-        limits = np.array([human.lower_limits[columns], human.upper_limits[columns]])
+            senses[k] = -1.0 if k > 0 and human.rest[human_columns[k]] < 0.0 else 1.0
+        end = _closed_end(human, robot, finger, others, column, human_columns, senses)
+        zero = human.rest[human_columns] if end.counts_from_rest else np.zeros(4)
+        limits = np.array([human.lower_limits[human_columns], human.upper_limits[human_columns]])
         reach = np.where(senses < 0.0, -limits[::-1], limits) * np.abs(senses)
         least, most = reach.sum(axis=1) - senses @ zero
-        straight = self._chain.stretched[column] if is_curling else self._posture[column]
-        if not is_curling:
-            velocity, axis = self._motion(column)
-            if np.any(axis):
-                human_velocity, human_axis = self._human_motion(leaders[0], senses)
-                # Thumbs differ in where their axes are: what counts is where the tip goes.
-                agreement = human_velocity @ velocity if self._is_thumb else human_axis @ axis
-                is_upper = bool(agreement >= 0.0)
-            else:
-                is_upper = self._approaches_others(column)
-                straight = lower if is_upper else upper
-        return JointLink(
-            self._chain.name,
-            column,
-            senses,
-            float(senses @ zero),
-            (min(float(least), -1e-6), max(float(most), 1e-6)),
-            float(straight),
-            (float(lower), float(upper)) if is_upper else (float(upper), float(lower)),
+        lower, upper = float(robot.lower_limits[column]), float(robot.upper_limits[column])
+        found.append(
+            JointLink(
+                finger.name,
+                column,
+                senses,
+                float(senses @ zero),
+                (min(float(least), -1e-6), max(float(most), 1e-6)),
+                end.start,
+                (lower, upper) if end.is_upper else (upper, lower),
+            )
         )
+    return found
 
-    def _curls(self, column: int) -> tuple[bool, bool]:
-        """Return whether a joint shortens the finger, and whether it does so at its upper limit."""
-        robot, stretched = self._robot, self._chain.stretched
-        lengths = []
-        for end in (robot.lower_limits[column], robot.upper_limits[column]):
-            q = stretched.copy()
-            q[column] = end
-            tip, knuckle, _ = self._place(q)
-            lengths.append(float(np.linalg.norm(tip - knuckle)))
-        change = max(self._chain.reach - min(lengths), 0.0)
-        return change > _CURLING * self._chain.reach, lengths[1] <= lengths[0]
 
-    def _approaches_others(self, column: int) -> bool:
-        """Return whether a jaw's tip is nearest to the other fingertips at its upper limit."""
-        distances = []
-        for end in (self._robot.lower_limits[column], self._robot.upper_limits[column]):
-            q = self._posture.copy()
-            q[column] = end
-            points = AttachedPoints(self._robot, [c.tip for c in (self._chain, *self._others)])
-            configuration = self._robot.configuration()
-            configuration.place_frames(self._robot.configuration_vector(q))
-            tip, *others = points.positions(configuration)
-            distances.append(sum(float(np.linalg.norm(tip - other)) for other in others))
-        return distances[1] <= distances[0]
+class _ClosedEnd(NamedTuple):
+    """Where a robot's joint starts, whether it closes at its upper limit, and from where to count.
 
-    def _place(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return tip and knuckle in palm axes [m], and the rotation of the tip's link."""
-        robot, chain = self._robot, self._chain
-        configuration = robot.configuration()
-        configuration.place_frames(robot.configuration_vector(q))
-        palm = inverse_pose(configuration.wrist.homogeneous @ robot.wrist_to_palm)
-        rotations, origins, _ = configuration.joints
-        points = [
-            rotations[joint].dot(offset) + origins[joint]
-            for joint, offset in (chain.tip, chain.knuckle)
-        ]
-        tip, knuckle = transform_points(palm, np.array(points))
-        return tip, knuckle, palm[:3, :3] @ rotations[chain.tip[0]]
+    Attributes:
+        start: Position where the human's angle counts as none [rad or m].
+        is_upper: Whether the human's largest angle is at the upper limit.
+        counts_from_rest: Whether the human's angle counts from rest instead of zero.
+    """
 
-    def _motion(self, column: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a joint's effect on the tip: velocity [m] and axis, by differences, (3,) each."""
-        places = []
-        for step in (-_STEP, _STEP):
-            q = self._posture.copy()
-            q[column] += step
-            places.append(self._place(q))
-        (tip_before, _, before), (tip_after, _, after) = places
-        turn = after @ before.T
-        axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        length = np.linalg.norm(axis)
-        unit = axis / length if length > _STEP else np.zeros(3)
-        return (tip_after - tip_before) / (2.0 * _STEP), unit
+    start: float
+    is_upper: bool
+    counts_from_rest: bool = False
 
-    def _human_motion(self, leader: int, senses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the effect of one of the human's joints on the tip, likewise."""
-        hand, column = self._tip, self._human_columns[leader]
-        configuration = hand.configuration()
-        configuration.place_with_jacobians(hand.configuration_vector(self._human_zero))
-        palm = configuration.wrist.homogeneous @ hand.wrist_to_palm
-        velocity = configuration.point_jacobian()[:3, hand.joint_columns[column]]
-        axis = configuration.joint_jacobian()[3:, hand.v_indices[column]]
-        return senses[leader] * velocity @ palm[:3, :3], senses[leader] * axis @ palm[:3, :3]
+
+def _closed_end(
+    human: Hand,
+    robot: Hand,
+    finger: Finger,
+    others: list[Finger],
+    column: int,
+    human_columns: np.ndarray,
+    senses: np.ndarray,
+) -> _ClosedEnd:
+    is_thumb, flexion, view = finger.name == THUMB, finger.flexion, PalmKinematics(robot)
+    if flexion is not None and finger.closing[column] and not is_thumb:
+        start = float(flexion.straight[flexion.columns == column][0])
+        return _ClosedEnd(start, bool(finger.closing[column] > 0.0))
+    ends = ends_of(robot, finger.stretched, [column])
+    places = view.points(ends, [finger.tip, finger.knuckle])
+    lengths = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+    if is_thumb and finger.reach - lengths.min() > _CURLING * finger.reach:
+        return _ClosedEnd(float(finger.stretched[column]), bool(lengths[1] <= lengths[0]))
+    motion = view.motion(robot.rest, finger.tip)[:, column]
+    if not motion[3:].any():
+        # A jaw closes towards the other fingertips.
+        ends, tips = ends_of(robot, robot.rest, [column]), [each.tip for each in (finger, *others)]
+        is_upper = nearing(view, ends, tips, 0) >= 0.0
+        return _ClosedEnd(float(ends[int(not is_upper), column]), is_upper, is_thumb)
+    leader = int(np.flatnonzero(senses)[0])
+    tip = find_fingers(human)[finger.name].tip
+    wanted = PalmKinematics(human).motion(human.rest, tip)[:, human_columns[leader]]
+    # Hands differ in where their axes are: what counts is where the tip goes.
+    is_upper = bool(senses[leader] * wanted[:3] @ motion[:3] >= 0.0)
+    start = robot.rest if is_thumb else zero_posture(robot)
+    return _ClosedEnd(float(start[column]), is_upper, is_thumb)
 
 
 def _leaders(place: int, count: int) -> list[int]:
