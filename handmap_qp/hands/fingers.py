@@ -233,10 +233,11 @@ class Finger:
 
     @cached_property
     def middle(self) -> Place:
-        """The given one; else the found one, else the origin of the last joint."""
+        """The given one; else the found one of a finger, else the origin of the last joint."""
         if self._middle is not None or not self.joints:
             return self._middle or self.tip
-        return self.find_middle() or (self._own[-1], np.zeros(3))
+        found = self.find_middle() if self.name != THUMB else None
+        return found or (self._own[-1], np.zeros(3))
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
