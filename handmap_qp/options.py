@@ -97,9 +97,8 @@ class Option(NamedTuple):
         Raises:
             InvalidOptionsError: If it has no meaning.
         """
-        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
         try:
-            return msgspec.convert(plain, self.type)
+            return msgspec.convert(_plain(value), self.type)
         except (msgspec.ValidationError, TypeError):
             raise InvalidOptionsError(
                 option=self.name, expected=self.expected, value=value
@@ -189,6 +188,13 @@ def check_names(kind: type[Options], names: Iterable[str]) -> None:
             problem="no such option",
             advice=f"there are {', '.join(known)}",
         )
+
+
+def _plain(value: Any) -> Any:
+    """Return Python's numbers in place of numpy's."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
 def _bare(kind: Any) -> Any:

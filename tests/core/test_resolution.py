@@ -16,9 +16,7 @@ LIMIT = 300.0
 _OFFLINE = ("error: Failed to fetch", "cause: Failed to fetch", "the network was disabled")
 # lerobot 0.5 and later require numpy < 2.3, isaaclab 3.0 pins daqp 0.8.5. Both are for Python 3.12.
 NEIGHBOURS = {
-    "lerobot": ("lerobot>=0.6",),
-    "isaaclab": ("isaaclab>=3",),
-    "both": ("lerobot>=0.6", "isaaclab>=3"),
+    "newest": ("lerobot>=0.6", "isaaclab>=3"),
     # By the metadata of isaaclab 3.0.0 on PyPI, should a later one have others.
     "pins": ("numpy>=2,<2.3", "daqp==0.8.5", "pin-pink==3.3.0", "h5py>=3.15.0", "trimesh>=4.6.8"),
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -59,8 +58,8 @@ def slack_qp(hand: Hand, case: Case, options: IkOptions) -> np.ndarray:
 
 
 def weakened(options: IkOptions, factor: float) -> IkOptions:
-    return replace(
-        options, rest_weight=factor * options.rest_weight, damping=factor * options.damping
+    return options.replaced(
+        rest_weight=factor * options.rest_weight, damping=factor * options.damping
     )
 
 
@@ -171,7 +170,7 @@ def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
 def test_clipping_costs_more_than_the_qp(damping: float) -> None:
     # The QP's answer is the best inside the box; a clipped step is inside too.
     hand = load_hand("allegro_right")
-    options = replace(PLAIN, has_velocity_limits=True)
+    options = PLAIN.replaced(has_velocity_limits=True)
     dearer = 0
     for case in random_cases(hand, 40, seed=5, is_inside=True):
         ik = PointIk(hand, options)

@@ -5,7 +5,6 @@ A hand mapped to itself, hands in other units, hands that rest, real recordings.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -96,7 +95,7 @@ def test_every_recorded_hand_mapped_to_itself_returns_its_own_joints(
         hand, seen = motion.human.with_points("joints"), np.flatnonzero(motion.valid)
         start = inside(hand, motion.q[seen[0]])
         mapper = HandMapper(
-            hand, hand, replace(ITSELF, rigid_from=rigid_from), ik=replace(EXACT, **free)
+            hand, hand, ITSELF.replaced(rigid_from=rigid_from), ik=EXACT.replaced(**free)
         )
         mapper.reset(start, motion.wrist[seen[0]], robot_q=start, robot_wrist=motion.wrist[seen[0]])
         before = start
@@ -149,8 +148,7 @@ def in_unit(hand: Hand, unit: float) -> Hand:
 
 def weights_in_unit(ik: IkOptions, unit: float) -> IkOptions:
     """Return the same weights per length."""
-    return replace(
-        ik,
+    return ik.replaced(
         point_weight=ik.point_weight / unit,
         wrist_position_weight=ik.wrist_position_weight / unit,
         point_tolerance=ik.point_tolerance * unit,

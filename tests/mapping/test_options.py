@@ -344,3 +344,11 @@ def test_options_that_contradict_the_hands_are_rejected_with_advice(
 ) -> None:
     with pytest.raises(InvalidOptionsError, match=re.escape(words)):
         HandMapper(load_hand("human", **human), load_hand("allegro_right", **robot), **choices)
+
+
+def test_numbers_of_numpy_are_taken_as_pythons() -> None:
+    point = tuple(np.array([0.0, 1.0, 0.5]))
+    options = MappingOptions(ridge=np.float64(2.0), pivot="point", pivot_point=point)
+    assert options.pivot_point == (0.0, 1.0, 0.5)
+    values = (options.ridge, *options.pivot_point)
+    assert {type(value) for value in values} == {float}

@@ -384,7 +384,7 @@ def _has_ended(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("has_keys", [False, True], ids=["open", "keys"])
-@pytest.mark.parametrize(("number", "size"), [(3, 0), (5000, 0), (10**6, 0), (10**4, 10**4)])
+@pytest.mark.parametrize(("number", "size"), [(3, 0), (5000, 0), (10**5, 0), (10**4, 10**4)])
 def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_keys: bool, number: int, size: int
 ) -> None:
