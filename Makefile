@@ -47,7 +47,7 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 	@echo "Look at the pictures. For the command in this shell:  . $(BIN)/activate"
 	@echo "Then see it move:  handmap view demo --robot three_finger"
 
-test: $(INSTALLED) ## Run all tests, the checks of `make lint` among them
+test: lint ## Run the checks of `make lint`, then all tests
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute

@@ -54,7 +54,7 @@ _BACKWARDS = -0.95  # of 2 (`PalmarEvidence.fingers`): beyond the hyperextension
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
 _SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
 _FIRST_SIZES = 8  # batches at the start that say how large the hand is
-_RESIZED = 1.25  # times as large as at the start, or as small; 0.86 to 1.06 in recordings
+_RESIZED = 1.35  # times as large as at the start, or as small; 0.86 to 1.25 in people
 _REFUSED_SHARE = 0.25  # of a recording's valid samples
 
 
