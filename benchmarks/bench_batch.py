@@ -38,10 +38,10 @@ import handmap_qp.datasets.job as job_module
 from handmap_qp.datasets.batch import plan_batch, run_batch
 from handmap_qp.datasets.engines import PoolEngine
 from handmap_qp.datasets.job import Job, JobOptions, run_job
+from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.offline.look_ahead import LookAhead
-from handmap_qp.trackers.formats import Source, write_recordings
+from handmap_qp.trackers.formats import Source, read_recording, write_recordings
 from handmap_qp.trackers.formats.egodex import EgoDexFormat
-from handmap_qp.trackers.recording import Recording, mirrored, read_recording
 
 HOURS, EPISODES, RATE = 829.0, 338_000, 30.0
 """EgoDex as published (Hoque et al. 2025): hours, episodes, frames per second."""

@@ -27,14 +27,14 @@ import pinocchio as pin
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.recording import mirrored, recording_samples
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.injection import FAULT_KINDS, inject, parse_faults
-from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.person import measure_person
-from handmap_qp.trackers.recording import mirrored, recording_samples
-from handmap_qp.trackers.sample import HumanSample
 
 FAULTS = (
     "dropout@{}",

@@ -26,14 +26,14 @@ import numpy as np
 
 from handmap_qp import InvalidInputError, load_hand, read_recording
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.landmarks import human_name, measure_hand
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.guard import StreamGuard, Verdict
 from handmap_qp.trackers import plausibility
-from handmap_qp.trackers.guard import StreamGuard, Verdict
 from handmap_qp.trackers.hand_geometry import log_size, measured_distances, sample_measures
-from handmap_qp.trackers.landmarks import human_name, measure_hand
 from handmap_qp.trackers.layout import load_layout
 from handmap_qp.trackers.plausibility import InputCheck
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import HumanSample
 
 WINDOW = 1.0  # s
 EVERY = 0.25  # s

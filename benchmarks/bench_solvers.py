@@ -23,10 +23,10 @@ import synthetic
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver, Rows
-from handmap_qp.trackers.recording import HumanMotion
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 _HARD = 5000
 _ROBOTS = ("allegro_right", "three_finger")

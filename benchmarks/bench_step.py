@@ -51,9 +51,9 @@ from handmap_qp import (
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.methods import homogeneous
-from handmap_qp.trackers.recording import HumanMotion
 
 RECORDING = "quest3_webxr_right"
 POINT_COUNTS = (3, 4, 6, 10, 20, 35, 50)

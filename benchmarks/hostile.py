@@ -32,7 +32,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Mount
 from handmap_qp.ik.gate import Motion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.transform import nearest_rotation
+from handmap_qp.se3 import nearest_rotation
 
 MOST_OUTSIDE = 0.5
 """Largest distance of a joint from inside its limits at the start [rad]."""

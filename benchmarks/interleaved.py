@@ -25,12 +25,12 @@ import shared_hands
 from peers import build
 
 from handmap_qp import Hand, Recording, read_recording
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.presets import default_preset
-from handmap_qp.trackers.fit import fit_recording
-from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.person import measure_person
-from handmap_qp.trackers.recording import HumanMotion
+from handmap_qp.stream.measurement import measure_person
 
 TURN = 150
 """Samples that a worker maps before the next one's turn."""

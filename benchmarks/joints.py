@@ -20,9 +20,9 @@ from bench_hands import load_hands
 
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.errors import HandmapError
+from handmap_qp.human.recording import mirrored
 from handmap_qp.offline.trajectory import map_recording
-from handmap_qp.trackers.person import measure_person
-from handmap_qp.trackers.recording import mirrored
+from handmap_qp.stream.measurement import measure_person
 
 
 def main(words: Sequence[str] | None = None) -> float:

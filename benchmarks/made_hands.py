@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from handmap_qp.transform import rpy_from_rotation
+from handmap_qp.se3 import rpy_from_rotation
 
 FINGERS = ("index", "middle", "ring", "little", "finger6")
 ODDITIES = {

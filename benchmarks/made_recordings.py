@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from handmap_qp.trackers.formats import write_recordings
-from handmap_qp.trackers.recording import Recording, read_recording
+from handmap_qp.human.recording import Recording
+from handmap_qp.trackers.formats import read_recording, write_recordings
 
 
 def make_recordings(

@@ -8,12 +8,12 @@ import numpy as np
 
 from handmap_qp.experiments.section_four import HandMotion, Scene
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.offline.comparison import ComparedMethod
 from handmap_qp.offline.takes import prepare_take
+from handmap_qp.se3 import affine
 from handmap_qp.simulation.commands import between_poses
 from handmap_qp.simulation.mapped import map_commands
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.transform import affine
 
 # Samples per second of a mapped grasp [1/s], and time for which the human is still first [s].
 _RATE, _SETTLING = 60.0, 1.0

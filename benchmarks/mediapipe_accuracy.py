@@ -22,7 +22,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.live.mediapipe_environment import environment_python
 from handmap_qp.live.mediapipe_source import MediapipeSource
-from handmap_qp.transform import rigid_fit
+from handmap_qp.se3 import rigid_fit
 
 RATE = 30.0
 SIZE = (480, 640)

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.offline.trajectory import Trajectory, rms_derivative
-from handmap_qp.trackers.recording import HumanMotion
 
 # Percentiles between which a range is taken; they exclude outliers of the tracker.
 _RANGE = (2.0, 98.0)

@@ -25,11 +25,12 @@ from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
+from handmap_qp.human.landmarks import human_name, measure_hand
+from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.ik.gate import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
-from handmap_qp.trackers.landmarks import human_name, measure_hand
-from handmap_qp.trackers.recording import Recording, mirrored, read_recording
+from handmap_qp.trackers.formats import read_recording
 
 HANDS = ("allegro_right", "three_finger", *shared_hands.NAMES)
 ACCELERATIONS = (None, 5.0, 20.0, 100.0, 1000.0)

@@ -28,11 +28,11 @@ from handmap_qp import HandMapper, IkOptions, MappingOptions
 from handmap_qp.experiments.section_four import HandMotion, Scene
 from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.library import load_hand
+from handmap_qp.se3 import affine, transform_points
 from handmap_qp.simulation.arc import ArcOptions, Carried, carry, planned_scene
 from handmap_qp.simulation.mapped import chosen_methods
 from handmap_qp.simulation.physics import Physics
 from handmap_qp.tables import print_rows, progress
-from handmap_qp.transform import affine, transform_points
 
 OWN = ("T", "human")
 CUBE, MASS, STEPS, DURATION = Box((0.05, 0.05, 0.05)), 0.1, 60, 2.0

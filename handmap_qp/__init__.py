@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from handmap_qp.hands.library import hand_names, load_hand
     from handmap_qp.hands.spec import HandSpec, PointSpec
     from handmap_qp.hands.synergies import load_synergies
+    from handmap_qp.human.recording import Recording
+    from handmap_qp.human.sample import HumanSample
     from handmap_qp.ik.options import IkOptions
     from handmap_qp.ik.tasks import AttachedPoints, PointDistances, Task, TaskRows
     from handmap_qp.mapping.decomposition import Decomposition, Primitives, decompose, primitives
@@ -44,10 +46,9 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.presets import PRESETS
     from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
+    from handmap_qp.trackers.formats import read_recording
     from handmap_qp.trackers.layout import Layout, load_layout
     from handmap_qp.trackers.plausibility import InputCheck
-    from handmap_qp.trackers.recording import Recording, read_recording
-    from handmap_qp.trackers.sample import HumanSample
 
 __all__ = [
     "METHODS",
@@ -126,8 +127,9 @@ _NAMES = {
     "mapping.step": "MapStep RobotCommand",
     "trackers.layout": "Layout load_layout",
     "trackers.plausibility": "InputCheck",
-    "trackers.recording": "Recording read_recording",
-    "trackers.sample": "HumanSample",
+    "human.recording": "Recording",
+    "trackers.formats": "read_recording",
+    "human.sample": "HumanSample",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -19,6 +19,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import (
     PRESETS,
@@ -29,7 +30,7 @@ from handmap_qp.mapping.presets import (
     preset_with,
 )
 from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
-from handmap_qp.trackers.recording import Recording, mirrored, read_recording
+from handmap_qp.trackers.formats import read_recording
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
@@ -146,7 +147,7 @@ class InputArguments:
 
 
 def _lengths_of(person: Path | None) -> HumanLengths | None:
-    from handmap_qp.trackers.person import read_person
+    from handmap_qp.human.person import read_person
 
     return None if person is None else read_person(person).lengths
 

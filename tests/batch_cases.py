@@ -10,10 +10,10 @@ from pathlib import Path
 from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.datasets.engines import Engine, SerialEngine
 from handmap_qp.datasets.job import Job, JobOptions
-from handmap_qp.trackers.formats import Source, write_recordings
+from handmap_qp.human.recording import Recording
+from handmap_qp.trackers.formats import Source, read_recording, write_recordings
 from handmap_qp.trackers.formats.base import Entry
 from handmap_qp.trackers.formats.npz import NpzFormat
-from handmap_qp.trackers.recording import Recording, read_recording
 
 OPTIONS = JobOptions({"right": "three_finger"})
 

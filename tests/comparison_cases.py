@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.hands.library import load_hand
-from handmap_qp.transform import affine, quat_wxyz_from_rotation, transform_points
+from handmap_qp.se3 import affine, quat_wxyz_from_rotation, transform_points
 
 RATE = 50.0
 

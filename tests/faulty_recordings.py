@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults
-from handmap_qp.trackers.recording import Recording, read_recording, recording_samples
 
 DEMO = read_recording("demo", "right")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.human.recording import Recording
 
 PERIOD = 1.0 / 60.0
 

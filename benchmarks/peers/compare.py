@@ -17,7 +17,7 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.formats import read_recording
 from peers import build
 from peers.results import METHODS, PeerError, peer_robot, run_peer
 

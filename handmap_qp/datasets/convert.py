@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers.formats import Source, format_to_write, list_sources
 from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
-from handmap_qp.trackers.recording import Recording
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,15 +22,16 @@ from handmap_qp.datasets.sources import Task
 from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand, urdf_path
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.person import Person
+from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording
-from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.person import Person, measure_person
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.plausibility import check_recording
-from handmap_qp.trackers.recording import Recording
 
 
 @dataclass(frozen=True)

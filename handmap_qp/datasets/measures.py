@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.human.landmarks import TIPS
+from handmap_qp.human.recording import Recording
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, rms_derivative
-from handmap_qp.trackers.landmarks import TIPS
-from handmap_qp.trackers.recording import Recording
 
 MOST_SURFACES = 60
 """Surfaces are measured in at most this many samples, evenly spread."""

@@ -14,9 +14,10 @@ from handmap_qp.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.offline.fidelity import SETTLING
+from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.formats.archive import read_archive
-from handmap_qp.trackers.recording import Recording, read_recording
 
 _COLUMNS, _BINS = 4, 40
 _LONGEST_NAME = 21  # characters beside a picture

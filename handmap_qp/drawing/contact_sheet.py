@@ -30,9 +30,9 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.landmarks import PALM, measure_hand
-from handmap_qp.trackers.recording import LANDMARK_COUNT, Recording
-from handmap_qp.transform import affine, inverse_pose, rigid_fit, transform_points
+from handmap_qp.human.landmarks import PALM, measure_hand
+from handmap_qp.human.recording import LANDMARK_COUNT, Recording
+from handmap_qp.se3 import affine, inverse_pose, rigid_fit, transform_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -23,7 +23,7 @@ from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.hands.urdf.files import find_mesh
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,11 +13,11 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import transform_points
 from handmap_qp.trackers.angle_layout import AngleLayout
 from handmap_qp.trackers.layout import UNITS, Layout, typical_human
 from handmap_qp.trackers.marker_layout import MarkerLayout
 from handmap_qp.trackers.point_layout import PointLayout
-from handmap_qp.transform import transform_points
 
 _PANEL = (430, 500)
 _SKIN = (0.93, 0.80, 0.72)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.se3 import affine, transform_points
 
 _NEAR = 1e-3
 # The z-buffer's key: nearness in the high bits, triangle index in the low bits.

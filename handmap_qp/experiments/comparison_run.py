@@ -15,6 +15,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.comparison_report import as_json, markdown, notes_of, overall_rows
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.person import Person, read_person
 from handmap_qp.offline.compared_methods import (
     LOOK_AHEAD,
     SMOOTH,
@@ -26,7 +27,6 @@ from handmap_qp.offline.comparison import ComparedMethod, Comparison, compare_me
 from handmap_qp.offline.metrics import GROUPS
 from handmap_qp.offline.takes import Take, prepare_take
 from handmap_qp.output_files import make_folder, writing
-from handmap_qp.trackers.person import Person, read_person
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""

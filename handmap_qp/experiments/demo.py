@@ -15,11 +15,11 @@ from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joi
 from handmap_qp.experiments.output_folder import output_folder
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.offline.trajectory import Trajectory, map_motion, save_npz
-from handmap_qp.trackers.recording import HumanMotion
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.se3 import affine, transform_points
 
 ARC_LENGTH = 0.47
 """Length of the wrist's arc along x [m]."""

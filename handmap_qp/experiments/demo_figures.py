@@ -18,8 +18,8 @@ from handmap_qp.drawing.hands import (
 from handmap_qp.drawing.raster import Camera, Triangles, merged
 from handmap_qp.experiments.style import COLOURS, INK, PALE, styled, words
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.offline.trajectory import Trajectory
-from handmap_qp.trackers.recording import HumanMotion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,14 +10,13 @@ from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.experiments.demo_figures import errors_figure, joints_figure
 from handmap_qp.experiments.output_folder import output_folder
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import default_preset, preset_choice
 from handmap_qp.offline.poses import find_poses
 from handmap_qp.offline.trajectory import Trajectory, map_recording, save_npz
-from handmap_qp.trackers.formats import DEMO
-from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.person import measure_person
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers.formats import DEMO, read_recording
 
 
 def run_gestures(

@@ -18,7 +18,7 @@ from handmap_qp.experiments.section_four import HandMotion, Run, Scene, Setting,
 from handmap_qp.grasp import Grasp, QuasiStatic, grasp_matrix, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.synergies import load_synergies
-from handmap_qp.transform import affine, inverse_pose, transform_points
+from handmap_qp.se3 import affine, inverse_pose, transform_points
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
 from handmap_qp.mapping.decomposition import decompose
 from handmap_qp.mapping.estimation import estimate_motion
-from handmap_qp.transform import affine, rigid_fit, transform_points
+from handmap_qp.se3 import affine, rigid_fit, transform_points
 
 ARC_LENGTH = 0.47
 """Length of the wrist's arc along x [m]."""

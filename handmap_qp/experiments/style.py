@@ -11,7 +11,7 @@ import numpy as np
 
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.drawing.raster import Camera, Triangles
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

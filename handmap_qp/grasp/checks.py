@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.transform import as_floats
+from handmap_qp.se3 import as_floats
 
 
 def finite_array(value: npt.ArrayLike, shape: tuple[int | str, ...], name: str) -> np.ndarray:

@@ -21,7 +21,7 @@ from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.grasp.preshape import Preshape, default_preshape, finger_names
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import PoseLike, check_pose, inverse_pose, transform_points
+from handmap_qp.se3 import PoseLike, check_pose, inverse_pose, transform_points
 
 STEP = 0.02
 """Largest step of a closing joint between two distance queries [rad]."""

@@ -20,7 +20,7 @@ from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.statics import QuasiStatic, Stiffness, grasp_matrix, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Vector
-from handmap_qp.transform import check_pose, transform_points
+from handmap_qp.se3 import check_pose, transform_points
 
 
 @dataclass(frozen=True, slots=True)

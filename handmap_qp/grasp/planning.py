@@ -16,7 +16,7 @@ from handmap_qp.grasp.measures import FRICTION, QUALITIES, SMALLER_IS_BETTER, gr
 from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.preshape import Preshape, palm_centre
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import PoseLike, affine, check_pose, inverse_pose
+from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose
 
 # Step by which a hand that would start inside the object is moved back [m].
 _RETREAT = 1e-3

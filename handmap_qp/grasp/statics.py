@@ -19,7 +19,7 @@ import scipy.linalg
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array
-from handmap_qp.transform import as_floats
+from handmap_qp.se3 import as_floats
 
 Stiffness = float | npt.ArrayLike
 """A number k for k times the identity (infinity: rigid), or a positive definite matrix."""

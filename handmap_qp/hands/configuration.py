@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, StaleJacobianError
 from handmap_qp.hands.placements import PlacementViews, moved_by, placement_views
-from handmap_qp.transform import frozen
+from handmap_qp.se3 import frozen
 
 CROSS = np.zeros((3, 9))
 """Rows of -[p]x, flattened, are linear in p: `p @ CROSS == (-skew(p)).ravel()`."""

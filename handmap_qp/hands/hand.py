@@ -37,7 +37,7 @@ from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point
 from handmap_qp.hands.urdf.compose import compose_urdf
 from handmap_qp.hands.urdf.files import read_urdf as read_urdf
 from handmap_qp.hands.urdf.files import urdf_path as urdf_path
-from handmap_qp.transform import PoseLike, affine, as_floats, check_pose
+from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""

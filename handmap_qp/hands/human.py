@@ -20,7 +20,7 @@ import numpy.typing as npt
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
 from handmap_qp.hands.urdf.tree import joints_by_name
-from handmap_qp.transform import as_floats, rotation_from_rpy
+from handmap_qp.se3 import as_floats, rotation_from_rpy
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""

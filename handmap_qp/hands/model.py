@@ -12,7 +12,7 @@ from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.mimic import Expansion, MimicRule, read_mimic_rules
 from handmap_qp.hands.spec import HandSpec, Mount
 from handmap_qp.hands.urdf.elements import parse_urdf
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 FLOATING_JOINT = "wrist_mount"
 """Name of the free-flyer that carries a floating hand."""

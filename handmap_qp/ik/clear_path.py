@@ -24,7 +24,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
-from handmap_qp.transform import lengths
+from handmap_qp.se3 import lengths
 
 _MOST_POINTS = 32
 """Points of a way that are measured, at most; a way that needs more counts as not clear."""

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
-from handmap_qp.transform import frozen, lengths
+from handmap_qp.se3 import frozen, lengths
 
 # Columns of `NearPairs.found` whose products make `(n, p x n)`: those of the first row, from the
 # fourth on times those of the second, summed by the matrix. np.cross takes three times as long.

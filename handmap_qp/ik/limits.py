@@ -33,7 +33,7 @@ import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.transform import as_floats
+from handmap_qp.se3 import as_floats
 
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].

@@ -32,7 +32,7 @@ from handmap_qp.ik.limits import SHORTEST_DT, as_slice
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import make_solver
 from handmap_qp.ik.tasks import Task
-from handmap_qp.transform import frozen
+from handmap_qp.se3 import frozen
 
 End = Literal["solved", "failed", "released"]
 # Count a hand as at rest if its last step is shorter than this [rad or m].

@@ -25,7 +25,7 @@ from handmap_qp.hands.configuration import CROSS, Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import homogeneous, moved_by
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.transform import as_floats, lengths
+from handmap_qp.se3 import as_floats, lengths
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""

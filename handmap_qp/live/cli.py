@@ -107,8 +107,8 @@ class Target:
 
             sinks.append(Recorder(self.record, "--record"))
         if self.to is not None and self.robot is not None:
+            from handmap_qp.human.person import read_person
             from handmap_qp.live.service_sink import ServiceSink
-            from handmap_qp.trackers.person import read_person
 
             sinks.append(
                 ServiceSink(
@@ -159,8 +159,8 @@ class TrackReplay:
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
         from handmap_qp.live.replay import Replay
+        from handmap_qp.trackers.formats import read_recording
         from handmap_qp.trackers.injection import parse_faults
-        from handmap_qp.trackers.recording import read_recording
 
         self.target.check()
         faults = () if self.faults is None else parse_faults(self.faults)

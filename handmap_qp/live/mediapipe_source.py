@@ -13,8 +13,8 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.live.mediapipe_environment import environment_python
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
 
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
 _END = 5.0

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers.formats import write_recordings
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import HumanSample
 
 SUFFIXES = (".npz", ".csv")
 """Files that hold everything of a sample, and whose writing needs no further package."""

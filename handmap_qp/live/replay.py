@@ -10,9 +10,9 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.injection import Fault, inject
-from handmap_qp.trackers.recording import Recording, recording_samples
-from handmap_qp.trackers.sample import HumanSample
 
 SPEEDS = (0.01, 100.0)
 """Least and largest speed of a replay."""

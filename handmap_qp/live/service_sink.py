@@ -10,9 +10,9 @@ from typing import Any
 from handmap_qp.addresses import service_address
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.person import Person
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.live.service_errors import TIMEOUT, reported_as
-from handmap_qp.trackers.person import Person
-from handmap_qp.trackers.sample import HumanSample
 
 try:
     import zmq

@@ -12,8 +12,8 @@ import numpy as np
 from handmap_qp.addresses import service_address
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.live.service_errors import TIMEOUT, reported_as
-from handmap_qp.trackers.sample import HumanSample
 
 try:
     from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError, State

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Protocol
 
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.human.sample import HumanSample
 
 _RATE_SAMPLES = 60
 """Number of samples that the rate is measured over."""

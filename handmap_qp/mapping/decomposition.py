@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.transform import affine, as_floats, determinant, quat_wxyz_from_rotation, svd3
+from handmap_qp.se3 import affine, as_floats, determinant, quat_wxyz_from_rotation, svd3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
-from handmap_qp.transform import (
+from handmap_qp.se3 import (
     FARTHEST,
     affine,
     as_floats,

@@ -24,13 +24,13 @@ from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.human.landmarks import landmarks_at_rest
 from handmap_qp.ik.costs import point_costs
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.trackers.landmarks import landmarks_at_rest
-from handmap_qp.transform import as_floats, frozen, inverse_pose, transform_points
+from handmap_qp.se3 import as_floats, frozen, inverse_pose, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""

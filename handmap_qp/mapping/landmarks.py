@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.landmarks import landmarks_at_rest
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.trackers.landmarks import landmarks_at_rest
-from handmap_qp.transform import (
+from handmap_qp.se3 import (
     FARTHEST,
     affine,
     affines,

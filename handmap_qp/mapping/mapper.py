@@ -21,6 +21,7 @@ import numpy.typing as npt
 from handmap_qp.errors import HandmapError, InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.gate import Motion
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.options import IkOptions
@@ -42,10 +43,7 @@ from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.mapping.rejoin import Rejoin, RejoinKind
 from handmap_qp.mapping.smoothing import Smoothing, SmoothState, smooth_sample
 from handmap_qp.mapping.step import MapStep, RobotCommand
-from handmap_qp.trackers.guard import StreamGuard, Verdict
-from handmap_qp.trackers.recorded_motion import RecordedSamples
-from handmap_qp.trackers.sample import HumanSample
-from handmap_qp.transform import (
+from handmap_qp.se3 import (
     FARTHEST,
     PoseLike,
     QuatOrder,
@@ -53,6 +51,8 @@ from handmap_qp.transform import (
     check_pose,
     inverse_pose,
 )
+from handmap_qp.stream.guard import StreamGuard, Verdict
+from handmap_qp.stream.recorded_motion import RecordedSamples
 
 
 class HandMapper:
@@ -274,7 +274,7 @@ class HandMapper:
     ) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
-        The guard judges the sample by named rules (`trackers.guard.RULES`). The robot brakes and
+        The guard judges the sample by named rules (`stream.guard.RULES`). The robot brakes and
         holds its posture while samples make no sense, and comes back to the human without a snap
         (`rejoin`).
 

@@ -7,7 +7,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.transform import affine, affines, frozen, inverse_pose
+from handmap_qp.se3 import affine, affines, frozen, inverse_pose
 
 _ORIGIN = frozen(np.zeros(3))
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.options import Options, number
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 # A gap in time longer than this starts the filter again [s].
 _LONGEST_GAP = 0.5

@@ -27,7 +27,7 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.mapping.palm import PalmFollower, palm_of
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
 # first.

@@ -14,15 +14,15 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.offline.trajectory import Trajectory, map_recording
-from handmap_qp.trackers.recorded_motion import RecordedSamples
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.stream.recorded_motion import RecordedSamples
 
 # The last pass follows joint angles, which are inside the limits already.
 _FOLLOW = {"rest_weight": 3.0, "max_iterations": 3, "step_tolerance": 0.02, "error_damping": 0.0}

@@ -16,7 +16,7 @@ from handmap_qp.tables import print_table, progress
 
 if TYPE_CHECKING:
     from handmap_qp.hands.hand import Hand
-    from handmap_qp.trackers.recording import Recording
+    from handmap_qp.human.recording import Recording
 
 SIDES = ("left", "right")
 
@@ -140,11 +140,12 @@ class Map:
 
     def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
         """Map one hand, write its trajectory, and return the summary."""
+        from handmap_qp.human.landmarks import scaled_human
+        from handmap_qp.human.person import read_person
         from handmap_qp.mapping.mapper import HandMapper
         from handmap_qp.offline.summary import summarise
         from handmap_qp.offline.trajectory import map_recording, save_npz
-        from handmap_qp.trackers.landmarks import scaled_human
-        from handmap_qp.trackers.person import measure_person, read_person
+        from handmap_qp.stream.measurement import measure_person
 
         person = measure_person(recording) if self.person is None else read_person(self.person)
         human = scaled_human(recording, points=self.arguments.human_points, lengths=person.lengths)
@@ -196,7 +197,8 @@ class Calibrate:
 
     def run(self) -> None:
         """Measure the person, write the file, and print the measures."""
-        from handmap_qp.trackers.person import measure_person, write_person
+        from handmap_qp.human.person import write_person
+        from handmap_qp.stream.measurement import measure_person
 
         out = check_output("--out", self.out, (".yaml", ".yml"))
         if out.exists() and not self.overwrite:

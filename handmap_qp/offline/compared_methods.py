@@ -34,8 +34,8 @@ from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses
 from handmap_qp.offline.takes import Take
 from handmap_qp.offline.trajectory import Trajectory, follow_recording
+from handmap_qp.se3 import as_floats
 from handmap_qp.trackers.formats.archive import read_archive
-from handmap_qp.transform import as_floats
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""

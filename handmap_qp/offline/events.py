@@ -13,7 +13,7 @@ class HoldEvent(NamedTuple):
     """One hold of the robot.
 
     Attributes:
-        rule: The rule that began it (`trackers.guard.RULES`).
+        rule: The rule that began it (`stream.guard.RULES`).
         start: Time of its first sample, from the first sample of all on [s].
         duration: Time from there to the first sample that is followed again, or to the end [s].
         samples: Number of samples that were not followed.

@@ -16,8 +16,8 @@ from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.landmarks import FIRST_JOINTS, PALM, TIPS
-from handmap_qp.transform import affine, nearest_rotation
+from handmap_qp.human.landmarks import FIRST_JOINTS, PALM, TIPS
+from handmap_qp.se3 import affine, nearest_rotation
 
 MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""

@@ -20,9 +20,9 @@ from itertools import pairwise
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.trackers.landmarks import PALM
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.transform import poses_from_quats, rigid_fits
+from handmap_qp.human.landmarks import PALM
+from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import poses_from_quats, rigid_fits
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.trackers.landmarks import TIPS
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.human.landmarks import TIPS
+from handmap_qp.human.recording import Recording
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""

@@ -14,7 +14,7 @@ from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import homogeneous, placement_views
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
-from handmap_qp.transform import lengths
+from handmap_qp.se3 import lengths
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""

@@ -11,13 +11,14 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.person import Person
+from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.offline.finger_traces import HandTrace, trace_human
-from handmap_qp.trackers.fit import fit_recording
-from handmap_qp.trackers.landmarks import human_name
-from handmap_qp.trackers.person import Person, measure_person
-from handmap_qp.trackers.recording import Recording, mirrored
-from handmap_qp.transform import inverse_pose
+from handmap_qp.se3 import inverse_pose
+from handmap_qp.stream.measurement import measure_person
 
 
 @dataclass(frozen=True, slots=True, eq=False)

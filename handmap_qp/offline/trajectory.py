@@ -15,14 +15,14 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.qp import IkColumns
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
-from handmap_qp.trackers.guard import RULES, Verdict
-from handmap_qp.trackers.recorded_motion import recorded_samples
-from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.stream.guard import RULES, Verdict
+from handmap_qp.stream.recorded_motion import recorded_samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ class Trajectory:
             joint from moving farther, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
         step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
-        rule: What is wrong with each sample (`trackers.guard.RULES`), shape (T,); empty where
+        rule: What is wrong with each sample (`stream.guard.RULES`), shape (T,); empty where
             nothing is.
         consistency: RMS difference of bones and palm from the person's [m], shape (T,); NaN where
             it was not measured.

@@ -42,7 +42,7 @@ from handmap_qp.onboarding.measure import (
 )
 from handmap_qp.onboarding.report import LEVELS, Report
 from handmap_qp.onboarding.robot import Robot
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME, _FIST_ANGLE = 0.5, 1.5

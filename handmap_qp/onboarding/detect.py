@@ -25,7 +25,7 @@ from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
 from handmap_qp.onboarding.flexion import HandFlexion, find_flexion
 from handmap_qp.onboarding.robot import Robot
 from handmap_qp.onboarding.structure import Chain, Structure, find_structure, fingers_of
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE, _REST_MOST = 0.4, 0.75

@@ -17,10 +17,10 @@ from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
 from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.human.landmarks import human_name, scaled_human
+from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture
-from handmap_qp.trackers.landmarks import human_name, scaled_human
-from handmap_qp.trackers.recording import Recording, mirrored
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
 _DECIMALS = 4

@@ -19,7 +19,7 @@ from handmap_qp.drawing.hands import (
 from handmap_qp.drawing.raster import Camera, Triangles, merged
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 _PANEL = (760, 820)
 # From the end of an axis to its label [pixel].

@@ -32,7 +32,7 @@ from handmap_qp.hands.urdf.tree import (
     link_names,
     root_links,
 )
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 # Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {

@@ -15,7 +15,7 @@ import numpy as np
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Finger
 from handmap_qp.onboarding.robot import Robot
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 LONGEST_FINGER = 0.3
 """A longer branch is a leg or an arm [m]."""

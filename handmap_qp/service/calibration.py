@@ -7,15 +7,15 @@ from concurrent.futures import Future
 
 import numpy as np
 
+from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
+from handmap_qp.human.landmarks import check_length, measure_hand
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.refusals import with_field_errors
-from handmap_qp.trackers.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
-from handmap_qp.trackers.guard import Rule, StreamGuard
-from handmap_qp.trackers.landmarks import check_length, measure_hand
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.stream.guard import Rule, StreamGuard
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""

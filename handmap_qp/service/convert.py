@@ -10,8 +10,8 @@ import numpy as np
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.se3 import pose_from_xyz_quat
 from handmap_qp.service.messages import Detail, Lengths, Pose
-from handmap_qp.transform import pose_from_xyz_quat
 
 
 def to_row(values: np.ndarray) -> tuple[float, ...]:

@@ -10,8 +10,8 @@ from handmap_qp.errors import HandError, RefusedError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
 from handmap_qp.hands.spec import Mount, Side, read_hand_spec
+from handmap_qp.human.landmarks import human_name
 from handmap_qp.service.refusals import with_field_errors
-from handmap_qp.trackers.landmarks import human_name
 
 _CACHED_HANDS = 32
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.landmarks import PalmShape
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Open, Step
 from handmap_qp.service.opening import Hands
-from handmap_qp.trackers.landmarks import PalmShape
 from handmap_qp.trackers.layout import Layout, layout_names, load_layout
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
 
 InputKind = Literal["q", "landmarks", "points"]
 _FIELDS = ("q", "landmarks", "points", "values")

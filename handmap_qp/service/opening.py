@@ -15,6 +15,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError, RefusedError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.landmarks import PalmShape, human_name
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
@@ -24,7 +25,6 @@ from handmap_qp.service.choosing import read_choice
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.refusals import with_field_errors, with_option_errors
-from handmap_qp.trackers.landmarks import PalmShape, human_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)

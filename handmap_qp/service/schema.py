@@ -25,7 +25,7 @@ from handmap_qp.service.messages import (
     Reply,
     Request,
 )
-from handmap_qp.trackers.guard import RULES
+from handmap_qp.stream.guard import RULES
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",

@@ -21,6 +21,7 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.human.contact_gap import ContactGapMeter
 from handmap_qp.ik.gate import Motion
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.calibration import Calibration
@@ -49,7 +50,6 @@ from handmap_qp.service.safety import CommandedRobot, StepClock, start_angles, s
 from handmap_qp.service.states import Event, MapperState, SessionState, next_state
 from handmap_qp.service.store import Record
 from handmap_qp.service.watchdog import Watchdog
-from handmap_qp.trackers.contact_gap import ContactGapMeter
 
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""

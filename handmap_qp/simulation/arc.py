@@ -22,6 +22,7 @@ from handmap_qp.grasp.planning import plan_grasps
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
+from handmap_qp.se3 import inverse_pose, transform_points
 from handmap_qp.simulation.actuators import (
     ActuatorKind,
     Actuators,
@@ -32,7 +33,6 @@ from handmap_qp.simulation.episode import Episode, Recorder
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.squeeze import holding_forces, squeeze
-from handmap_qp.transform import inverse_pose, transform_points
 
 # Time to close, to rest, and to take the weight [s].
 _CLOSING, _RESTING, _LOADING = 0.2, 0.2, 0.3

@@ -233,7 +233,7 @@ class Simulate:
         from handmap_qp.simulation.mapped import chosen_methods, map_commands
         from handmap_qp.simulation.pinch import PinchScene
         from handmap_qp.simulation.pinch_window import find_pinch
-        from handmap_qp.trackers.recording import read_recording
+        from handmap_qp.trackers.formats import read_recording
 
         read, robot, physics = read_recording(recording), self._robot(), self._physics()
         methods = chosen_methods(self.methods, self.peers, self.robot)

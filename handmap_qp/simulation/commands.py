@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
+from handmap_qp.se3 import inverse_pose
 from handmap_qp.simulation.physics import Body
 from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.transform import inverse_pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,10 +13,10 @@ from handmap_qp.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.grasp.objects import Shape
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import affine, transform_points
 from handmap_qp.simulation.episode import Episode
 from handmap_qp.simulation.physics import MeshShape
 from handmap_qp.simulation.shapes import surface, turn_up
-from handmap_qp.transform import affine, transform_points
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = np.array([0.965, 0.97, 0.975])

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.grasp.objects import Sphere
+from handmap_qp.se3 import affine
 from handmap_qp.simulation.actuators import Actuators
 from handmap_qp.simulation.commands import Commands, between_poses
 from handmap_qp.simulation.pads import PadFinder
 from handmap_qp.simulation.physics import Body, Physics
 from handmap_qp.simulation.pinch_window import PinchWindow
 from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.transform import affine
 
 # The robot's pads meet this long after the human's, at the latest [s]; filters make some late.
 _LAG = 1.0

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import quat_wxyz_from_rotation
 from handmap_qp.simulation.episode import Episode
 from handmap_qp.simulation.shapes import surface, turn_up
-from handmap_qp.transform import quat_wxyz_from_rotation
 from handmap_qp.viewer.figure import HandFigure
 from handmap_qp.viewer.scene import set_up_stage
 from handmap_qp.viewer.serving import serving

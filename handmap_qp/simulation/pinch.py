@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.se3 import affine
 from handmap_qp.simulation.actuators import Actuators
 from handmap_qp.simulation.commands import Commands
 from handmap_qp.simulation.episode import Episode, Recorder
@@ -23,7 +24,6 @@ from handmap_qp.simulation.pads import PadFinder
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.pinch_window import PinchWindow
 from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.transform import affine
 
 # The stand lets go this long after the pads should have met the object, at the latest [s].
 _LATEST = 0.3

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.human.recording import Recording
 
 # The human pinches while thumb and index landmarks are nearer than the first, with interruptions
 # below the second [m].

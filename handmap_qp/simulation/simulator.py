@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array
 from handmap_qp.hands.hand import Hand
+from handmap_qp.se3 import affine, check_pose, inverse_pose
 from handmap_qp.simulation.actuators import Actuators, PositionActuators
 from handmap_qp.simulation.model import MOCAP, OBJECT, build_model
 from handmap_qp.simulation.physics import Body, Physics
-from handmap_qp.transform import affine, check_pose, inverse_pose
 
 # Friction of the stand against turning the object acts at this lever [m]: 2/3 of the radius of a
 # disc of 30 mm under even pressure.

@@ -15,9 +15,9 @@ import numpy as np
 
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.se3 import affine
 from handmap_qp.simulation.pads import PadFinder
 from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.transform import affine
 
 # Longest wait for a command before the robot is simulated further with the last one [s].
 _WAIT = 0.02

@@ -1,1 +1,1 @@
-"""From what trackers measure to samples of the human hand."""
+"""From files and devices to samples of a human hand, and checks that they are what they say."""

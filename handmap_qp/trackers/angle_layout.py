@@ -15,6 +15,7 @@ from handmap_qp.errors import InvalidInputError, did_you_mean
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
 from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import transform_points
 from handmap_qp.trackers.layout import (
     UNITS,
     Hands,
@@ -23,7 +24,6 @@ from handmap_qp.trackers.layout import (
     WristTable,
     sized_human,
 )
-from handmap_qp.transform import transform_points
 
 # No joint of a hand turns farther, so larger numbers are in degrees; and no hand is so straight
 # that all its angles are smaller, so smaller ones are in radians.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.trackers.sample import LANDMARK_COUNT
+from handmap_qp.human.sample import LANDMARK_COUNT
 
 _BASES = (1, 5, 9, 13, 17)
 MEASURES = 28

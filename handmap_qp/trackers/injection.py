@@ -19,8 +19,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.se3 import affine, transform_points
 
 FaultName = Literal[
     "dropout",

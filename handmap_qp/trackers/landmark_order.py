@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.hand_geometry import (
     all_distances,
     misfits_of_orders,
@@ -18,7 +19,6 @@ from handmap_qp.trackers.hand_geometry import (
 )
 from handmap_qp.trackers.layout import all_layouts
 from handmap_qp.trackers.point_layout import PointLayout
-from handmap_qp.trackers.sample import LANDMARK_COUNT
 
 # A misfit that no hand has (`hand_geometry.own_misfit`): at most 1.2 in recordings.
 _NO_HAND = 1.45

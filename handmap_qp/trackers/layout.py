@@ -27,12 +27,12 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.trackers.fit import LandmarkFitter
-from handmap_qp.trackers.landmarks import human_name
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.human.fit import LandmarkFitter
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.se3 import check_pose, check_poses, poses_from_quats
 from handmap_qp.trackers.wrist_axes import axes_convention
-from handmap_qp.transform import check_pose, check_poses, poses_from_quats
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]

@@ -16,8 +16,8 @@ from handmap_qp.hands.spec import PointSpec, Side, Vector
 from handmap_qp.hands.urdf.mirror import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
+from handmap_qp.se3 import rigid_fit, transform_points
 from handmap_qp.trackers.layout import TYPICAL_LENGTH, UNITS, Hands, Layout, LayoutTable
-from handmap_qp.transform import rigid_fit, transform_points
 
 # A left hand is fitted as its mirror image: places on links are those of a right hand.
 _MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -20,6 +20,9 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.se3 import frozen
 from handmap_qp.trackers.hand_geometry import (
     MEASURES,
     Distances,
@@ -31,11 +34,8 @@ from handmap_qp.trackers.hand_geometry import (
     stuck_fingers,
 )
 from handmap_qp.trackers.landmark_order import find_order, prepare
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import LANDMARK_COUNT
 from handmap_qp.trackers.units import find_length_unit, find_time_unit
 from handmap_qp.trackers.wrist_axes import WristCheck
-from handmap_qp.transform import frozen
 
 Mistake = Literal["time", "unit", "order", "side", "flexion", "size", "frozen", "wrist"]
 """Kinds of mistakes: the unit or rate of time, the unit of length, the order of landmarks, the
@@ -327,7 +327,7 @@ def examine_recording(recording: Recording) -> Finding | None:
 
     Returns:
         What is wrong in a quarter of its valid samples or more; None if it is plausible. A tracker
-        that confuses the hand for a moment is left to the guard (`trackers.guard`).
+        that confuses the hand for a moment is left to the guard (`stream.guard`).
     """
     return examine(recording).finding
 

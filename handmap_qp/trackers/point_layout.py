@@ -12,7 +12,15 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.landmarks import PALM
+from handmap_qp.human.landmarks import PALM
+from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, HumanSample
+from handmap_qp.se3 import (
+    affine,
+    inverse_pose,
+    poses_from_quats,
+    quat_wxyz_from_rotation,
+    rigid_fit,
+)
 from handmap_qp.trackers.layout import (
     UNITS,
     AxesTable,
@@ -24,14 +32,6 @@ from handmap_qp.trackers.layout import (
     from_own_axes,
     to_own_axes,
     typical_human,
-)
-from handmap_qp.trackers.sample import LANDMARK_COUNT, LANDMARK_NAMES, HumanSample
-from handmap_qp.transform import (
-    affine,
-    inverse_pose,
-    poses_from_quats,
-    quat_wxyz_from_rotation,
-    rigid_fit,
 )
 
 _OUR_AXES = AxesTable("+y", "+z")

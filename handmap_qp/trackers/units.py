@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from handmap_qp.human.landmarks import HAND_LENGTHS
 from handmap_qp.trackers.hand_geometry import MIDDLE_FINGER, Distances, median
-from handmap_qp.trackers.landmarks import HAND_LENGTHS
 
 STEPS = (4e-4, 0.5)
 """Shortest and longest median time between samples [s]: from 2500 Hz to 2 Hz."""

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from handmap_qp.se3 import nearest_rotation
 from handmap_qp.trackers.hand_geometry import cross, median
-from handmap_qp.transform import nearest_rotation
 
 _X, _Y, _Z = np.eye(3)
 

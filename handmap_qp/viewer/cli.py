@@ -188,9 +188,10 @@ class View:
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""
+        from handmap_qp.human.fit import fit_recording
+        from handmap_qp.human.person import read_person
         from handmap_qp.mapping.presets import possible_presets
-        from handmap_qp.trackers.fit import fit_recording
-        from handmap_qp.trackers.person import measure_person, read_person
+        from handmap_qp.stream.measurement import measure_person
         from handmap_qp.viewer.replay import Replay
 
         robot = self.arguments.load_robot(name)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from handmap_qp.mapping.decomposition import polar
-from handmap_qp.transform import quat_wxyz_from_rotation
+from handmap_qp.se3 import quat_wxyz_from_rotation
 from handmap_qp.viewer.figure import as_bytes
 from handmap_qp.viewer.sample import ViewSample
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import inverse_pose, quat_wxyz_from_rotation, transform_points
+from handmap_qp.se3 import inverse_pose, quat_wxyz_from_rotation, transform_points
 from handmap_qp.viewer.hand_model import HandModel, LinkTree
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 
 def merge_shapes(urdf: Any) -> None:

@@ -10,8 +10,8 @@ import pinocchio as pin
 from handmap_qp.errors import HandError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.offline.surface_gaps import PinchMeter
-from handmap_qp.trackers.contact_gap import tip_gaps
 from handmap_qp.viewer.sample import ViewSample
 
 

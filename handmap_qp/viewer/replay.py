@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.mapping.smoothing import Smoothing
-from handmap_qp.trackers.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.viewer.sample import Variant, ViewSample, view_sample
 
 

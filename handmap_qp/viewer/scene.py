@@ -15,8 +15,8 @@ import numpy as np
 from handmap_qp.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
-from handmap_qp.trackers.landmarks import TIPS
-from handmap_qp.transform import quat_wxyz_from_rotation
+from handmap_qp.human.landmarks import TIPS
+from handmap_qp.se3 import quat_wxyz_from_rotation
 from handmap_qp.viewer.camera import BrowserCameras
 from handmap_qp.viewer.deformation import DeformedBall, Shape
 from handmap_qp.viewer.figure import Figure, HandFigure, Spheres

@@ -12,8 +12,8 @@ from handmap_qp.cli import main
 from handmap_qp.experiments.demo_recording import GESTURES, HAND_LENGTH, write_demo
 from handmap_qp.hands.spec import Side
 from handmap_qp.offline.poses import find_poses
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO_FILE
-from handmap_qp.trackers.person import measure_person
 
 SIDES: tuple[Side, ...] = ("left", "right")
 

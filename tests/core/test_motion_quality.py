@@ -19,9 +19,9 @@ from motion_quality import (
 from strategies import generators, poses
 
 from handmap_qp import HandMapper, InvalidInputError, load_hand
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.offline.trajectory import Trajectory, map_motion
-from handmap_qp.trackers.recording import HumanMotion
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 
 def same_motion(motion: HumanMotion) -> Trajectory:

@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.trackers.recording import Recording, read_recording
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import affine, transform_points
+from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

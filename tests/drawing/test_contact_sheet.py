@@ -21,8 +21,8 @@ from handmap_qp.drawing.contact_sheet import (
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -25,7 +25,7 @@ from handmap_qp.grasp import (
 from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 STIFFNESS = {"contact_stiffness": 800.0, "joint_stiffness": 1.5, "synergy_stiffness": 4.0}
 CASES = range(3)

@@ -25,7 +25,7 @@ from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.hands.urdf.tree import cut_subtree
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.transform import rotation_from_rpy, rpy_from_rotation, transform_points
+from handmap_qp.se3 import rotation_from_rpy, rpy_from_rotation, transform_points
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"
 ARMS = {name: arm_of(name) for name in ("ur5", "panda", "xarm7")}

@@ -13,9 +13,9 @@ from live_cases import moving_hand, save_recording
 from service_tools import address_of, serving
 
 from handmap_qp import cli
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.live.recorder import Recorder
-from handmap_qp.trackers.recording import read_recording
-from handmap_qp.trackers.sample import HumanSample
+from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

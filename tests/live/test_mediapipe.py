@@ -18,7 +18,7 @@ from handmap_qp import InvalidInputError, cli
 from handmap_qp.live.mediapipe_environment import VARIABLE, environment_folder, install_environment
 from handmap_qp.live.mediapipe_process import position_in_camera
 from handmap_qp.live.mediapipe_source import MediapipeSource
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

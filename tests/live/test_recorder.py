@@ -11,12 +11,13 @@ from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.live.recorder import Recorder
 from handmap_qp.live.replay import Replay
 from handmap_qp.live.source import run
+from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults
-from handmap_qp.trackers.recording import read_recording, recording_samples
-from handmap_qp.trackers.sample import HumanSample
 
 
 class Listed:

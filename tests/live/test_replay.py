@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
+from handmap_qp.human.recording import recording_samples
 from handmap_qp.live import replay
 from handmap_qp.live.replay import Replay
 from handmap_qp.trackers.injection import parse_faults
-from handmap_qp.trackers.recording import recording_samples
 
 
 class Clock:

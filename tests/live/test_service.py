@@ -13,15 +13,17 @@ from patience import wait_until
 from service_tools import PATIENCE, address_of, client_of, connected, lose_sessions, serving
 
 from handmap_qp import InvalidInputError
+from handmap_qp.human.person import Person
+from handmap_qp.human.recording import recording_samples
 from handmap_qp.live.recorder import Recorder
 from handmap_qp.live.replay import Replay
 from handmap_qp.live.service_sink import ServiceSink
 from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.live.source import run
 from handmap_qp.service.server import Server
+from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import parse_faults
-from handmap_qp.trackers.person import Person, measure_person
-from handmap_qp.trackers.recording import read_recording, recording_samples
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -17,13 +17,13 @@ from service_tools import address_of, client_of, in_loop, serving
 
 from handmap_qp import hand_names
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
+from handmap_qp.human.recording import recording_samples
 from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 from handmap_qp.service.websocket import WebSettings
 from handmap_qp.trackers.layout import load_layout
 from handmap_qp.trackers.point_layout import PointLayout
-from handmap_qp.trackers.recording import recording_samples
 
 pytestmark = pytest.mark.slow
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")

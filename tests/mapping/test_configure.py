@@ -12,7 +12,7 @@ from handmap_qp import (
     MappingOptions,
     load_hand,
 )
-from handmap_qp.transform import affine
+from handmap_qp.se3 import affine
 
 HUMAN = load_hand("human")
 ALLEGRO = load_hand("allegro_right")

@@ -28,7 +28,7 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.errors import StaleJacobianError
-from handmap_qp.trackers.recording import recording_samples
+from handmap_qp.human.recording import recording_samples
 
 SAMPLES = tuple(recording_samples(read_recording("demo", "right")))[:115]
 FIRST, REST = SAMPLES[:90], SAMPLES[90:]

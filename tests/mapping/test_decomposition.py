@@ -13,7 +13,7 @@ from strategies import affine_motions, linear_maps, motion_of, poses, rotations,
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.decomposition import decompose, polar, primitives
-from handmap_qp.transform import rotation_from_quat_wxyz, transform_points
+from handmap_qp.se3 import rotation_from_quat_wxyz, transform_points
 
 any_motions = affine_motions(mirrored=None)
 scales = st.floats(min_value=0.2, max_value=5.0)

@@ -29,7 +29,7 @@ from handmap_qp.mapping.estimation import (
     determinant,
     estimate_motion,
 )
-from handmap_qp.transform import nearest_rotation, transform_points
+from handmap_qp.se3 import nearest_rotation, transform_points
 
 ridges = st.sampled_from([0.0, 1e-6, 0.1, 1.0, 1e3])
 

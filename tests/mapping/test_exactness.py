@@ -19,10 +19,10 @@ from strategies import generators, motion_of
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand, read_recording
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.trackers.fit import fit_recording
-from handmap_qp.trackers.recording import HumanMotion
 
 # No term pulls away from the targets, there is no speed limit, and time suffices to arrive. The
 # damping by the error, zero at the end, keeps a finger from overshooting into the posture that

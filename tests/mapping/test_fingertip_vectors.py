@@ -10,7 +10,7 @@ from mapping_cases import little_pose, near_rest
 
 from handmap_qp import FingertipVectors, HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
 ALLEGRO = load_hand("allegro_right")

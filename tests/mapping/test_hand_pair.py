@@ -21,7 +21,7 @@ from handmap_qp.mapping.hand_pair import (
     resting_posture,
 )
 from handmap_qp.mapping.presets import default_preset
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
 HUMAN_TIPS = [point.name for point in HUMAN.reference_points]

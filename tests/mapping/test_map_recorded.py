@@ -8,8 +8,8 @@ from faulty_recordings import DEMO, faulty
 from marks import slow
 
 from handmap_qp import HandMapper, InvalidInputError, Method, Teleoperation, load_hand
-from handmap_qp.trackers.recorded_motion import RecordedSamples
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.human.recording import Recording
+from handmap_qp.stream.recorded_motion import RecordedSamples
 
 HUMAN = load_hand("human", points="landmarks")
 # Lost, then elsewhere, then one landmark off.

@@ -19,7 +19,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.se3 import affine, transform_points
 
 HUMAN = load_hand("human")
 THREE = load_hand("three_finger")

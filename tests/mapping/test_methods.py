@@ -29,7 +29,7 @@ from handmap_qp.mapping.method import BoundMethod, HumanPose, RobotPosture, Targ
 from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.se3 import affine, transform_points
 
 HUMAN = load_hand("human")
 ALLEGRO = load_hand("allegro_right")

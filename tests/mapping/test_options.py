@@ -24,7 +24,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 HUMAN = load_hand("human", points="fingertips_middle")
 ROBOT = load_hand("allegro_right", points="fingertips_middle")

@@ -15,7 +15,7 @@ from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS, possible_presets, preset_choice
-from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
 WRIST = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 1.0, -0.3]))
 

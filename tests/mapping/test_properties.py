@@ -16,7 +16,7 @@ from mapping_cases import little_pose, near_rest
 from strategies import affine_motions, generators, motion_of, poses, rotations, translations
 
 from handmap_qp import HandMapper, IkOptions, load_hand
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 HUMAN = load_hand("human", points="fingertips_middle")
 THREE = load_hand("three_finger", points="fingertips")

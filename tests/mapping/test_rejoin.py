@@ -11,12 +11,12 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, load_hand
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.rejoin import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.trackers.guard import UNPROVEN_SPEED
+from handmap_qp.se3 import affine
+from handmap_qp.stream.guard import UNPROVEN_SPEED
 from handmap_qp.trackers.injection import inject, parse_faults
-from handmap_qp.trackers.sample import HumanSample
-from handmap_qp.transform import affine
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")

@@ -12,7 +12,7 @@ from mapping_cases import little_pose, near_rest
 from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, Smoothing, load_hand
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.smoothing import smooth_sample
-from handmap_qp.transform import affine, transform_points
+from handmap_qp.se3 import affine, transform_points
 
 HUMAN = load_hand("human")
 THREE = load_hand("three_finger")

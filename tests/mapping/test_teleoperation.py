@@ -30,7 +30,7 @@ from handmap_qp.mapping.methods.teleoperation import TeleoperationDiagnostics, s
 from handmap_qp.mapping.palm import PalmFollower
 from handmap_qp.mapping.presets import PRESETS, default_preset
 from handmap_qp.offline.surface_gaps import measure_gaps
-from handmap_qp.transform import affine, inverse_pose, rotation_from_rpy, transform_points
+from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 
 HUMAN = load_hand("human")
 LANDMARKS = load_hand("human", points="landmarks")

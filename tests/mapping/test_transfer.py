@@ -15,7 +15,7 @@ from strategies import affine_motions, generators, motion_of, poses
 
 from handmap_qp import Homogeneous, InvalidInputError, load_hand
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 HUMAN = load_hand("human", points="fingertips_middle")
 ROBOT = load_hand("three_finger", points="fingertips_middle")

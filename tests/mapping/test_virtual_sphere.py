@@ -22,7 +22,7 @@ from handmap_qp import (
     load_synergies,
 )
 from handmap_qp.mapping.methods.virtual_sphere import Sphere, enclosing_ball
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 THREE = load_hand("three_finger")
 PANDA = load_hand("panda_gripper")

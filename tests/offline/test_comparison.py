@@ -27,8 +27,8 @@ from handmap_qp.offline.compared_methods import (
 )
 from handmap_qp.offline.comparison import RobotMotion, compare_methods
 from handmap_qp.offline.takes import Take, held_samples, prepare_take
-from handmap_qp.trackers.recording import read_recording
-from handmap_qp.transform import rotation_from_rpy
+from handmap_qp.se3 import rotation_from_rpy
+from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

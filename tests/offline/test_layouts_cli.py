@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from handmap_qp import HumanLengths, cli
+from handmap_qp.human.person import Person, write_person
+from handmap_qp.se3 import affine
 from handmap_qp.trackers.layout import layout_names, load_layout, typical_human
-from handmap_qp.trackers.person import Person, write_person
-from handmap_qp.transform import affine
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

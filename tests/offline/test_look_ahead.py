@@ -13,7 +13,7 @@ from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses, whittaker
 from handmap_qp.offline.surface_gaps import measure_gaps
 from handmap_qp.offline.trajectory import map_recording
-from handmap_qp.transform import rotation_from_rpy
+from handmap_qp.se3 import rotation_from_rpy
 
 
 def turning_hand(count: int = 120, rate: float = 60.0) -> Recording:

@@ -17,7 +17,7 @@ from handmap_qp.offline.metrics import (
     mean_values,
     metric_values,
 )
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 NAN = float("nan")
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.offline.poses import (
     CURLED,
     PINCH_GAP,
@@ -19,7 +20,7 @@ from handmap_qp.offline.poses import (
     find_poses,
     measure_posture,
 )
-from handmap_qp.trackers.recording import Recording, read_recording
+from handmap_qp.trackers.formats import read_recording
 
 RATE = 50.0
 TURN = Rotation.from_euler("XYZ", [0.4, -0.9, 2.0]).as_matrix()

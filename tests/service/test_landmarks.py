@@ -17,7 +17,7 @@ from handmap_qp.service.calibration import CALIBRATION_SAMPLES, Calibration
 from handmap_qp.service.messages import PROTOCOL, Configure
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.session import Session
-from handmap_qp.trackers.recording import read_recording
+from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

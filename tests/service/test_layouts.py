@@ -23,12 +23,12 @@ from service_tools import (
 
 from handmap_qp.client import ServiceError
 from handmap_qp.errors import RefusedError
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.service.convert import to_matrix, to_pose
 from handmap_qp.service.messages import PROTOCOL, Error, Step, decode_request
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.trackers.layout import Layout, load_layout
-from handmap_qp.trackers.sample import HumanSample
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -14,12 +14,12 @@ from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.grasp.statics import quasistatic
+from handmap_qp.se3 import affine
 from handmap_qp.simulation.actuators import Actuators, PositionActuators, TorqueActuators
 from handmap_qp.simulation.arc import take_hold
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.squeeze import holding_forces, squeeze
-from handmap_qp.transform import affine
 
 MASS = 0.1
 WEIGHT = np.array([0.0, 0.0, -9.81 * MASS, 0.0, 0.0, 0.0])

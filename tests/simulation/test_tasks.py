@@ -16,6 +16,7 @@ from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.experiments.section_four import HandMotion
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.simulation.arc import ArcOptions, Carried, carry
 from handmap_qp.simulation.commands import Commands
 from handmap_qp.simulation.film import Stage, film, picture
@@ -27,7 +28,6 @@ from handmap_qp.simulation.pinch_window import PinchWindow, find_pinch
 from handmap_qp.simulation.shapes import parse_object, turn_up
 from handmap_qp.simulation.simulator import Simulator
 from handmap_qp.simulation.trials import random_trials, success_rate
-from handmap_qp.trackers.recording import Recording
 
 WINDOW = PinchWindow("index", 0, 10, 60)
 

@@ -20,6 +20,7 @@ from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, 
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import rotation_from_rpy
 from handmap_qp.trackers.formats import (
     FORMATS,
     Source,
@@ -30,7 +31,6 @@ from handmap_qp.trackers.formats import (
 from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.egodex import joint_names
 from handmap_qp.trackers.formats.mano import FROM_MANO
-from handmap_qp.transform import rotation_from_rpy
 
 h5py = pytest.importorskip("h5py")
 pq = pytest.importorskip("pyarrow.parquet")

@@ -11,6 +11,9 @@ from hypothesis import strategies as st
 
 from handmap_qp import HandmapError
 from handmap_qp.hands.library import load_hand
+from handmap_qp.human.landmarks import PALM
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.se3 import rigid_fit
 from handmap_qp.trackers.injection import (
     FAULT_KINDS,
     FAULT_NAMES,
@@ -19,9 +22,6 @@ from handmap_qp.trackers.injection import (
     inject,
     parse_faults,
 )
-from handmap_qp.trackers.landmarks import PALM
-from handmap_qp.trackers.sample import HumanSample
-from handmap_qp.transform import rigid_fit
 
 PERIOD = 1.0 / 50.0
 START = 100.0

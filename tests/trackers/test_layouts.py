@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp import InvalidInputError, RecordingError, read_recording
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.layout import (
     Layout,
     all_layouts,
@@ -30,7 +31,6 @@ from handmap_qp.trackers.layout_files import read_with_layout
 from handmap_qp.trackers.plausibility import examine_recording
 from handmap_qp.trackers.point_layout import PointLayout
 from handmap_qp.trackers.wrist_axes import palm_axes
-from handmap_qp.transform import affine, transform_points
 
 SIDES: tuple[Side, ...] = ("right", "left")
 TABLES = Path(__file__).resolve().parents[2] / "handmap_qp" / "trackers" / "layouts"

@@ -15,16 +15,16 @@ import pytest
 from pinocchio import exp3
 
 from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand, read_recording
-from handmap_qp.trackers.guard import StreamGuard, Verdict
+from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.guard import StreamGuard, Verdict
 from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
-from handmap_qp.trackers.landmarks import scaled_human
 from handmap_qp.trackers.plausibility import (
     Finding,
     InputCheck,
     check_recording,
     examine_recording,
 )
-from handmap_qp.trackers.sample import HumanSample
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 

@@ -26,10 +26,10 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.library import hand_names
+from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.presets import PRESETS, Choice, preset_choice
 from handmap_qp.offline.trajectory import map_recording
-from handmap_qp.trackers.recording import HumanMotion
-from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.figure import HandFigure
 from handmap_qp.viewer.frames import skip_wakeup_race

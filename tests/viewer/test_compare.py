@@ -13,11 +13,11 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 from viewer_cases import COUNT, closing_motion, closing_recording, make_replay, press
 
 from handmap_qp import HandMapper, load_hand
+from handmap_qp.human.landmarks import TIPS
 from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.offline.trajectory import map_recording
-from handmap_qp.trackers.landmarks import TIPS
-from handmap_qp.transform import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.camera import BrowserCameras
 from handmap_qp.viewer.controls import KEPT, NOTHING

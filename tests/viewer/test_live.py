@@ -17,7 +17,7 @@ from viewer_cases import make_replay, press
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.transform import rotation_from_quat_wxyz
+from handmap_qp.se3 import rotation_from_quat_wxyz
 from handmap_qp.viewer.live import LiveViewer, show_live
 from handmap_qp.viewer.sample import ViewSample
 from handmap_qp.viewer.serving import serving

@@ -14,7 +14,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 
 from handmap_qp import load_hand
 from handmap_qp.offline.surface_gaps import measure_gaps
-from handmap_qp.transform import affine, rotation_from_rpy
+from handmap_qp.se3 import affine, rotation_from_rpy
 from handmap_qp.viewer.export import on_white
 from handmap_qp.viewer.html_film import html_film
 from handmap_qp.viewer.reading_table import reading_table

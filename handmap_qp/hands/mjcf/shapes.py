@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from handmap_qp.hands.urdf.elements import set_numbers
-from handmap_qp.transform import affine, rotation_from_quat_wxyz, rpy_from_rotation
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz, rpy_from_rotation
 
 _GEOM = mujoco.mjtGeom
 # Rings and points per ring of the sphere that ellipsoids are scaled from.

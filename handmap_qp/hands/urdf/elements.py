@@ -9,7 +9,7 @@ import numpy as np
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.urdf.xml_text import parse_xml
-from handmap_qp.transform import affine, rotation_from_rpy
+from handmap_qp.se3 import affine, rotation_from_rpy
 
 # An element that the program xacro replaces.
 _XACRO = re.compile(r"<xacro:[a-z]")

@@ -12,7 +12,7 @@ from handmap_qp.errors import HandError
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf.elements import axis_of, get_numbers, origin_of, set_numbers
 from handmap_qp.hands.urdf.tree import MOVABLE, joints_by_name
-from handmap_qp.transform import affine, rpy_from_rotation
+from handmap_qp.se3 import affine, rpy_from_rotation
 
 # A mimicking joint without limits of its own passes none on to its leader.
 _NO_LIMIT = LimitSpec(lower=-1e6, upper=1e6, velocity=1e6)

@@ -40,7 +40,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.options import number, text
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 
 class FingertipVectors(MethodOptions, frozen=True):

@@ -32,7 +32,7 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.options import number, text
-from handmap_qp.transform import (
+from handmap_qp.se3 import (
     FARTHEST,
     affine,
     frozen,

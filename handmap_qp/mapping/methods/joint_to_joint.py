@@ -48,7 +48,7 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.mapping.palm import PalmFollower, palm_of
-from handmap_qp.transform import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, transform_points
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0

@@ -30,7 +30,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmFollower, palm_of
 from handmap_qp.options import number, text
-from handmap_qp.transform import inverse_pose, lengths
+from handmap_qp.se3 import inverse_pose, lengths
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050

@@ -27,7 +27,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, to_compare
 from handmap_qp.options import number
-from handmap_qp.transform import nearest_rotation
+from handmap_qp.se3 import nearest_rotation
 
 # Points whose extent across a plane or a line is less than this share of their largest lie in it.
 _FLAT = 1e-6

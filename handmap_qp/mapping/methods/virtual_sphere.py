@@ -24,7 +24,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, to_compare
 from handmap_qp.options import number
-from handmap_qp.transform import nearest_rotation
+from handmap_qp.se3 import nearest_rotation
 
 # A point this far outside a ball is outside it, as a share of its radius.
 _OUTSIDE = 1e-12

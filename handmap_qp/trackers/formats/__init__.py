@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.egodex import EgoDexFormat
@@ -20,7 +21,6 @@ from handmap_qp.trackers.formats.mano import ManoFormat
 from handmap_qp.trackers.formats.mcap import McapFormat
 from handmap_qp.trackers.formats.npz import NpzFormat
 from handmap_qp.trackers.formats.robomimic import RobomimicFormat
-from handmap_qp.trackers.recording import Recording
 
 FORMATS: tuple[RecordingFormat, ...] = (
     NpzFormat(),
@@ -121,8 +121,24 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
     return {source.entry.side: source.read() for source in sources}
 
 
-def read_one(path: Path | str, side: Side | None = None) -> Recording:
-    """Read one recording of a file; see `read_recording`."""
+def read_recording(path: Path | str, side: Side | None = None) -> Recording:
+    """Read one recording from a file of any format.
+
+    Args:
+        path: The file or folder; `PATH::NAME` for one of several recordings in it, and `demo` for
+            the recording that comes with the package.
+        side: Which hand to take of a file with both.
+
+    Returns:
+        The recording; samples with numbers that are not finite are marked as not valid. Where the
+        file has one hand only, that one, whatever `side` says.
+
+    Raises:
+        InvalidInputError: If `path` is something else than a path.
+        RecordingError: If the file cannot be read, something in it is missing or of another shape
+            than expected, or it holds several recordings and none was named.
+        MissingExtraError: If the format needs a package that is not installed.
+    """
     sources = list(list_sources(path))
     if len(sources) > 1 and side is not None:
         sources = [source for source in sources if source.entry.side == side] or sources

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 from handmap_qp.errors import InvalidInputError, MissingExtraError, RecordingError
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.recording import Recording
+from handmap_qp.human.recording import Recording
 
 SIDES: tuple[Side, ...] = ("left", "right")
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import LANDMARK_COUNT
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 
 _JOINTS = {
     finger: ("cmc", "mcp", "ip", "tip") if finger == "thumb" else ("mcp", "pip", "dip", "tip")

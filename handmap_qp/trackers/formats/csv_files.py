@@ -14,6 +14,7 @@ import numpy as np
 
 from handmap_qp.errors import RecordingError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.formats.base import SIDES, Entry, check_one_per_hand, entry_stem, reading
 from handmap_qp.trackers.formats.columns import (
@@ -23,7 +24,6 @@ from handmap_qp.trackers.formats.columns import (
     pose_rows,
     recording_of_rows,
 )
-from handmap_qp.trackers.recording import Recording
 
 _NEEDED = ("side", "time", *LANDMARK_COLUMNS)
 _OPTIONAL = ("valid", "confidence", *POSE_COLUMNS)

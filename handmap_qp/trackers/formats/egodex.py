@@ -17,10 +17,10 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats.base import SIDES, Entry, check_one_per_hand, entry_stem, reading
 from handmap_qp.trackers.formats.columns import finite_samples
 from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, numbers, opened
-from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.wrist_axes import palm_axes
 
 RATE = 30.0

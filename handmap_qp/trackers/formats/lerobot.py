@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats.base import Entry
 from handmap_qp.trackers.formats.columns import (
     LANDMARK_COLUMNS,
@@ -16,7 +17,6 @@ from handmap_qp.trackers.formats.columns import (
     pose_rows,
 )
 from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
-from handmap_qp.trackers.recording import Recording
 
 _LANDMARKS, _WRIST = "observation.landmarks", "observation.wrist"
 _VALID, _CONFIDENCE = "observation.valid", "observation.confidence"

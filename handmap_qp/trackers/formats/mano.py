@@ -9,13 +9,13 @@ import numpy as np
 
 from handmap_qp.errors import RecordingError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording, as_flags
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import as_floats
 from handmap_qp.trackers.formats.archive import member_names, read_archive
 from handmap_qp.trackers.formats.base import SIDES, Entry, check_one_per_hand, entry_stem, reading
 from handmap_qp.trackers.formats.mano_model import load_model
-from handmap_qp.trackers.recording import Recording, as_flags
-from handmap_qp.trackers.sample import LANDMARK_COUNT
-from handmap_qp.transform import as_floats
 
 FROM_MANO = np.array([0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20])
 """Index in MANO's order of each landmark.

@@ -15,8 +15,12 @@ from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_path
-from handmap_qp.trackers.fit import fit_recording
+from handmap_qp.se3 import poses_from_quats, quat_wxyz_from_rotation
 from handmap_qp.trackers.formats.archive import DAMAGES
 from handmap_qp.trackers.formats.base import (
     SIDES,
@@ -27,10 +31,6 @@ from handmap_qp.trackers.formats.base import (
     require,
 )
 from handmap_qp.trackers.formats.columns import finite_samples
-from handmap_qp.trackers.landmarks import human_name
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import LANDMARK_COUNT
-from handmap_qp.transform import poses_from_quats, quat_wxyz_from_rotation
 
 _POSES, _STATE = "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/JointState"
 _POSE, _NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64"

@@ -9,7 +9,10 @@ import numpy as np
 
 from handmap_qp.errors import RecordingError
 from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.human.recording import Recording, as_flags
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import as_floats, poses_from_quats
 from handmap_qp.trackers.formats.archive import member_names, read_archive
 from handmap_qp.trackers.formats.base import (
     SIDES,
@@ -18,9 +21,6 @@ from handmap_qp.trackers.formats.base import (
     entry_stem,
     reading,
 )
-from handmap_qp.trackers.recording import Recording, as_flags
-from handmap_qp.trackers.sample import LANDMARK_COUNT
-from handmap_qp.transform import as_floats, poses_from_quats
 
 _NEEDED = ("time", "landmarks", "handedness")
 _KNOWN = (*_NEEDED, "valid", "wrist", "wrist_pose", "confidence", "source")

@@ -17,11 +17,11 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.formats.base import SIDES, Entry, reading
 from handmap_qp.trackers.formats.columns import landmark_rows, pose_rows, recording_of_rows
 from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, numbers, opened
-from handmap_qp.trackers.recording import Recording
-from handmap_qp.trackers.sample import LANDMARK_COUNT
 
 _KNOWN = {"landmarks", "time", "valid", "confidence", "wrist"}
 

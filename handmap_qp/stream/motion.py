@@ -1,4 +1,4 @@
-"""The motion from one sample of landmarks to the next, by which `trackers.guard` judges samples.
+"""The motion from one sample of landmarks to the next, by which `stream.guard` judges samples.
 
 All of it holds for samples of any number, along the same leading axes of all arrays: of none for a
 live sample, of time for a recording.
@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.trackers.landmarks import PALM
-from handmap_qp.transform import lengths, nearest_rotations
+from handmap_qp.human.landmarks import PALM
+from handmap_qp.se3 import lengths, nearest_rotations
 
 FLIP = math.radians(60.0)
 """A turn by more than this between two samples is a flip."""

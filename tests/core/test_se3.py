@@ -24,9 +24,9 @@ from strategies import (
     weights_for,
 )
 
-from handmap_qp import transform
+from handmap_qp import se3
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.transform import (
+from handmap_qp.se3 import (
     QuatOrder,
     affine,
     as_floats,
@@ -142,8 +142,8 @@ def test_the_nearest_rotation_to_a_reflection_is_proper() -> None:
 
 def test_threads_do_not_share_the_memory_of_a_decomposition() -> None:
     with ThreadPoolExecutor(1) as pool:
-        other = pool.submit(lambda: transform._WORKSPACE.svd).result()
-    assert other is not transform._WORKSPACE.svd
+        other = pool.submit(lambda: se3._WORKSPACE.svd).result()
+    assert other is not se3._WORKSPACE.svd
 
 
 # --- singular values and rigid fits

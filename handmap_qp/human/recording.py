@@ -7,7 +7,6 @@ little MCP, PIP, DIP, tip. `handmap_qp.trackers.formats` has the files that reco
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,8 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample, unchecked_sample
-from handmap_qp.transform import as_floats, check_poses
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, unchecked_sample
+from handmap_qp.se3 import as_floats, check_poses
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
@@ -150,30 +149,6 @@ class HumanMotion:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt(self)
-
-
-def read_recording(path: Path | str, side: Side | None = None) -> Recording:
-    """Read one recording from a file of any format of `handmap_qp.trackers.formats`.
-
-    Args:
-        path: The file or folder; `PATH::NAME` for one of several recordings in it, and `demo` for
-            the recording that comes with the package.
-        side: Which hand to take of a file with both.
-
-    Returns:
-        The recording; samples with numbers that are not finite are marked as not valid. Where the
-        file has one hand only, that one, whatever `side` says.
-
-    Raises:
-        InvalidInputError: If `path` is something else than a path.
-        RecordingError: If the file cannot be read, something in it is missing or of another shape
-            than expected, or it holds several recordings and none was named.
-        MissingExtraError: If the format needs a package that is not installed.
-    """
-    # Imported when used: formats build recordings.
-    from handmap_qp.trackers.formats import read_one
-
-    return read_one(path, side)
 
 
 def mirrored(recording: Recording) -> Recording:

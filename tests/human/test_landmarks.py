@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from handmap_qp import HumanLengths, InvalidInputError, Recording, load_hand, read_recording
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.fit import MOST_ITERATIONS, LandmarkFitter, fit_recording
-from handmap_qp.trackers.landmarks import TIPS, PalmShape, human_name, measure_hand
-from handmap_qp.transform import affine
+from handmap_qp.human.fit import MOST_ITERATIONS, LandmarkFitter, fit_recording
+from handmap_qp.human.landmarks import TIPS, PalmShape, human_name, measure_hand
+from handmap_qp.se3 import affine
 
 ROLLS = np.radians([0.0, -9.0, 4.0, 9.0, 18.0])
 
@@ -159,7 +159,7 @@ def test_a_size_that_no_sample_bears_out_is_no_hand(monkeypatch: pytest.MonkeyPa
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.1))
     # Medians of a tracker that has lost the hand may be like this.
     monkeypatch.setattr(
-        "handmap_qp.trackers.fit.measure_hand", lambda _: HumanLengths.from_hand_length(0.3)
+        "handmap_qp.human.fit.measure_hand", lambda _: HumanLengths.from_hand_length(0.3)
     )
     with pytest.raises(InvalidInputError, match="landmarks: expected a hand that keeps its size"):
         fit_recording(recording)

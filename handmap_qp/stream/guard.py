@@ -16,9 +16,10 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.clock import RateCheck, SampleClock, Tick
-from handmap_qp.trackers.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
-from handmap_qp.trackers.motion import (
+from handmap_qp.human.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.clock import RateCheck, SampleClock, Tick
+from handmap_qp.stream.motion import (
     FINGER_LIMITS,
     PALM_LIMITS,
     TURN_LIMITS,
@@ -32,7 +33,6 @@ from handmap_qp.trackers.motion import (
     is_zero,
 )
 from handmap_qp.trackers.plausibility import Finding, InputCheck
-from handmap_qp.trackers.sample import HumanSample
 
 Rule = Literal[
     "",
@@ -202,7 +202,7 @@ class StreamGuard:
         Args:
             sample: The sample.
             sight: What it shows, where that has been measured for a whole recording
-                (`trackers.recorded_motion`).
+                (`stream.recorded_motion`).
             arrival: When it arrived, on a monotonic clock [s]; None for a recording.
 
         Returns:

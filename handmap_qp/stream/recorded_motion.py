@@ -2,7 +2,7 @@
 
 The guard of live streams measures each sample against the one before. Here all samples are measured
 at once, so that the guard can judge whole data sets in a fraction of the time. The numbers are
-those of `trackers.motion` up to rounding.
+those of `stream.motion` up to rounding.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.trackers.clock import SampleClock
-from handmap_qp.trackers.guard import STRICT, StreamGuard, Verdict, is_odd
-from handmap_qp.trackers.landmarks import PALM, palm_sizes
-from handmap_qp.trackers.motion import (
+from handmap_qp.human.landmarks import PALM, palm_sizes
+from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.clock import SampleClock
+from handmap_qp.stream.guard import STRICT, StreamGuard, Verdict, is_odd
+from handmap_qp.stream.motion import (
     Change,
     Sight,
     Track,
@@ -29,8 +31,6 @@ from handmap_qp.trackers.motion import (
     motion_between,
 )
 from handmap_qp.trackers.plausibility import examine, recorded_measures
-from handmap_qp.trackers.recording import Recording, recording_samples
-from handmap_qp.trackers.sample import HumanSample
 
 
 class RecordedSamples:

@@ -23,11 +23,11 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.landmarks import PALM, PalmShape, human_name, measure_hand
+from handmap_qp.human.recording import HumanMotion, Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.trackers.landmarks import PALM, PalmShape, human_name, measure_hand
-from handmap_qp.trackers.recording import HumanMotion, Recording
-from handmap_qp.trackers.sample import LANDMARK_COUNT
-from handmap_qp.transform import affine, as_floats, kabsch_rotation
+from handmap_qp.se3 import affine, as_floats, kabsch_rotation
 
 MOST_ITERATIONS = 12
 """Most steps for one sample; a hand that moves takes two to four, the next sample goes on."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, read_recording
-from handmap_qp.trackers.recording import HumanMotion, mirrored
+from handmap_qp.human.recording import HumanMotion, mirrored
 
 
 def arrays(count: int = 5) -> dict[str, np.ndarray]:

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.trackers.guard import FROZEN_AFTER, RULES, SETTLING, Rule, StreamGuard, Verdict
+from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.guard import FROZEN_AFTER, RULES, SETTLING, Rule, StreamGuard, Verdict
+from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults
-from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.recording import Recording, read_recording
-from handmap_qp.trackers.sample import HumanSample
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")

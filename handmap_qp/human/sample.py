@@ -9,7 +9,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.transform import as_floats, check_pose
+from handmap_qp.se3 import as_floats, check_pose
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""

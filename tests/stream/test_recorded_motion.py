@@ -11,11 +11,11 @@ from pinocchio import exp3
 
 from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.trackers.guard import StreamGuard
-from handmap_qp.trackers.landmarks import scaled_human
-from handmap_qp.trackers.motion import change_between, first_track
-from handmap_qp.trackers.recorded_motion import RecordedSamples
-from handmap_qp.trackers.recording import recording_samples
+from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.recording import recording_samples
+from handmap_qp.stream.guard import StreamGuard
+from handmap_qp.stream.motion import change_between, first_track
+from handmap_qp.stream.recorded_motion import RecordedSamples
 
 FAULTS = (
     "",

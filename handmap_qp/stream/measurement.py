@@ -1,0 +1,72 @@
+"""A person's hand and contact gap, from the samples of recordings that the guard lets pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.contact_gap import measure_contact_gap
+from handmap_qp.human.landmarks import human_name, measure_hand
+from handmap_qp.human.person import Person
+from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.stream.recorded_motion import recorded_samples
+
+
+def measure_person(*recordings: Recording) -> Person:
+    """Measure a person's hand and contact gap in one recording or more.
+
+    Bones, palm and gap are medians and percentiles over all samples that make sense: the guard of
+    live streams leaves out jumps, flips, outliers and the like first.
+
+    Args:
+        *recordings: Recordings of one person, of either hand; thumb and fingers should touch in
+            them now and then. The person gets the name of the first.
+
+    Raises:
+        InvalidInputError: If there is no recording, or the landmarks are not a plausible hand in
+            metres.
+    """
+    if not recordings:
+        raise InvalidInputError(argument="recordings", expected="at least one", got="none")
+    joined = _joined([without_faults(recording) for recording in recordings])
+    return Person(joined.name, measure_hand(joined), measure_contact_gap(joined))
+
+
+def without_faults(recording: Recording) -> Recording:
+    """Return a recording in which only samples are valid that the guard lets pass.
+
+    If it lets fewer than half pass, the recording stays as it is, since rules that reject most
+    samples do not know this tracker.
+
+    Raises:
+        InvalidInputError: If the landmarks are not a plausible hand in metres.
+    """
+    lengths = measure_hand(recording)
+    human = load_hand(human_name(recording.side), points="landmarks", lengths=lengths)
+    follows = [not verdict.is_held for verdict in recorded_samples(recording).judged(human)]
+    valid = recording.valid & np.array(follows)
+    if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
+        return recording
+    return replace(recording, valid=valid)
+
+
+def _joined(recordings: Sequence[Recording]) -> Recording:
+    """Put recordings behind each other, as of a right hand, a second apart."""
+    if len(recordings) == 1:
+        return recordings[0]
+    right = [each if each.side == "right" else mirrored(each) for each in recordings]
+    times, start = [], 0.0
+    for each in right:
+        times.append(each.time - each.time[0] + start)
+        start = times[-1][-1] + 1.0
+    return Recording(
+        right[0].name,
+        np.concatenate(times),
+        np.concatenate([each.landmarks for each in right]),
+        np.concatenate([each.valid for each in right]),
+        "right",
+    )
