@@ -16,7 +16,7 @@ from handmap_qp import load_hand
 from handmap_qp.datasets.manifest import Line, Manifest, read_manifests
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.mjcf.convert import convert_mjcf
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.onboarding.detect import detect
 from handmap_qp.onboarding.migrate import read_dex_configuration

@@ -20,7 +20,8 @@ from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
 from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand, urdf_path
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.offline.both_ways import map_both_ways
