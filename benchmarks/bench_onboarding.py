@@ -25,7 +25,7 @@ from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand
 from shared_hands import shared_hands_folder
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.urdf.sources import package_folder
+from handmap_qp.hands.sources import package_folder
 from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
 _AXES = {

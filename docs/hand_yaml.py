@@ -91,6 +91,7 @@ def _type(kind: Any) -> str:
     """Return a type as YAML has it."""
     text = str(kind) if not isinstance(kind, type) else kind.__name__
     text = re.sub(r"typing\.|handmap_qp\.hands\.spec\.", "", text)
+    text = re.sub(r"Annotated\[(.+), msgspec\.Meta\(.*?\)\]", r"\1", text)
     if literal := re.search(r"Literal\[([^\]]+)\]", text):
         return " or ".join(f"`{word.strip()[1:-1]}`" for word in literal[1].split(","))
     names = {

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp import HandMapper, cli, load_hand
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
 
 
 def main(urdf: Path) -> None:

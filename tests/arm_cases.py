@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import yaml
 
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import ArmSpec, HandSpec
-from handmap_qp.hands.urdf.package_data import urdf_directory
 
 
 def arm_of(name: str) -> ArmSpec:

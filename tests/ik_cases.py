@@ -13,11 +13,11 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import MissingExtraError, hand_names, load_hand
-from handmap_qp.hands.hand import Hand, read_urdf
+from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
+from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import WristSpec, read_hand_spec
-from handmap_qp.hands.urdf.elements import parse_urdf
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.urdf import parse_urdf
 
 ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
 _ARM = """

@@ -20,7 +20,8 @@ from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
 from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand, urdf_path
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.person import Person

@@ -20,9 +20,9 @@ from scipy.sparse import csr_array
 
 from handmap_qp.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import InvalidInputError, MissingExtraError
-from handmap_qp.hands.hand import Hand, urdf_path
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
-from handmap_qp.hands.urdf.files import find_mesh
 from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class HandShape:
 def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) -> HandShape:
     """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
 
-    Mesh paths are resolved as in `handmap_qp.hands.urdf.files.find_mesh`. A mesh that cannot be
+    Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
     read is left out and named in `HandShape.missing`.
 
     Args:

@@ -21,7 +21,7 @@ from handmap_qp.grasp import Contact, Grasp
 from handmap_qp.grasp.paper_cube import read_cube_figures, reference_grasp
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.synergies import load_synergies
-from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
+from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_numbers
 from handmap_qp.mapping.decomposition import decompose
 from handmap_qp.mapping.estimation import estimate_motion
 from handmap_qp.se3 import affine, rigid_fit, transform_points

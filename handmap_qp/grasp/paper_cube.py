@@ -18,8 +18,8 @@ from handmap_qp.grasp.checks import one_of
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
-from handmap_qp.hands.urdf.package_data import urdf_directory
 
 REFERENCE_HANDS = ("human", "three_finger")
 """Names of the hands that have a reference grasp."""

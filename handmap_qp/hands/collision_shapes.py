@@ -11,8 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf.elements import parse_urdf
-from handmap_qp.hands.urdf.files import urdf_with_mesh_paths
+from handmap_qp.hands.urdf import parse_urdf, urdf_with_mesh_paths
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""

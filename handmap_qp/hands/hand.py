@@ -9,9 +9,10 @@ file knows both orders.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from copy import copy
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,23 +21,25 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.mimic import Expansion, expansion_matrix, tighten_model
+from handmap_qp.hands.mimic import (
+    Expansion,
+    MimicRule,
+    expansion_matrix,
+    read_mimic_rules,
+    tighten_model,
+)
 from handmap_qp.hands.model import (
     add_frame,
     build_model,
     check_limits,
     check_wrist,
     choose_mount,
-    mimic_rules,
-    move_joint,
     palm_in_link,
-    tangent_expansion,
     with_frames,
 )
+from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point
-from handmap_qp.hands.urdf.compose import compose_urdf
-from handmap_qp.hands.urdf.files import read_urdf as read_urdf
-from handmap_qp.hands.urdf.files import urdf_path as urdf_path
+from handmap_qp.hands.urdf import compose_urdf
 from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose
 
 Points = str | Sequence[str | PointSpec]
@@ -60,6 +63,7 @@ class Hand:
 
     Attributes:
         spec: The description.
+        urdf_text: The URDF as it was built, after scaling and mirroring.
         name: Short name.
         side: `right` or `left`.
         mount: `floating` or `fixed`.
@@ -116,43 +120,28 @@ class Hand:
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
-        text, locked = compose_urdf(spec, file_text, arm_text)
-        self._compose: Callable[[], str] = partial(str, text)
-        rules = mimic_rules(spec, text)
-        followers = tuple(rule.follower for rule in rules)
-        self.model = model = build_model(spec, text, self.mount, followers)
-        self.joint_names = spec.all_joints
-        self.all_joint_names = (*self.joint_names, *followers, *locked)
-        self.all_joint_roles = (
-            ("active",) * len(self.joint_names)
-            + ("follower",) * len(followers)
-            + ("locked",) * len(locked)
-        )
-        self._locked = np.array(list(locked.values()))
-        self._index_joints(followers)
-        joints = expansion_matrix((*self.joint_names, *followers), self.joint_names, rules)
-        self._expansion = Expansion(_frozen(joints.matrix), _frozen(joints.offset))
-        self.expansion = self._tangent_expansion() if rules else None
+        robot, locked = compose_urdf(spec, file_text, arm_text)
+        self.urdf_text = ET.tostring(robot, encoding="unicode")
+        try:
+            rules = read_mimic_rules(robot)
+        except HandError as error:
+            raise spec.located(error) from error
+        self.model = model = build_model(spec, self.urdf_text, self.mount, rules)
         self.notes = tighten_model(model, rules)
         for note in self.notes:
             warnings.warn(f"{self.name}: {note}", stacklevel=2)
+        self._index_joints(rules, locked)
         self.lower_limits = _frozen(model.lowerPositionLimit[self.q_indices])
         self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
-        self.rest = _frozen([spec.all_rest[name] for name in self.joint_names])
-        matched = spec.all_matched
+        rest, matched = spec.all_rest, spec.all_matched
+        self.rest = _frozen([rest[name] for name in self.joint_names])
         self.matched = None if matched is None else _frozen([matched[n] for n in self.joint_names])
-        postures = {"rest": self.rest} | ({} if self.matched is None else {"matched": self.matched})
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
-        check_limits(spec, *limits, postures)
+        check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
         self._pointless_model = model
         self._take_points(chosen)
-
-    @cached_property
-    def urdf_text(self) -> str:
-        """The URDF as it was built, after scaling and mirroring."""
-        return self._compose()
 
     @property
     def is_floating(self) -> bool:
@@ -210,33 +199,6 @@ class Hand:
         # All but the model is read-only, so both hands share it.
         hand = copy(self)
         hand._take_points(chosen)
-        return hand
-
-    def with_joints(
-        self,
-        moves: Mapping[str, tuple[np.ndarray, float]],
-        compose: Callable[[], str],
-        points: Points | None = None,
-    ) -> Hand:
-        """Return the same hand with joints in other places, without reading a URDF.
-
-        Args:
-            moves: By joint name, fixed ones too, its position on its parent link [m], shape (3,),
-                and a turn about its own x axis [rad]. None may lie between wrist and palm.
-            compose: Composes the URDF of that hand; called when `urdf_text` is first read.
-            points: Reference points, as of `Hand`.
-
-        Raises:
-            HandError: If there is no such set or point.
-            InvalidInputError: If the points are something else than names and points.
-        """
-        hand = copy(self)
-        hand.__dict__.pop("urdf_text", None)
-        hand._compose = compose
-        hand._pointless_model = model = pin.Model(self._pointless_model)
-        for name, (origin, roll) in moves.items():
-            move_joint(model, name, origin, roll)
-        hand._take_points(_choose_points(self.spec, points))
         return hand
 
     def configuration(self) -> Configuration:
@@ -409,23 +371,28 @@ class Hand:
         poses = [self._scratch.frame_pose(self.model.frames[frame]) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
-    def _index_joints(self, followers: Sequence[str]) -> None:
-        """Find where the joints are in Pinocchio's vectors."""
-        model = self.model
-        joints = [model.joints[model.getJointId(name)] for name in self.joint_names]
-        following = [model.joints[model.getJointId(name)] for name in followers]
-        self.q_indices = _frozen([joint.idx_q for joint in joints], int)
-        self.v_indices = _frozen([joint.idx_v for joint in joints], int)
-        self._follower_q = np.array([joint.idx_q for joint in following], dtype=int)
-        self._follower_v = [joint.idx_v for joint in following]
-        self.active_columns = _frozen(np.setdiff1d(np.arange(model.nv), self._follower_v), int)
+    def _index_joints(self, rules: Sequence[MimicRule], locked: Mapping[str, float]) -> None:
+        """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
+        names, followers = self.spec.all_joints, tuple(rule.follower for rule in rules)
+        roles = {"active": names, "follower": followers, "locked": tuple(locked)}
+        self.joint_names, self._locked = names, np.array(list(locked.values()))
+        self.all_joint_names = (*names, *followers, *locked)
+        self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
+        model, moving, count = self.model, (*names, *followers), len(names)
+        joints = [model.joints[model.getJointId(name)] for name in moving]
+        at_q, at_v = [joint.idx_q for joint in joints], [joint.idx_v for joint in joints]
+        self.q_indices, self._follower_q = _frozen(at_q[:count], int), _frozen(at_q[count:], int)
+        self.v_indices, following = _frozen(at_v[:count], int), at_v[count:]
+        self.active_columns = _frozen(np.setdiff1d(np.arange(model.nv), following), int)
         self.joint_columns = _frozen(np.searchsorted(self.active_columns, self.v_indices), int)
-
-    def _tangent_expansion(self) -> Expansion:
-        matrix, offset = tangent_expansion(
-            self._expansion, self.active_columns, self.joint_columns, self._follower_v
-        )
-        return Expansion(_frozen(matrix), _frozen(offset))
+        matrix, offset = map(_frozen, expansion_matrix(moving, names, rules))
+        self._expansion = Expansion(matrix, offset)
+        self.expansion = None
+        if rules:
+            to_all, shift = np.eye(model.nv)[:, self.active_columns], np.zeros(model.nv)
+            to_all[np.ix_(following, self.joint_columns)] = matrix[count:]
+            shift[following] = offset[count:]
+            self.expansion = Expansion(_frozen(to_all), _frozen(shift))
 
     def _add_wrist_and_palm(self) -> None:
         """Add frames of wrist and palm to the model."""

@@ -2,7 +2,7 @@
 
 The hand itself is an ordinary hand in `urdf/human`. It can be scaled to a person (`HumanLengths`,
 `scaled_human_urdf`), always as a right hand: a left person's lengths are given mirrored, and the
-URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror.mirrored_urdf`).
+URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirrored_urdf`).
 """
 
 from __future__ import annotations
@@ -11,16 +11,22 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple, Self
+from typing import Self
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
-from handmap_qp.hands.urdf.tree import joints_by_name
-from handmap_qp.se3 import as_floats, rotation_from_rpy
+from handmap_qp.hands.urdf import (
+    child,
+    get_numbers,
+    joints_by_name,
+    origin_of,
+    parse_urdf,
+    set_numbers,
+)
+from handmap_qp.se3 import as_floats
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""
@@ -94,30 +100,24 @@ class HumanLengths:
     def __post_init__(self) -> None:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
             object.__setattr__(self, name, frozen_floats(getattr(self, name), shape, name))
-        if not (self.segments > 0.0).all():
-            expected = "bones that are all longer than 0"
-            shortest = f"{self.segments.min():.6g} m"
-            raise InvalidInputError(
-                argument="segments", expected=expected, value=self.segments, got=shortest
-            )
-        if not (self.bases[1:, 1] > 0.0).all():
-            expected, nearest = "MCP joints distal (+y) of the wrist", self.bases[1:, 1].min()
-            raise InvalidInputError(
-                argument="bases", expected=expected, value=self.bases, got=f"y = {nearest:.6g} m"
-            )
-        if not self.bases[1, 0] < self.bases[4, 0]:
-            raise InvalidInputError(
-                argument="bases",
-                expected="a right hand, with the index finger at the -x side of the little one",
-                value=self.bases,
-                got="a left one",
-                advice="mirror a left hand's",
-            )
-        if not (np.abs(self.rolls) <= LARGEST_ROLL).all():
-            expected, largest = "angles within 45 degrees of 0", np.abs(self.rolls).max()
-            raise InvalidInputError(
-                argument="rolls", expected=expected, value=self.rolls, got=f"{largest:.3g} rad"
-            )
+        is_right, bases = self.bases[1, 0] < self.bases[4, 0], self.bases[1:, 1]
+        right = "a right hand, with the index finger at the -x side of the little one"
+        shortest, nearest = f"{self.segments.min():.6g} m", f"y = {bases.min():.6g} m"
+        largest = np.abs(self.rolls).max()
+        for name, is_valid, expected, got in (
+            ("segments", (self.segments > 0.0).all(), "bones that are all longer than 0", shortest),
+            ("bases", (bases > 0.0).all(), "MCP joints distal (+y) of the wrist", nearest),
+            ("bases", is_right, right, "a left one: mirror it"),
+            (
+                "rolls",
+                largest <= LARGEST_ROLL,
+                "angles within 45 degrees of 0",
+                f"{largest:.3g} rad",
+            ),
+        ):
+            if not is_valid:
+                value = getattr(self, name)
+                raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
     def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return type(self), (self.bases, self.segments, self.rolls)
@@ -170,48 +170,17 @@ class HumanLengths:
         Raises:
             HandError: If the text is not the URDF of a human hand with this package's names.
         """
-        joints = _joints(parse_urdf(text))
-        bases = [_position(joints[_chain(finger)[0]]) for finger in FINGERS]
-        segments = [
-            [_position(joints[name])[0] for name in _chain(finger)[2:]] for finger in FINGERS
-        ]
-        rolls = [_rpy(joints[_chain(finger)[0]])[0] for finger in FINGERS]
-        return cls(bases=np.array(bases), segments=np.array(segments), rolls=np.array(rolls))
+        return cls._of(_joints(parse_urdf(text)))
 
-
-class JointMove(NamedTuple):
-    """Where a joint of a person's hand is, against that of the hand that is scaled.
-
-    Attributes:
-        origin: Its position on its parent link [m], shape (3,).
-        roll: Turn about its own x axis, from its orientation there [rad].
-    """
-
-    origin: np.ndarray
-    roll: float
-
-
-def joint_moves(
-    old: HumanLengths, new: HumanLengths, *, mirrors: bool = False
-) -> dict[str, JointMove]:
-    """Return how joints move when a hand is scaled to a person.
-
-    Args:
-        old: Lengths of the hand.
-        new: Lengths of the person.
-        mirrors: Return the moves of a left hand.
-
-    Returns:
-        Moves by the joint's name: of each finger its first joint, the two at the ends of bones, and
-        the fixed one of its tip.
-    """
-    signs, moves = np.array([-1.0 if mirrors else 1.0, 1.0, 1.0]), {}
-    for i, finger in enumerate(FINGERS):
-        chain = _chain(finger)
-        moves[chain[0]] = JointMove(new.bases[i] * signs, float(new.rolls[i] - old.rolls[i]))
-        for name, length in zip(chain[2:], new.segments[i], strict=True):
-            moves[name] = JointMove(np.array([length, 0.0, 0.0]) * signs, 0.0)
-    return moves
+    @classmethod
+    def _of(cls, joints: dict[str, ET.Element]) -> Self:
+        places = {name: origin_of(joint)[:3, 3] for name, joint in joints.items()}
+        chains = [_chain(finger) for finger in FINGERS]
+        rolls = [get_numbers(child(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0] for c in chains]
+        segments = [[places[name][0] for name in chain[2:]] for chain in chains]
+        return cls(
+            np.array([places[chain[0]] for chain in chains]), np.array(segments), np.array(rolls)
+        )
 
 
 def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
@@ -237,19 +206,27 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
         raise InvalidInputError(argument="lengths", expected="HumanLengths", value=lengths)
     robot = parse_urdf(text)
     joints = _joints(robot)
-    old = HumanLengths.from_urdf(text)
+    old = HumanLengths._of(joints)
     size = lengths.hand_length / old.hand_length
-    for name, move in joint_moves(old, lengths).items():
-        _set_position(joints[name], move.origin)
-        # Fingers point along their x axes, about which the first of the three turns is.
-        roll, pitch, yaw = _rpy(joints[name])
-        set_numbers(_origin(joints[name]), "rpy", [roll + move.roll, pitch, yaw])
+    shapes = {
+        link.get("name"): [*link.iterfind("visual"), *link.iterfind("collision")]
+        for link in robot.iterfind("link")
+    }
+    if "palm" not in shapes:
+        raise _not_human("the link 'palm' is missing", value="palm")
     for i, finger in enumerate(FINGERS):
-        for k, name in enumerate(_chain(finger)[1:4]):
-            stretch = np.array([lengths.segments[i, k] / old.segments[i, k], size, size])
-            for shape in _shapes(robot, _bone(joints[name])):
+        chain = [joints[name] for name in _chain(finger)]
+        base = child(chain[0], "origin")
+        roll, pitch, yaw = get_numbers(base, "rpy", 3, "0 0 0")
+        set_numbers(base, "xyz", lengths.bases[i])
+        # Fingers point along their x axes, about which the first of the three turns is.
+        set_numbers(base, "rpy", [roll + lengths.rolls[i] - old.rolls[i], pitch, yaw])
+        for k, length in enumerate(lengths.segments[i]):
+            set_numbers(child(chain[k + 2], "origin"), "xyz", [length, 0.0, 0.0])
+            stretch = np.array([length / old.segments[i, k], size, size])
+            for shape in shapes.get(child(chain[k + 1], "child").get("link"), ()):
                 _scale_shape(shape, partial(np.multiply, stretch), size)
-    for shape in _shapes(robot, "palm"):
+    for shape in shapes["palm"]:
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
     return ET.tostring(robot, encoding="unicode")
 
@@ -297,36 +274,6 @@ def _not_human(problem: str, *, key: str | None = None, value: str | None = None
     return HandError(f"not a human hand of this package: {problem}", key=key, value=value)
 
 
-def _bone(joint: ET.Element) -> str:
-    child = joint.find("child")
-    return "" if child is None else child.get("link", "")
-
-
-def _origin(element: ET.Element) -> ET.Element:
-    origin = element.find("origin")
-    return ET.SubElement(element, "origin") if origin is None else origin
-
-
-def _position(element: ET.Element) -> np.ndarray:
-    return np.array(get_numbers(_origin(element), "xyz", 3, "0 0 0"))
-
-
-def _rpy(element: ET.Element) -> list[float]:
-    return get_numbers(_origin(element), "rpy", 3, "0 0 0")
-
-
-def _set_position(element: ET.Element, position: np.ndarray) -> None:
-    set_numbers(_origin(element), "xyz", list(position))
-
-
-def _shapes(robot: ET.Element, link_name: str) -> list[ET.Element]:
-    """Return the visuals and collisions of a link."""
-    for link in robot.iterfind("link"):
-        if link.get("name") == link_name:
-            return [*link.iterfind("visual"), *link.iterfind("collision")]
-    raise _not_human(f"the link {link_name!r} is missing", value=link_name)
-
-
 def _palm_map(
     old: HumanLengths, new: HumanLengths, shape_name: str
 ) -> Callable[[np.ndarray], np.ndarray]:
@@ -350,31 +297,24 @@ def _palm_map(
 
 def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
-    origin, centre = _origin(shape), _position(shape)
-    axes = rotation_from_rpy(_rpy(shape))
-    primitive = shape.find("geometry/*")
+    pose, primitive = origin_of(shape), shape.find("geometry/*")
+    axes, centre = pose[:3, :3], pose[:3, 3]
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
         raise _not_human(f"a shape is <{kind}>", key=shape.get("name"), value=kind)
+    origin, moved = child(shape, "origin"), move(centre)
     if kind == "box":
-        sides = zip(axes.T, get_numbers(primitive, "size", 3), strict=True)
-        ends = [
-            (move(centre - side * axis / 2), move(centre + side * axis / 2)) for axis, side in sides
-        ]
-        set_numbers(
-            primitive, "size", [float(np.linalg.norm(upper - lower)) for lower, upper in ends]
-        )
-        _set_position(shape, move(centre))
-        return
-    set_numbers(primitive, "radius", [size * get_numbers(primitive, "radius", 1)[0]])
-    if kind == "sphere":
-        _set_position(shape, move(centre))
-        return
-    half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
-    lower, upper = move(centre - half), move(centre + half)
-    length = float(np.linalg.norm(upper - lower))
-    x, y, z = (upper - lower) / length
-    set_numbers(primitive, "length", [length])
-    _set_position(shape, (lower + upper) / 2)
-    # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
-    set_numbers(origin, "rpy", [0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))])
+        halves = 0.5 * axes * get_numbers(primitive, "size", 3)
+        sides = [move(centre + half) - move(centre - half) for half in halves.T]
+        set_numbers(primitive, "size", np.linalg.norm(sides, axis=1))
+    else:
+        set_numbers(primitive, "radius", [size * get_numbers(primitive, "radius", 1)[0]])
+    if kind == "cylinder":
+        half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
+        lower, upper = move(centre - half), move(centre + half)
+        moved, length = (lower + upper) / 2, float(np.linalg.norm(upper - lower))
+        x, y, z = (upper - lower) / length
+        set_numbers(primitive, "length", [length])
+        # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
+        set_numbers(origin, "rpy", [0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
+    set_numbers(origin, "xyz", moved)

@@ -15,21 +15,20 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.urdf.elements import get_numbers
+from handmap_qp.hands.urdf import get_numbers, joints_by_name
 
 # A follower's limits count as a mistake if they would leave less than this share of its leader's
 # range.
 _LEAST_SHARE = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class MimicRule:
+class MimicRule(NamedTuple):
     """One follower: `q[follower] = multiplier * q[leader] + offset`.
 
     Attributes:
@@ -43,20 +42,6 @@ class MimicRule:
     leader: str
     multiplier: float = 1.0
     offset: float = 0.0
-
-
-class JointRange(NamedTuple):
-    """Limits of one joint.
-
-    Attributes:
-        lower: Lower position limit [rad or m].
-        upper: Upper position limit [rad or m].
-        velocity: Speed limit [rad/s or m/s].
-    """
-
-    lower: float
-    upper: float
-    velocity: float
 
 
 class Expansion(NamedTuple):
@@ -84,18 +69,49 @@ def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
         HandError: If a leader is missing or fixed, a joint follows itself through others, or a rule
             does not hold finite numbers.
     """
-    joints = {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
-    direct = {name: _read_rule(name, joint) for name, joint in joints.items() if _follows(joint)}
+    joints = {n: j for n, j in joints_by_name(robot).items() if j.get("type") != "fixed"}
+    direct = {
+        name: _read_rule(name, mimic)
+        for name, joint in joints.items()
+        if (mimic := joint.find("mimic")) is not None
+    }
     for rule in direct.values():
-        leader = joints.get(rule.leader)
-        if leader is None or leader.get("type") == "fixed":
-            what = "does not exist in this part of the robot" if leader is None else "cannot move"
+        if rule.leader not in joints:
+            is_fixed = rule.leader in joints_by_name(robot)
+            what = "cannot move" if is_fixed else "does not exist in this part of the robot"
             message = (
                 f"it mimics {rule.leader!r}, which {what}: "
                 "give its rule in `mimic`, or hold it still in `locked`"
             )
             raise HandError(message, key=f"mimic.{rule.follower}", value=rule.leader)
     return tuple(_resolve(rule, direct) for rule in direct.values())
+
+
+def _read_rule(name: str, mimic: ET.Element) -> MimicRule:
+    key = f"mimic.{name}"
+    try:
+        (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
+        (offset,) = get_numbers(mimic, "offset", 1, "0")
+    except HandError as error:
+        raise HandError(f"{error.key}: {error.problem}", key=key, value=error.value) from error
+    if not (math.isfinite(multiplier) and math.isfinite(offset)):
+        raise HandError(f"expected finite numbers, got {multiplier} and {offset}", key=key)
+    return MimicRule(name, mimic.get("joint", ""), multiplier, offset)
+
+
+def _resolve(rule: MimicRule, direct: Mapping[str, MimicRule]) -> MimicRule:
+    """Follow the leaders to one that follows no other: a (b q + c) + d = (a b) q + (a c + d)."""
+    passed = [rule.follower]
+    while rule.leader in direct:
+        if rule.leader in passed:
+            circle = " -> ".join([*passed[passed.index(rule.leader) :], rule.leader])
+            message = f"joints mimic each other in a circle: {circle}"
+            raise HandError(message, key=f"mimic.{rule.follower}", value=rule.leader)
+        passed.append(rule.leader)
+        _, leader, factor, shift = direct[rule.leader]
+        offset = rule.multiplier * shift + rule.offset
+        rule = MimicRule(rule.follower, leader, rule.multiplier * factor, offset)
+    return rule
 
 
 def expansion_matrix(
@@ -122,9 +138,7 @@ def expansion_matrix(
     return Expansion(matrix, offset)
 
 
-def tighten_limits(
-    rules: Iterable[MimicRule], ranges: Mapping[str, JointRange]
-) -> tuple[dict[str, JointRange], tuple[str, ...]]:
+def tighten_model(model: pin.Model, rules: Iterable[MimicRule]) -> tuple[str, ...]:
     """Tighten the limits of leaders so that their followers stay inside theirs.
 
     If a follower's limits would leave its leader almost no range, they contradict its own rule (a
@@ -132,98 +146,31 @@ def tighten_limits(
     none on.
 
     Args:
-        rules: Resolved rules.
-        ranges: Limits of every joint by name.
-
-    Returns:
-        The limits of the leaders by name, and a sentence for each follower whose limits were
-        dropped.
-    """
-    tightened: dict[str, JointRange] = {}
-    dropped = []
-    for rule in rules:
-        own, leader = ranges[rule.follower], tightened.get(rule.leader, ranges[rule.leader])
-        if rule.multiplier == 0.0:
-            tightened[rule.leader] = leader
-            continue
-        ends = sorted((limit - rule.offset) / rule.multiplier for limit in (own.lower, own.upper))
-        lower, upper = max(leader.lower, ends[0]), min(leader.upper, ends[1])
-        # `not a > b` also drops NaN limits.
-        if not upper - lower > _LEAST_SHARE * (leader.upper - leader.lower):
-            dropped.append(
-                f"the limits [{own.lower:.4g}, {own.upper:.4g}] of {rule.follower!r} are ignored: "
-                f"with its rule {rule.multiplier:.4g} * {rule.leader} + {rule.offset:.4g} they "
-                f"would leave the leader no range in [{leader.lower:.4g}, {leader.upper:.4g}]"
-            )
-            lower, upper = leader.lower, leader.upper
-        speed = leader.velocity
-        if math.isfinite(own.velocity) and own.velocity > 0.0:
-            speed = min(speed, own.velocity / abs(rule.multiplier))
-        tightened[rule.leader] = JointRange(lower, upper, speed)
-    return tightened, tuple(dropped)
-
-
-def tighten_model(model: Any, rules: Iterable[MimicRule]) -> tuple[str, ...]:
-    """Tighten the limits of leaders in a Pinocchio model, as `tighten_limits` does.
-
-    Args:
-        model: A `pinocchio.Model`, changed in place.
+        model: The model, changed in place.
         rules: Resolved rules.
 
     Returns:
         A sentence for each follower whose limits were dropped.
     """
     lower, upper, velocity = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
-    joints = {
-        name: joint for name, joint in zip(model.names, model.joints, strict=True) if joint.nq == 1
-    }
-    ranges = {
-        name: JointRange(lower[joint.idx_q], upper[joint.idx_q], velocity[joint.idx_v])
-        for name, joint in joints.items()
-    }
-    tightened, dropped = tighten_limits(rules, ranges)
-    for name, limits in tightened.items():
-        q, v = joints[name].idx_q, joints[name].idx_v
-        lower[q], upper[q], velocity[v] = limits
-    return dropped
-
-
-def _follows(joint: ET.Element) -> bool:
-    return joint.find("mimic") is not None and joint.get("type") != "fixed"
-
-
-def _read_rule(name: str, joint: ET.Element) -> MimicRule:
-    mimic = joint.find("mimic")
-    assert mimic is not None
-    try:
-        (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
-        (offset,) = get_numbers(mimic, "offset", 1, "0")
-    except HandError as error:
-        message = f"{error.key}: {error.problem}"
-        raise HandError(message, key=f"mimic.{name}", value=error.value) from error
-    if not (math.isfinite(multiplier) and math.isfinite(offset)):
-        raise HandError(
-            f"expected finite numbers, got {multiplier} and {offset}", key=f"mimic.{name}"
-        )
-    return MimicRule(name, mimic.get("joint", ""), multiplier, offset)
-
-
-def _resolve(rule: MimicRule, direct: Mapping[str, MimicRule]) -> MimicRule:
-    """Follow the leaders to one that follows no other: a (b q + c) + d = (a b) q + (a c + d)."""
-    passed = [rule.follower]
-    while rule.leader in direct:
-        if rule.leader in passed:
-            circle = " -> ".join([*passed[passed.index(rule.leader) :], rule.leader])
-            raise HandError(
-                f"joints mimic each other in a circle: {circle}",
-                key=f"mimic.{rule.follower}",
-                value=rule.leader,
+    notes = []
+    for name, leader_name, multiplier, offset in rules:
+        if multiplier == 0.0:
+            continue
+        leader, own = (model.joints[model.getJointId(each)] for each in (leader_name, name))
+        q, limits = leader.idx_q, (lower[own.idx_q], upper[own.idx_q])
+        ends = sorted((limit - offset) / multiplier for limit in limits)
+        low, high = max(lower[q], ends[0]), min(upper[q], ends[1])
+        # `not a > b` also drops NaN limits.
+        if not high - low > _LEAST_SHARE * (upper[q] - lower[q]):
+            notes.append(
+                f"the limits [{limits[0]:.4g}, {limits[1]:.4g}] of {name!r} are ignored: "
+                f"with its rule {multiplier:.4g} * {leader_name} + {offset:.4g} they "
+                f"would leave the leader no range in [{lower[q]:.4g}, {upper[q]:.4g}]"
             )
-        passed.append(rule.leader)
-        above = direct[rule.leader]
-        multiplier, offset = (
-            rule.multiplier * above.multiplier,
-            rule.multiplier * above.offset + rule.offset,
-        )
-        rule = MimicRule(rule.follower, above.leader, multiplier, offset)
-    return rule
+        else:
+            lower[q], upper[q] = low, high
+        speed = velocity[own.idx_v]
+        if math.isfinite(speed) and speed > 0.0:
+            velocity[leader.idx_v] = min(velocity[leader.idx_v], speed / abs(multiplier))
+    return tuple(notes)

@@ -8,10 +8,9 @@ from typing import get_args
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.mimic import Expansion, MimicRule, read_mimic_rules
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.mimic import MimicRule
 from handmap_qp.hands.spec import HandSpec, Mount
-from handmap_qp.hands.urdf.elements import parse_urdf
 from handmap_qp.se3 import affine
 
 FLOATING_JOINT = "wrist_mount"
@@ -42,31 +41,8 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
     return "fixed"
 
 
-def mimic_rules(spec: HandSpec, urdf_text: str) -> tuple[MimicRule, ...]:
-    """Read the mimic rules of a composed URDF.
-
-    Returns:
-        One rule per follower, resolved to leaders that follow no other joint.
-
-    Raises:
-        HandError: If a rule cannot be resolved, or a follower is one of the spec's joints.
-    """
-    try:
-        rules = read_mimic_rules(parse_urdf(urdf_text))
-    except HandError as error:
-        raise spec.located(error) from error
-    for rule in rules:
-        if rule.follower in spec.all_joints:
-            message = (
-                f"{rule.follower!r} mimics {rule.leader!r} and cannot be set: leave it out, "
-                f"or give mimic.{rule.follower}: null"
-            )
-            raise spec.error(message, key="joints", value=rule.follower)
-    return rules
-
-
 def build_model(
-    spec: HandSpec, urdf_text: str, mount: Mount, followers: Sequence[str]
+    spec: HandSpec, urdf_text: str, mount: Mount, rules: Sequence[MimicRule]
 ) -> pin.Model:
     """Build the Pinocchio model of a composed URDF.
 
@@ -74,7 +50,7 @@ def build_model(
         spec: The hand.
         urdf_text: Its composed URDF.
         mount: A floating hand gets a free-flyer above its root link.
-        followers: Names of the joints that mimic others.
+        rules: Its mimic rules.
 
     Returns:
         The model: every movable joint of the URDF is a variable, followers included.
@@ -82,11 +58,17 @@ def build_model(
     Raises:
         HandError: If Pinocchio cannot read the URDF, or its joints are not those of the spec.
     """
+    followers = {rule.follower: rule.leader for rule in rules}
+    for name in spec.all_joints:
+        if name in followers:
+            message = (
+                f"{name!r} mimics {followers[name]!r} and cannot be set: leave it out, "
+                f"or give mimic.{name}: null"
+            )
+            raise spec.error(message, key="joints", value=name)
+    root = (pin.JointModelFreeFlyer(), FLOATING_JOINT) if mount == "floating" else ()
     try:
-        if mount == "floating":
-            model = pin.buildModelFromXML(urdf_text, pin.JointModelFreeFlyer(), FLOATING_JOINT)
-        else:
-            model = pin.buildModelFromXML(urdf_text)
+        model = pin.buildModelFromXML(urdf_text, *root)
     except (RuntimeError, ValueError) as error:
         message = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
         raise spec.error(message, key="urdf") from error
@@ -97,42 +79,13 @@ def build_model(
             message = f"the URDF's joint {name!r} is missing: name it here or in `locked`"
             raise spec.error(message, key="joints", value=name)
         if joint.nq != 1:
-            kind = joint.shortname()
-            message = f"{name!r} is a {kind}; only joints with one coordinate can be used"
-            raise spec.error(message, key="joints")
+            message = f"{name!r} is a {joint.shortname()}; only joints with one coordinate"
+            raise spec.error(f"{message} can be used", key="joints")
     for name in spec.all_joints:
         if not model.existJointName(name):
             message = f"the URDF has no movable joint {name!r}"
             raise spec.error(message, key="joints", value=name)
     return model
-
-
-def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> None:
-    """Place a joint elsewhere on its parent link.
-
-    Args:
-        model: The model, changed in place.
-        name: Name of the joint; a fixed one takes the frames beyond it along, and does not turn.
-        origin: Its position on the parent link [m], shape (3,).
-        roll: Turn about its own x axis [rad].
-    """
-    is_movable = model.existFrame(name, pin.FrameType.JOINT)
-    kind = pin.FrameType.JOINT if is_movable else pin.FrameType.FIXED_JOINT
-    index = model.getFrameId(name, kind)
-    frame = model.frames[index]
-    place = model.frames[frame.parentFrame].placement.act(origin)
-    if is_movable:
-        placement = model.jointPlacements[frame.parentJoint]
-        placement.translation = place
-        if roll != 0.0:
-            placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
-        return
-    before, moved = frame.placement.translation.copy(), {index}
-    for i in range(index, len(model.frames)):
-        each = model.frames[i]
-        if i in moved or each.parentFrame in moved:
-            moved.add(i)
-            each.placement.translation = place + (each.placement.translation - before)
 
 
 def add_frame(
@@ -190,35 +143,30 @@ def palm_in_link(spec: HandSpec) -> np.ndarray:
 
 
 def check_limits(
-    spec: HandSpec,
-    lower_limits: np.ndarray,
-    upper_limits: np.ndarray,
-    velocity_limits: np.ndarray,
-    postures: dict[str, np.ndarray],
+    spec: HandSpec, limits: Sequence[np.ndarray], postures: dict[str, np.ndarray | None]
 ) -> None:
     """Check that limits are finite and that the description's postures lie inside them.
 
     Args:
         spec: The hand.
-        lower_limits: In the order of `spec.all_joints` [rad or m], shape (n,), like the others.
-        upper_limits: Upper position limits [rad or m].
-        velocity_limits: Speed limits [rad/s or m/s].
-        postures: Rest posture and others by key [rad or m].
+        limits: Lower and upper position limits [rad or m] and speed limits [rad/s or m/s], in the
+            order of `spec.all_joints`, shape (n,) each.
+        postures: Rest posture and others by key [rad or m]; None where there is none.
 
     Raises:
         HandError: With the joint at fault.
     """
-    columns = zip(spec.all_joints, lower_limits, upper_limits, velocity_limits, strict=True)
-    for i, (name, lower, upper, speed) in enumerate(columns):
+    for i, (name, *numbers) in enumerate(zip(spec.all_joints, *limits, strict=True)):
+        lower, upper, speed = numbers
         interval = f"[{lower:.6g}, {upper:.6g}]"
-        if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
+        if not (np.isfinite([lower, upper]).all() and lower < upper):
             message = f"{name!r} needs limits with lower < upper, got {interval}"
             raise spec.error(f"{message}: give them in `limits`", key="urdf")
         if not (np.isfinite(speed) and speed > 0.0):
             message = f"{name!r} needs a velocity limit > 0, got {speed:.6g}"
             raise spec.error(f"{message}: give it in `limits`", key="urdf")
         for key, posture in postures.items():
-            if not lower <= posture[i] <= upper:
+            if posture is not None and not lower <= posture[i] <= upper:
                 message = f"{posture[i]:.6g} is outside the joint's limits {interval}"
                 raise spec.error(message, key=f"{key}.{name}", value=float(posture[i]))
 
@@ -244,39 +192,10 @@ def check_wrist(model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm
         if mount == "floating" and joint != 1:
             message = f"{link!r} moves with joints; on a floating hand it must be fixed to the root"
             raise spec.error(message, key=key, value=link)
-        if not _moves_all_fingers(model, joint):
+        above = set(model.supports[joint])
+        if any(i not in above and joint not in model.supports[i] for i in range(1, model.njoints)):
             message = f"{link!r} moves with the fingers; it must be fixed to the root or to an arm"
             raise spec.error(message, key=key, value=link)
     if joints[0] != joints[1]:
         message = f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}"
         raise spec.error(message, key="palm.link", value=spec.palm.link)
-
-
-def tangent_expansion(
-    joints: Expansion, active: np.ndarray, columns: np.ndarray, follower_v: Sequence[int]
-) -> Expansion:
-    """Extend the map from active joints to all joints to the model's tangent space.
-
-    Args:
-        joints: The map over joints: the active ones first, then the followers.
-        active: Indices of the active coordinates in the tangent space, shape (k,).
-        columns: Indices of the joints in the active coordinates, shape (n,).
-        follower_v: Indices of the followers in the tangent space.
-
-    Returns:
-        S, shape (nv, k), with the identity for the wrist's coordinates, and the followers' offsets,
-        shape (nv,).
-    """
-    nv, count = len(active) + len(follower_v), len(columns)
-    matrix, offset = np.eye(nv)[:, active], np.zeros(nv)
-    matrix[np.ix_(list(follower_v), columns.tolist())] = joints.matrix[count:]
-    offset[list(follower_v)] = joints.offset[count:]
-    return Expansion(matrix, offset)
-
-
-def _moves_all_fingers(model: pin.Model, joint: int) -> bool:
-    """Whether every joint is above this one or below it."""
-    above = set(model.supports[joint])
-    return all(
-        other in above or joint in model.supports[other] for other in range(1, model.njoints)
-    )

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.human import HUMAN_JOINTS, frozen_floats
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.se3 import as_floats
 
 

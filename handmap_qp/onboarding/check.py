@@ -25,9 +25,8 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
-from handmap_qp.hands.urdf.elements import origin_of, parse_urdf
-from handmap_qp.hands.urdf.files import read_urdf, urdf_path, urdf_with_mesh_paths
-from handmap_qp.hands.urdf.tree import MOVABLE, edges
+from handmap_qp.hands.sources import read_urdf, urdf_path
+from handmap_qp.hands.urdf import MOVABLE, edges, origin_of, parse_urdf, urdf_with_mesh_paths
 from handmap_qp.onboarding.anatomy import FINGERS, angle_between
 from handmap_qp.onboarding.detect import Detection, detect_text
 from handmap_qp.onboarding.finger_names import named_fingers, named_side

@@ -19,8 +19,8 @@ from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, Place
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.pads import ball_in
+from handmap_qp.hands.sources import decode_xml
 from handmap_qp.hands.spec import HandSpec, PadSpec, PalmSpec, PointSpec, Side, WristSpec
-from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.anatomy import Anatomy, Clue, find_anatomy
 from handmap_qp.onboarding.flexion import HandFlexion, find_flexion
 from handmap_qp.onboarding.robot import Robot

@@ -16,7 +16,7 @@ import yaml
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.human.landmarks import human_name, scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture

@@ -17,8 +17,8 @@ import yaml
 
 from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.sources import decode_xml
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.detect import Detection, detect
 from handmap_qp.onboarding.robot import Robot
 

@@ -18,18 +18,21 @@ import pinocchio as pin
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Place
 from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_model
+from handmap_qp.hands.sources import find_mesh
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
-from handmap_qp.hands.urdf.check import check_tree
-from handmap_qp.hands.urdf.compose import prepare_urdf
-from handmap_qp.hands.urdf.elements import axis_of, get_numbers, origin_of, parse_urdf
-from handmap_qp.hands.urdf.files import find_mesh
-from handmap_qp.hands.urdf.joints import fix_free_joints
-from handmap_qp.hands.urdf.tree import (
+from handmap_qp.hands.urdf import (
     MOVABLE,
+    axis_of,
+    check_tree,
     cut_subtree,
     edges,
+    fix_free_joints,
+    get_numbers,
     joints_by_name,
     link_names,
+    origin_of,
+    parse_urdf,
+    prepare_urdf,
     root_links,
 )
 from handmap_qp.se3 import transform_points

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.urdf.sources import source_path
+from handmap_qp.hands.sources import source_path
 from handmap_qp.output_files import writing
 
 # Allowed difference between the poses of a link in the URDF and in MuJoCo [m].

@@ -12,7 +12,8 @@ import msgspec
 import yaml
 
 from handmap_qp.errors import InvalidInputError, MissingExtraError, MissingPackageError
-from handmap_qp.hands.urdf.sources import is_named_source, package_folder
+from handmap_qp.hands.sources import package_folder
+from handmap_qp.hands.spec import is_named_source
 from handmap_qp.onboarding.detect import Detection
 from handmap_qp.output_files import make_folder, writing
 

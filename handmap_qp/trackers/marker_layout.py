@@ -13,7 +13,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import PointSpec, Side, Vector
-from handmap_qp.hands.urdf.mirror import mirrored_urdf
+from handmap_qp.hands.urdf import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import rigid_fit, transform_points

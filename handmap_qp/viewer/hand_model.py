@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.drawing.hands import mesh_file
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.viewer.merged_shapes import merge_shapes
 
 if TYPE_CHECKING:

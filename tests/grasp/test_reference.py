@@ -12,7 +12,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.measures import grasp_quality
 from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.grasp.statics import grasp_matrix
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
 
 
 @pytest.mark.parametrize(("hand", "count"), [("human", 7), ("three_finger", 3)])

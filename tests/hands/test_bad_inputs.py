@@ -23,9 +23,9 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.human import scaled_human_urdf
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import MimicSpec, PalmSpec, check_point, read_hand_spec
 from handmap_qp.hands.synergies import Synergies, load_synergies
-from handmap_qp.hands.urdf.package_data import urdf_directory
 
 HAND = load_hand("three_finger")
 CHAINED = load_hand("hey5")

@@ -7,8 +7,14 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from handmap_qp import HandError
-from handmap_qp.hands.urdf.check import check_limits, check_tree
-from handmap_qp.hands.urdf.tree import cut_subtree, link_names, remove_subtrees, root_links
+from handmap_qp.hands.urdf import (
+    check_limits,
+    check_tree,
+    cut_subtree,
+    link_names,
+    remove_subtrees,
+    root_links,
+)
 
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
 

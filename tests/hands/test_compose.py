@@ -18,11 +18,9 @@ from hypothesis import strategies as st
 from strategies import generators, rotations
 
 from handmap_qp import Hand, HandError, HandSpec, InvalidInputError, load_hand
+from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import ArmSpec, LimitSpec, read_hand_spec
-from handmap_qp.hands.urdf.files import read_urdf
-from handmap_qp.hands.urdf.joints import lock_joints
-from handmap_qp.hands.urdf.package_data import urdf_directory
-from handmap_qp.hands.urdf.tree import cut_subtree
+from handmap_qp.hands.urdf import cut_subtree, lock_joints
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import rotation_from_rpy, rpy_from_rotation, transform_points

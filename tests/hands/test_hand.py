@@ -17,8 +17,8 @@ from strategies import generators, poses
 
 from handmap_qp import HandError, InvalidInputError, PointSpec, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
-from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.se3 import transform_points
 
 HANDS = {name: load_hand(name) for name in hand_names()}

@@ -18,11 +18,10 @@ from strategies import generators
 
 from handmap_qp import Hand, HandError, HandSpec, PointSpec
 from handmap_qp.hands.mimic import (
-    JointRange,
     MimicRule,
     expansion_matrix,
     read_mimic_rules,
-    tighten_limits,
+    tighten_model,
 )
 from handmap_qp.hands.spec import LimitSpec, MimicSpec, Mount, PalmSpec, WristSpec
 
@@ -202,17 +201,17 @@ def test_tightened_limits_map_into_the_followers(
     multiplier: float, generator: np.random.Generator
 ) -> None:
     low, offset = generator.uniform(-1.0, 0.0), generator.uniform(-0.2, 0.2)
-    ends = generator.uniform(-2.0, 2.0, 2).tolist()
-    ranges = {"l": JointRange(low, low + 1.5, 2.0), "f": JointRange(min(ends), max(ends), 3.0)}
-    tightened, dropped = tighten_limits([MimicRule("f", "l", multiplier, offset)], ranges)
-    lower, upper, speed = tightened["l"]
-    assert ranges["l"].lower <= lower < upper <= ranges["l"].upper
-    assert speed == pytest.approx(min(2.0, 3.0 / abs(multiplier)))
+    ends, model = np.sort(generator.uniform(-2.0, 2.0, 2)), pin.Model()
+    for name, lower, upper, speed in (("l", low, low + 1.5, 2.0), ("f", *ends, 3.0)):
+        limits = [np.array([number]) for number in (1.0, speed, lower, upper)]
+        model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), name, *limits)
+    dropped = tighten_model(model, [MimicRule("f", "l", multiplier, offset)])
+    lower, upper = model.lowerPositionLimit[0], model.upperPositionLimit[0]
+    assert low <= lower < upper <= low + 1.5
+    assert model.velocityLimit[0] == pytest.approx(min(2.0, 3.0 / abs(multiplier)))
     if not dropped:
         reached = multiplier * np.array([lower, upper]) + offset
-        assert (
-            ranges["f"].lower - 1e-12 <= reached.min() <= reached.max() <= ranges["f"].upper + 1e-12
-        )
+        assert ends[0] - 1e-12 <= reached.min() <= reached.max() <= ends[1] + 1e-12
 
 
 @given(generator=generators, count=st.integers(1, 12))

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.urdf.mirror import mirrored_urdf
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
+from handmap_qp.hands.urdf import mirrored_urdf
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 HUMAN = (urdf_directory() / "human" / "hand.urdf").read_text(encoding="utf-8")

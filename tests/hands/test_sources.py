@@ -14,10 +14,9 @@ import yaml
 from handmap_qp import HandError, load_hand
 from handmap_qp.errors import MissingExtraError, MissingPackageError
 from handmap_qp.hands.library import hand_files, list_hands
+from handmap_qp.hands.sources import decode_xml, package_folder, source_path
 from handmap_qp.hands.spec import read_hand_spec
-from handmap_qp.hands.urdf.elements import parse_urdf
-from handmap_qp.hands.urdf.sources import package_folder, source_path
-from handmap_qp.hands.urdf.xml_text import decode_xml
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.onboarding.cli import HandsInit
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"

@@ -17,8 +17,8 @@ import yourdfpy
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import HandSpec, read_hand_spec
-from handmap_qp.hands.urdf.package_data import urdf_directory
 
 LoadData = Callable[[str], dict[str, Any]]
 OWN_HANDS = ("human", "human_left", "three_finger")

@@ -20,9 +20,9 @@ from ik_cases import random_cases
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.hand import Hand, read_urdf
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import CollisionSpec, Mount, read_hand_spec
-from handmap_qp.hands.urdf.package_data import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.mink_problem import build_problem, make_limits, solve_problem
 from handmap_qp.ik.qp import PointIk

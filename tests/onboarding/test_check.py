@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.hands.urdf.package_data import urdf_directory
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.onboarding.check import _check_arm, _check_wrist, check_hand
 from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs

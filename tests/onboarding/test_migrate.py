@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandMapper, cli, load_hand
-from handmap_qp.hands.hand import urdf_path
+from handmap_qp.hands.sources import urdf_path
 
 TIPS = {
     "thumb": "link_15.0_tip",

@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.hands.urdf.files import urdf_path
-from handmap_qp.hands.urdf.package_data import urdf_directory
-from handmap_qp.hands.urdf.sources import package_folder
+from handmap_qp.hands.sources import package_folder, urdf_directory, urdf_path
 from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -31,7 +31,7 @@ import numpy as np
 import qpsolvers
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.options import IkOptions
 

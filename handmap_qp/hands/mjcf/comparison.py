@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.mjcf.convert import ConvertedMjcf
-from handmap_qp.hands.urdf.elements import parse_urdf
+from handmap_qp.hands.urdf import parse_urdf
 
 _POSTURES, _SEED = 20, 0
 _WITHOUT_RANGE = (-1.0, 1.0)

@@ -26,7 +26,7 @@ from handmap_qp.hands.mjcf.compile import (
 from handmap_qp.hands.mjcf.couplings import Coupling, read_couplings
 from handmap_qp.hands.mjcf.loops import close_loops
 from handmap_qp.hands.mjcf.shapes import ShapeWriter, add_origin, binary_stl, file_name
-from handmap_qp.hands.urdf.elements import set_numbers
+from handmap_qp.hands.urdf import set_numbers
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 
 _FREE, _BALL, _SLIDE = (

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from handmap_qp.hands.urdf.elements import set_numbers
+from handmap_qp.hands.urdf import set_numbers
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, rpy_from_rotation
 
 _GEOM = mujoco.mjtGeom

@@ -1,0 +1,253 @@
+"""Where robots and their meshes lie: in a description's folder, or in an installed package.
+
+A `urdf` is a path, `package://PACKAGE/path` or `robot_descriptions:MODULE`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import difflib
+import importlib
+import importlib.metadata
+import os
+import pkgutil
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from handmap_qp.errors import HandError, MissingExtraError, MissingPackageError
+from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
+
+# Which variable of a description's module is taken, the first that it has.
+_VARIABLES = ("URDF_PATH", "MJCF_PATH")
+# Byte-order marks, and the starts of XML files in UTF-16 without one.
+_STARTS = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF32_LE: "utf-32",
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+    b"<\0": "utf-16-le",
+    b"\0<": "utf-16-be",
+}
+_DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
+_DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
+_ROOT = re.compile(rb"<\s*([A-Za-z_][\w.:-]*)")
+# A comment may come first and hold an example; the root is searched behind it.
+_NOT_ELEMENTS = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
+
+
+def urdf_directory() -> Path:
+    """Return the folder with one subfolder per hand.
+
+    It is inside the package when installed from a wheel, and beside it in a checkout.
+    """
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "urdf"
+    return installed if installed.is_dir() else package.parent / "urdf"
+
+
+def source_path(reference: str) -> Path | None:
+    """Return the file of a robot that is given by name; None if it is given by path.
+
+    Args:
+        reference: `package://PACKAGE/path`, `robot_descriptions:MODULE` or
+            `robot_descriptions:MODULE.VARIABLE`, or a path.
+
+    Returns:
+        The URDF or MJCF file, which need not exist.
+
+    Raises:
+        HandError: If `robot_descriptions` has no such robot, or cannot clone it.
+        MissingExtraError: If `robot_descriptions` or a package of an extra is not installed.
+        MissingPackageError: If another package is not installed.
+    """
+    if reference.startswith(PACKAGE_SCHEME):
+        package, _, inside = reference.removeprefix(PACKAGE_SCHEME).partition("/")
+        return package_folder(package) / inside
+    if reference.startswith(DESCRIPTION_SCHEME):
+        return _described(reference.removeprefix(DESCRIPTION_SCHEME))
+    return None
+
+
+def package_folder(package: str) -> Path:
+    """Return the folder in which an installed package keeps its robots.
+
+    It is the package's part of the `share` folder if the package has one (a cmeel wheel), else the
+    folder that is imported.
+
+    Raises:
+        MissingExtraError: If the package of an extra is not installed.
+        MissingPackageError: If another package is not installed.
+    """
+    try:
+        found = importlib.metadata.distribution(package)
+    except (importlib.metadata.PackageNotFoundError, ValueError) as error:  # ValueError: no name
+        if package == "example-robot-data":
+            raise MissingExtraError(package, "robots") from error
+        raise MissingPackageError(package) from error
+    share = Path(str(found.locate_file("cmeel.prefix/share"))) / package
+    if share.is_dir():
+        return share
+    return Path(str(found.locate_file(package.replace("-", "_"))))
+
+
+def _described(name: str) -> Path:
+    """Return the file of a robot of `robot_descriptions`, which clones it at first use."""
+    name, _, variable = name.partition(".")
+    module = _module(name)
+    for candidate in (variable,) if variable else _VARIABLES:
+        if isinstance(path := getattr(module, candidate, None), str):
+            return Path(path)
+    paths = sorted(key for key in vars(module) if key.endswith("PATH") or "_PATH_" in key)
+    files = [key for key in paths if key not in ("REPOSITORY_PATH", "PACKAGE_PATH")]
+    expected = f"one of {', '.join(files)}" if files else "a URDF or MJCF"
+    got = f"no {variable}" if variable else "neither URDF_PATH nor MJCF_PATH"
+    raise HandError(f"robot_descriptions.{name} has {got}: expected {expected}", value=name)
+
+
+def _module(name: str) -> ModuleType:
+    try:
+        package = importlib.import_module("robot_descriptions")
+    except ImportError as error:
+        raise MissingExtraError("robot_descriptions", "descriptions") from error
+    known = [module.name for module in pkgutil.iter_modules(package.__path__)]
+    if name not in known and f"robot_descriptions.{name}" not in sys.modules:
+        near = difflib.get_close_matches(name, [k for k in known if k.endswith("description")], 3)
+        advice = f"; did you mean {' or '.join(near)}?" if near else ""
+        raise HandError(f"robot_descriptions has no robot {name!r}{advice}", value=name)
+    try:
+        return importlib.import_module(f"robot_descriptions.{name}")
+    # git raises many types of its own; without a network, nothing can be cloned.
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        advice = f"connect to the network and try again ({reason:.200})"
+        raise HandError(f"robot_descriptions cannot clone {name}: {advice}", value=name) from error
+
+
+def source_file(spec: HandSpec | ArmSpec) -> Path:
+    """Return the URDF or MJCF file of a hand or an arm, as `urdf_path` before it converts."""
+    return source_path(spec.urdf) or (spec.directory or Path()) / os.path.expandvars(spec.urdf)
+
+
+def urdf_path(spec: HandSpec | ArmSpec) -> Path:
+    """Return the path of the URDF of a hand or an arm, which need not exist.
+
+    Environment variables in it, such as `${FOLDER}/hand.urdf`, are replaced by their values. An
+    MJCF file is converted to a URDF in the cache folder of the user.
+
+    Raises:
+        HandError: If it is a robot of `robot_descriptions` that cannot be had, or an MJCF file that
+            MuJoCo cannot compile.
+        MissingExtraError: If it lies in a package that is not installed.
+    """
+    try:
+        path = source_file(spec)
+        if is_mjcf(path):
+            # MuJoCo takes a second to load.
+            from handmap_qp.hands.mjcf.cache import cached_urdf
+
+            return cached_urdf(path)
+    except HandError as error:
+        raise _source_error(spec, error.problem) from error
+    return path
+
+
+def read_urdf(spec: HandSpec | ArmSpec) -> str:
+    """Read the URDF of a hand or an arm.
+
+    Returns:
+        The text of the file.
+
+    Raises:
+        HandError: If the file cannot be read.
+        MissingExtraError: If it lies in a package that is not installed.
+    """
+    path = urdf_path(spec)
+    try:
+        return decode_xml(path.read_bytes())
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        unset = re.search(r"\$\{(\w+)\}", str(path))
+        reason = f"set the environment variable {unset[1]}" if unset else error
+        raise _source_error(spec, f"the URDF cannot be read: {reason}") from error
+
+
+def _source_error(spec: HandSpec | ArmSpec, problem: str) -> HandError:
+    if isinstance(spec, ArmSpec):
+        return HandError(problem, key="arm.urdf", value=spec.urdf)
+    return spec.error(problem, key="urdf", value=spec.urdf)
+
+
+def find_mesh(name: str, folder: Path) -> Path:
+    """Find a mesh that a URDF names.
+
+    A relative name starts at the URDF's folder. `package://PACKAGE/...` is searched in installed
+    packages of robot descriptions first. After that, it is searched in the folders above the URDF:
+    a ROS package is a folder of the package's name, or one that holds a `package.xml`.
+
+    Args:
+        name: The file name in the URDF.
+        folder: The URDF's folder.
+
+    Returns:
+        A path, which need not exist.
+    """
+    if not name.startswith((PACKAGE_SCHEME, "model://")):
+        return folder / name.removeprefix("file://")
+    package, _, inside = name.partition("://")[2].partition("/")
+    try:
+        candidates = [package_folder(package) / inside]
+    except (MissingExtraError, MissingPackageError):
+        candidates = [folder / inside]
+    for above in (folder.resolve(), *folder.resolve().parents):
+        candidates.append(above / package / inside)
+        if (above / "package.xml").exists():
+            candidates.append(above / inside)
+    return next((path for path in candidates if path.exists()), candidates[0])
+
+
+def decode_xml(content: bytes) -> str:
+    """Decode an XML file by its byte-order mark or declared encoding; UTF-8 without either.
+
+    Args:
+        content: The bytes of the file.
+
+    Returns:
+        The text, without XML declaration, which would repeat an encoding that it no longer has.
+
+    Raises:
+        ValueError: If the bytes are not of the encoding, or the encoding is unknown.
+    """
+    encoding = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
+    if encoding is None:
+        declared = _DECLARED.search(content)
+        encoding = "utf-8" if declared is None else declared[1].decode("ascii")
+    try:
+        text = content.decode(encoding)
+    except LookupError as error:
+        raise ValueError(f"unknown encoding {encoding!r}") from error
+    return _DECLARATION.sub("", text.removeprefix("\ufeff"), count=1)
+
+
+def root_tag(content: bytes) -> str:
+    """Return the name of an XML text's root element; empty if there is none.
+
+    Args:
+        content: The bytes of the file, in UTF-8, UTF-16 or an encoding that contains ASCII.
+    """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        content = content.decode("utf-16", "replace").encode()
+    found = _ROOT.search(_NOT_ELEMENTS.sub(b"", content))
+    return "" if found is None else found[1].decode("ascii", "replace")
+
+
+def is_mjcf(file: Path) -> bool:
+    """Return whether a file is an MJCF model; False if it cannot be read, or by its suffix."""
+    try:
+        return file.suffix in (".xml", ".mjcf") and root_tag(file.read_bytes()) in (
+            "mujoco",
+            "mujocoinclude",
+        )
+    except (OSError, ValueError):  # ValueError: a null character in the path
+        return False

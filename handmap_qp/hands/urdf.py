@@ -1,0 +1,676 @@
+"""The URDF of a hand as a document: read, check, cut, edit, mount and mirror it.
+
+`compose_urdf` makes the URDF of a hand's model from the one in the file. All changes are made to
+the document, so that every reader of `Hand.urdf_text` (Pinocchio, MuJoCo, a picture) sees the same
+robot.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from xml.parsers.expat import errors as expat
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import HandError
+from handmap_qp.hands.sources import find_mesh, urdf_path
+from handmap_qp.hands.spec import ArmSpec, HandSpec, LimitSpec, MimicSpec
+from handmap_qp.transform import affine, rotation_from_rpy, rpy_from_rotation
+
+MOVABLE = ("revolute", "continuous", "prismatic")
+"""Types of joints with one coordinate."""
+_FREE = ("planar", "floating")
+# Pinocchio reads a chain by recursion, and crashes at about 4,000 links.
+_DEEPEST = 2000
+# A mimicking joint without limits of its own passes none on to its leader.
+_NO_LIMIT = {"lower": -1e6, "upper": 1e6, "velocity": 1e6}
+_NOT_OF_FIXED_JOINTS = ("axis", "limit", "mimic", "calibration", "safety_controller", "dynamics")
+
+# An element that the program xacro replaces.
+_XACRO = re.compile(r"<xacro:[a-z]")
+_ROOT = re.compile(r"(?:<!--.*?-->|<[?!][^>]*>|[^<])*<[^\s/>]+", re.DOTALL)
+_PREFIX = re.compile(r"</?([A-Za-z_][\w.-]*):[\w.-]+|\s([A-Za-z_][\w.-]*):[\w.-]+\s*=")
+
+
+def parse_urdf(text: str) -> ET.Element:
+    """Parse a URDF.
+
+    Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix;
+    such prefixes are declared first.
+
+    Args:
+        text: The URDF, without XML declaration.
+
+    Returns:
+        The `<robot>` element.
+
+    Raises:
+        HandError: If the text is not XML, is xacro, or its root is another element.
+    """
+    if _XACRO.search(text):
+        message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
+        raise HandError(message)
+    try:
+        robot = _parse_xml(text)
+    except (ET.ParseError, ValueError) as error:  # ValueError: a character that XML cannot have
+        raise HandError(f"the URDF is not valid XML: {error}") from error
+    if robot.tag != "robot":
+        message = f"expected a URDF with the root <robot>, got <{robot.tag}>"
+        raise HandError(message, value=robot.tag)
+    return robot
+
+
+def _parse_xml(text: str) -> ET.Element:
+    try:
+        return ET.fromstring(text)
+    except ET.ParseError as error:
+        root = _ROOT.match(text)
+        if error.code != expat.codes[expat.XML_ERROR_UNBOUND_PREFIX] or root is None:
+            raise
+    used = {first or second for first, second in _PREFIX.findall(text)} - {"xml", "xmlns"}
+    bound = set(re.findall(r"xmlns:([\w.-]+)\s*=", text))
+    declarations = "".join(f' xmlns:{name}="urn:{name}"' for name in sorted(used - bound))
+    return ET.fromstring(text[: root.end()] + declarations + text[root.end() :])
+
+
+# -- numbers of elements
+
+
+def get_numbers(
+    element: ET.Element, key: str, count: int, default: str | None = None
+) -> list[float]:
+    """Read the numbers in an attribute.
+
+    Args:
+        element: An element of a URDF.
+        key: The attribute.
+        count: How many numbers it must hold.
+        default: Its text where it is missing.
+
+    Returns:
+        The numbers; NaN and infinity are passed on.
+
+    Raises:
+        HandError: If it is missing without a default, or does not hold `count` numbers.
+    """
+    text = element.get(key, default)
+    try:
+        numbers = [float(word) for word in (text or "").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        message = f"expected {count} number(s), got {text!r}"
+        raise HandError(message, key=f"<{element.tag} {key}>", value=text)
+    return numbers
+
+
+def set_numbers(element: ET.Element, key: str, numbers: Sequence[float] | np.ndarray) -> None:
+    """Write numbers into an attribute with all their digits, and minus zero as zero."""
+    element.set(key, " ".join(repr(float(number) + 0.0) for number in numbers))
+
+
+def child(element: ET.Element, tag: str) -> ET.Element:
+    """Return the first child with a tag, which is added where it is missing."""
+    found = element.find(tag)
+    return ET.SubElement(element, tag) if found is None else found
+
+
+def origin_of(element: ET.Element) -> np.ndarray:
+    """Read the pose in an element's `<origin>`.
+
+    Returns:
+        Pose, shape (4, 4); the identity where there is no origin.
+
+    Raises:
+        HandError: If it does not hold finite numbers.
+    """
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    xyz, rpy = (np.array(get_numbers(origin, key, 3, "0 0 0")) for key in ("xyz", "rpy"))
+    if not np.isfinite([xyz, rpy]).all():
+        message = f"expected finite numbers, got xyz {xyz.tolist()} and rpy {rpy.tolist()}"
+        raise HandError(message, key=f"<{element.tag} origin>")
+    return affine(rotation_from_rpy(rpy), xyz)
+
+
+def set_origin(element: ET.Element, pose: np.ndarray) -> None:
+    """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
+    origin = child(element, "origin")
+    set_numbers(origin, "xyz", pose[:3, 3])
+    set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]))
+
+
+def axis_of(joint: ET.Element) -> np.ndarray:
+    """Read a joint's axis.
+
+    Returns:
+        Unit vector, shape (3,); x where none is given, as URDF specifies.
+
+    Raises:
+        HandError: If it is zero or not finite.
+    """
+    element = joint.find("axis")
+    axis = np.array([1.0, 0.0, 0.0] if element is None else get_numbers(element, "xyz", 3, "1 0 0"))
+    length = np.linalg.norm(axis)
+    if not (np.isfinite(axis).all() and length > 1e-9):
+        message = f"expected an axis longer than zero, got {axis.tolist()}"
+        raise HandError(message, key=joint.get("name"), value=axis.tolist())
+    return axis / length
+
+
+# -- the tree of links and joints
+
+
+def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
+    """Iterate over the joints of a URDF, with the names of their parent and child links.
+
+    Raises:
+        HandError: If a joint lacks one of them.
+    """
+    for joint in robot.iterfind("joint"):
+        above, below = joint.find("parent"), joint.find("child")
+        if above is None or below is None:
+            name = joint.get("name")
+            raise HandError(f"the joint {name!r} needs a parent and a child link", value=name)
+        yield joint, above.get("link", ""), below.get("link", "")
+
+
+def link_names(robot: ET.Element) -> list[str]:
+    """Return the names of all links, in the order of the file."""
+    return [link.get("name", "") for link in robot.iterfind("link")]
+
+
+def joints_by_name(robot: ET.Element) -> dict[str, ET.Element]:
+    """Return the joints by their names, in the order of the file."""
+    return {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
+
+
+def root_links(robot: ET.Element) -> list[str]:
+    """Return the links that are not the child of a joint."""
+    below = {child for _, _, child in edges(robot)}
+    return [name for name in link_names(robot) if name not in below]
+
+
+def _levels(robot: ET.Element, starts: Collection[str]) -> Iterator[list[str]]:
+    """Iterate over the given links, their children, the children of these, and so on."""
+    children: dict[str, list[str]] = {}
+    for _, parent, child in edges(robot):
+        children.setdefault(parent, []).append(child)
+    level = list(starts)
+    while level:
+        yield level
+        level = [child for link in level for child in children.get(link, ())]
+
+
+def cut_subtree(robot: ET.Element, root: str) -> None:
+    """Keep one link and its descendants, and remove everything else.
+
+    Args:
+        robot: The `<robot>` element, changed in place. Materials are kept; other elements, such as
+            `<transmission>`, are removed.
+        root: Name of the link.
+
+    Raises:
+        HandError: If there is no such link.
+    """
+    if root not in link_names(robot):
+        raise HandError(f"the URDF has no link {root!r}", key="root", value=root)
+    _remove_links(robot, set(link_names(robot)).difference(*_levels(robot, [root])))
+    for element in list(robot):
+        if element.tag not in ("link", "joint", "material"):
+            robot.remove(element)
+
+
+def remove_subtrees(robot: ET.Element, roots: Collection[str]) -> None:
+    """Remove links, their descendants and the joints between them.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        roots: Names of the links.
+    """
+    _remove_links(robot, set().union(*_levels(robot, roots)))
+
+
+def _remove_links(robot: ET.Element, names: set[str]) -> None:
+    """Remove links and all joints that touch them."""
+    for joint, parent, child in list(edges(robot)):
+        if parent in names or child in names:
+            robot.remove(joint)
+    for link in robot.findall("link"):
+        if link.get("name") in names:
+            robot.remove(link)
+
+
+# -- checks: URDF readers print faults to stderr and raise a general error
+
+
+def check_tree(robot: ET.Element) -> None:
+    """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
+
+    Args:
+        robot: The `<robot>` element.
+
+    Raises:
+        HandError: On duplicate names, missing links, loops, several roots, attributes that are not
+            numbers, unknown joint types, or a URDF without a movable joint.
+    """
+    links = link_names(robot)
+    joints = [joint.get("name", "") for joint in robot.iterfind("joint")]
+    for what, names in (("links", links), ("joints", joints)):
+        for name, count in Counter(names).items():
+            if count > 1:
+                raise HandError(f"the URDF has two {what} {name!r}", value=name)
+    above = _parents(robot, set(links))
+    for joint in robot.iterfind("joint"):
+        _check_joint(joint)
+    _check_one_tree(robot, links, above)
+    if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
+        raise HandError("the URDF has no joint that moves")
+
+
+def _check_one_tree(
+    robot: ET.Element, links: list[str], above: Mapping[str, tuple[str, str]]
+) -> None:
+    """Reject several roots, loops, and a chain that overflows the stack of URDF readers."""
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        message = f"the URDF has {len(roots)} roots, expected one: {', '.join(roots[:6])}"
+        raise HandError(message, value=roots)
+    if not roots:
+        what = "its links form a loop" if links else "it has no link"
+        raise HandError(f"the URDF is not a tree: {what}")
+    reached: set[str] = set()
+    for depth, level in enumerate(_levels(robot, roots)):
+        reached.update(level)
+        if depth > _DEEPEST:
+            message = (
+                f"the link {level[0]!r} is at the end of a chain of more than {_DEEPEST} links"
+            )
+            raise HandError(message, value=level[0])
+    if apart := [link for link in links if link not in reached]:
+        at = apart[0]
+        for _ in links:  # upwards into the loop
+            at = above[at][1]
+        raise HandError(f"the URDF is not a tree: a loop contains the link {at!r}", value=at)
+
+
+def _parents(robot: ET.Element, links: set[str]) -> dict[str, tuple[str, str]]:
+    """Return the joint above every link that has one, and the parent link.
+
+    Raises:
+        HandError: If a joint names a link that does not exist, or a link has two parents.
+    """
+    above: dict[str, tuple[str, str]] = {}
+    for joint, parent, child in edges(robot):
+        name = joint.get("name", "")
+        for link in (parent, child):
+            if link not in links:
+                message = f"the joint {name!r} names the link {link!r}, which the URDF does not"
+                raise HandError(f"{message} have", value=link)
+        if child in above:
+            both = f"{above[child][0]!r} and {name!r}"
+            message = f"the link {child!r} is the child of two joints, {both}"
+            raise HandError(f"the URDF is not a tree: {message}", value=child)
+        above[child] = name, parent
+    return above
+
+
+def _check_joint(joint: ET.Element) -> None:
+    """Reject an unknown joint type, and attributes that are not numbers."""
+    name, kind = joint.get("name", ""), joint.get("type", "")
+    if kind not in (*MOVABLE, "fixed", *_FREE):
+        expected = ", ".join((*MOVABLE, "fixed", *_FREE))
+        message = f"the joint {name!r} is of type {kind!r}; expected one of {expected}"
+        raise HandError(message, value=kind)
+    keys = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "limit": ("lower", "upper", "velocity")}
+    for element in joint:
+        for key in keys.get(element.tag, ()):
+            text = element.get(key)
+            if text is None:
+                continue
+            try:
+                values = get_numbers(element, key, 1 if element.tag == "limit" else 3)
+            except HandError as error:
+                raise HandError(f"the joint {name!r}: {error}", value=error.value) from error
+            # An infinite limit means none; an infinite origin or axis means nothing.
+            is_wrong = np.isnan(values) if element.tag == "limit" else ~np.isfinite(values)
+            if is_wrong.any():
+                fault = f"<{element.tag} {key}={text!r}>, which is not a finite number"
+                raise HandError(f"the joint {name!r} has {fault}", value=text)
+
+
+def check_limits(robot: ET.Element) -> None:
+    """Reject joints without position limits; joints that mimic others need none.
+
+    Args:
+        robot: The `<robot>` element.
+
+    Raises:
+        HandError: With the key in `limits` that gives them.
+    """
+    for name, joint in joints_by_name(robot).items():
+        if joint.get("type") not in MOVABLE or joint.find("mimic") is not None:
+            continue
+        limit, is_continuous = joint.find("limit"), joint.get("type") == "continuous"
+        if is_continuous or limit is None or not {"lower", "upper"} & limit.attrib.keys():
+            what = "is continuous" if is_continuous else "has no limits in the URDF"
+            message = f"{name!r} {what}: give lower, upper and velocity"
+            raise HandError(message, key=f"limits.{name}", value=name)
+
+
+# -- edits of joints
+
+
+def prepare_urdf(
+    robot: ET.Element,
+    root: str | None,
+    mimic: Mapping[str, MimicSpec | None],
+    locked: Mapping[str, float],
+    limits: Mapping[str, LimitSpec],
+) -> dict[str, float]:
+    """Cut one URDF and edit its joints.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        root: Link from which outwards it is kept; all of it if None.
+        mimic: Mimic rules by follower, as of `HandSpec`.
+        locked: Positions of joints to lock [rad or m].
+        limits: Limits by joint name.
+
+    Returns:
+        Positions of all joints that were locked [rad or m].
+
+    Raises:
+        HandError: If a link or joint does not exist.
+    """
+    if root is not None:
+        cut_subtree(robot, root)
+    for name, rule in mimic.items():
+        joint = _movable_joint(robot, name, "mimic")
+        for old in joint.findall("mimic"):
+            joint.remove(old)
+        if rule is not None:
+            numbers = {"multiplier": repr(rule.multiplier), "offset": repr(rule.offset)}
+            ET.SubElement(joint, "mimic", {"joint": rule.joint, **numbers})
+    positions = lock_joints(robot, locked)
+    fix_free_joints(robot)
+    for name, limit in limits.items():
+        _set_limits(_movable_joint(robot, name, "limits"), limit)
+    for joint in robot.iterfind("joint"):
+        if joint.get("type") in MOVABLE and joint.find("mimic") is not None:
+            _complete_follower(joint)
+    return positions
+
+
+def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:
+    """Make joints fixed ones, at given positions.
+
+    Joints that mimic a locked one are locked where they then stand.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        positions: Position by joint name [rad or m].
+
+    Returns:
+        Positions of all joints that were made fixed, in the order of the file [rad or m].
+
+    Raises:
+        HandError: If there is no such joint, or it has more than one coordinate.
+    """
+    joints = joints_by_name(robot)
+    pending, locked = dict(positions), {}
+    while pending:
+        name, position = pending.popitem()
+        if name not in joints:
+            raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
+        kind = joints[name].get("type")
+        if kind == "fixed":
+            continue
+        if kind not in MOVABLE:
+            message = f"a {kind} joint cannot be locked at one number"
+            raise HandError(message, key=f"locked.{name}", value=position)
+        motion = pin.SE3.Identity()
+        if kind == "prismatic":
+            motion.translation = position * axis_of(joints[name])
+        else:
+            motion.rotation = pin.exp3(position * axis_of(joints[name]))
+        set_origin(joints[name], origin_of(joints[name]) @ motion.homogeneous)
+        _fix(joints[name])
+        locked[name] = position
+        for follower, joint in joints.items():
+            mimic = joint.find("mimic")
+            if mimic is not None and mimic.get("joint") == name and follower not in positions:
+                (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
+                (offset,) = get_numbers(mimic, "offset", 1, "0")
+                pending[follower] = multiplier * position + offset
+    return {name: locked[name] for name in joints if name in locked}
+
+
+def fix_free_joints(robot: ET.Element) -> list[str]:
+    """Make floating and planar joints fixed ones, where their origins are.
+
+    No single number moves them; an object or a whole robot hangs from them, not a finger.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+
+    Returns:
+        Names of these joints.
+    """
+    free = {name: j for name, j in joints_by_name(robot).items() if j.get("type") in _FREE}
+    for joint in free.values():
+        _fix(joint)
+    return list(free)
+
+
+def _fix(joint: ET.Element) -> None:
+    for element in list(joint):
+        if element.tag in _NOT_OF_FIXED_JOINTS:
+            joint.remove(element)
+    joint.set("type", "fixed")
+
+
+def _set_limits(joint: ET.Element, limit: LimitSpec) -> None:
+    """Write limits; a continuous joint that gets both becomes a revolute one."""
+    element = child(joint, "limit")
+    for key in ("lower", "upper", "velocity"):
+        if (value := getattr(limit, key)) is not None:
+            set_numbers(element, key, [value])
+    for key in ("effort", "velocity"):
+        element.attrib.setdefault(key, "0")
+    if joint.get("type") == "continuous" and None not in (limit.lower, limit.upper):
+        joint.set("type", "revolute")
+
+
+def _complete_follower(joint: ET.Element) -> None:
+    """Give a mimicking joint the limit element that URDF readers require.
+
+    Without position limits it gets very wide ones, so that it does not bound its leader. A
+    continuous one becomes revolute.
+    """
+    limit = child(joint, "limit")
+    has_position = {"lower", "upper"} & limit.attrib.keys()
+    for key in ("velocity",) if has_position else tuple(_NO_LIMIT):
+        limit.attrib.setdefault(key, repr(_NO_LIMIT[key]))
+    limit.attrib.setdefault("effort", "0")
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+
+
+def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
+    joint = joints_by_name(robot).get(name)
+    if joint is None or joint.get("type") not in MOVABLE:
+        message = f"the URDF has no movable joint {name!r}"
+        raise HandError(message, key=f"{section}.{name}", value=name)
+    return joint
+
+
+# -- meshes
+
+
+def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
+    """Replace the file names of all meshes by absolute paths, as `find_mesh` finds them.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        folder: The folder of its URDF.
+    """
+    for mesh in robot.iter("mesh"):
+        if name := mesh.get("filename"):
+            mesh.set("filename", str(find_mesh(name, folder).resolve()))
+
+
+def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
+    """Return a hand's URDF with absolute paths of its meshes, for readers that know no folder.
+
+    Args:
+        spec: The hand, whose URDF file tells where its meshes lie.
+        urdf_text: Its URDF, composed or as in the file.
+
+    Raises:
+        HandError: If the text is not a URDF.
+        MissingExtraError: If the URDF lies in a package that is not installed.
+    """
+    robot = parse_urdf(urdf_text)
+    set_mesh_paths(robot, urdf_path(spec).parent)
+    return ET.tostring(robot, encoding="unicode")
+
+
+# -- a hand on an arm, a mirrored hand
+
+
+def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
+    """Join an arm and a hand to one robot.
+
+    Args:
+        arm: The arm's `<robot>` element, which becomes the whole robot. Its links, fixed joints and
+            materials are renamed where the hand has the same names.
+        hand: The hand's `<robot>` element.
+        spec: The arm: which of its links carries the hand, and the pose of the hand's root link
+            there.
+
+    Raises:
+        HandError: If the arm has no such link, or both have a movable joint of the same name.
+    """
+    if spec.tip not in link_names(arm):
+        raise HandError(f"the arm has no link {spec.tip!r}", key="arm.tip", value=spec.tip)
+    taken = {tag: {e.get("name") for e in hand.iter(tag)} for tag in ("link", "joint", "material")}
+    for name, joint in joints_by_name(arm).items():
+        if name in taken["joint"] and joint.get("type") != "fixed":
+            message = f"arm and hand both have a joint {name!r}"
+            raise HandError(message, key="arm.joints", value=name)
+    (root,), tip = root_links(hand), spec.tip
+    if tip in taken["link"]:
+        tip = f"{spec.name}_{tip}"
+    for element in arm.iter():
+        key = "link" if element.tag in ("parent", "child") else "name"
+        names = taken.get("link" if key == "link" else element.tag, set())
+        if (name := element.get(key)) in names:
+            element.set(key, f"{spec.name}_{name}")
+    # The composed URDF counts as the hand's file, so relative names would be looked for there.
+    set_mesh_paths(arm, urdf_path(spec).parent)
+    mount = ET.SubElement(arm, "joint", {"name": "hand_mount", "type": "fixed"})
+    ET.SubElement(mount, "parent", {"link": tip})
+    ET.SubElement(mount, "child", {"link": root})
+    origin = ET.SubElement(mount, "origin")
+    set_numbers(origin, "xyz", spec.xyz)
+    set_numbers(origin, "rpy", spec.rpy)
+    arm.extend(list(hand))
+
+
+# With M = diag(-1, 1, 1), a pose T becomes M T M: translations change the sign of x, and
+# M Rz(y) Ry(p) Rx(r) M = Rz(-y) Ry(-p) Rx(r).
+_MIRRORED = {
+    "origin": {"xyz": (-1.0, 1.0, 1.0), "rpy": (1.0, -1.0, -1.0)},
+    "inertia": {"ixy": (-1.0,), "ixz": (-1.0,)},
+}
+
+
+def mirrored_urdf(text: str) -> str:
+    """Mirror a URDF in the plane x = 0 of its root link: a right hand becomes a left one.
+
+    The coordinates of every link are mirrored as well: a point `(x, y, z)` of a link becomes `(-x,
+    y, z)`. Names, limits and the meaning of q stay, and the same q gives the mirrored posture:
+    with `M = diag(-1, 1, 1)`, the axis `a` of a prismatic joint becomes `M a`, and that of a
+    turning joint, a pseudovector, `-M a`.
+
+    Args:
+        text: URDF of boxes, cylinders, spheres and capsules, with revolute, continuous, prismatic
+            and fixed joints.
+
+    Returns:
+        The mirrored URDF, without comments.
+
+    Raises:
+        HandError: If the text is not a URDF, or holds a mesh (its file cannot be mirrored here) or
+            another type of joint.
+    """
+    robot = parse_urdf(text)
+    for shape in robot.iterfind(".//geometry/*"):
+        if shape.tag not in ("box", "cylinder", "sphere", "capsule"):
+            message = "a hand can be mirrored only if its shapes are primitives"
+            raise HandError(f"{message}, not <{shape.tag}>", value=shape.tag)
+    for element in robot.iter():
+        for key, signs in _MIRRORED.get(element.tag, {}).items():
+            if key in element.attrib:
+                set_numbers(element, key, np.multiply(signs, get_numbers(element, key, len(signs))))
+    for name, joint in joints_by_name(robot).items():
+        kind = joint.get("type", "")
+        if kind in MOVABLE:
+            sign = 1.0 if kind == "prismatic" else -1.0
+            axis = child(joint, "axis")
+            x, y, z = get_numbers(axis, "xyz", 3, "1 0 0")
+            set_numbers(axis, "xyz", [-sign * x, sign * y, sign * z])
+        elif kind != "fixed":
+            message = f"a {kind or 'nameless'} joint cannot be mirrored"
+            raise HandError(message, key=name, value=kind)
+    return ET.tostring(robot, encoding="unicode")
+
+
+def compose_urdf(
+    spec: HandSpec, text: str, arm_text: str | None = None
+) -> tuple[ET.Element, dict[str, float]]:
+    """Compose the URDF that a hand's model is built from.
+
+    The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
+    it; mount it on the arm; mirror all of it.
+
+    Args:
+        spec: The hand.
+        text: Its URDF as in the file (or scaled).
+        arm_text: The URDF of its arm; needed where the spec has one.
+
+    Returns:
+        The `<robot>` element, and the position of every joint that was made a fixed one [rad or
+        m]: those that the spec locks, and the joints that mimic them.
+
+    Raises:
+        HandError: If the URDF is not a tree, the spec names links or joints that do not exist, a
+            joint is left without limits, or arm and hand have joints of the same name.
+    """
+    try:
+        robot = parse_urdf(text)
+        check_tree(robot)
+        locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
+        if spec.arm is not None and arm_text is not None:
+            arm, hand = parse_urdf(arm_text), robot
+            check_tree(arm)
+            for name in spec.arm.without:
+                if name not in link_names(arm):
+                    raise HandError(f"the arm has no link {name!r}", key="arm.without", value=name)
+            remove_subtrees(arm, spec.arm.without)
+            arm_locked = prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits)
+            robot, locked = arm, {**arm_locked, **locked}
+            mount_on_arm(arm, hand, spec.arm)
+        check_limits(robot)
+        if spec.mirror:
+            robot = parse_urdf(mirrored_urdf(ET.tostring(robot, encoding="unicode")))
+        return robot, locked
+    except HandError as error:
+        raise spec.located(error) from error
