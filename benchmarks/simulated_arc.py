@@ -24,8 +24,13 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from mapped_grasps import map_grasp, with_equal_palms
 
-from handmap_qp.experiments.followers import FingerMode
-from handmap_qp.experiments.section_four import HandMotion, Scene, Setting, run_experiment
+from handmap_qp.experiments.section_four import (
+    FingerMode,
+    HandMotion,
+    Scene,
+    Setting,
+    run_experiment,
+)
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Box
 from handmap_qp.grasp.statics import Stiffness, quasistatic
@@ -113,7 +118,7 @@ def simulate(
         fingers = name if name in FINGERS else "frozen"
         run = run_experiment(scene, replace(setting, fingers=fingers))
         if method is not None:
-            run = replace(run, robot=map_grasp(method, scene, run.human, options.duration))
+            run = run._replace(robot=map_grasp(method, scene, run.human, options.duration))
         human = human or carry(scene.human, run.human, MASS, PHYSICS, options, of_human)
         robot = carry(scene.robot, run.robot, MASS, PHYSICS, options, of_robot)
         hands = ((human, scene.human, run.human), (robot, scene.robot, run.robot))

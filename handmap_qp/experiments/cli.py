@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from handmap_qp.arguments import HandName, InputArguments, PersonFile
-from handmap_qp.tables import print_table, progress
+from handmap_qp.tables import print_rows, print_table, progress
 
 DEFAULT_METHODS = (
     "teleoperation",
@@ -87,40 +87,22 @@ class Figures:
 
     Two hands hold the same cube. The human's wrist moves along an arc while a synergy is activated,
     and the robot follows. Each figure is written as PNG, SVG and CSV, and report.md holds the table
-    "what the paper claims, what we find".
+    "what the paper claims, what we find". Runs beyond the paper are in a checkout:
+    benchmarks/beyond_the_paper.py.
 
     Attributes:
         out: Folder to write to; created if it does not exist.
-        beyond: Also make the figures that go beyond the paper; they need the Allegro hand.
     """
 
     out: Path = Path("figures")
-    beyond: bool = True
 
     def run(self) -> None:
         """Make the figures and print the table."""
-        from rich.console import Console
-        from rich.progress import Progress
-        from rich.table import Table
+        from handmap_qp.experiments.paper import run_figures
 
-        from handmap_qp.experiments.report import run_figures
-
-        stderr = Console(stderr=True)
-        with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as progress:
-            task = progress.add_task("figures", total=None)
-            result = run_figures(
-                self.out,
-                has_beyond=self.beyond,
-                progress=lambda what, done, total: progress.update(
-                    task, description=what, completed=done, total=total
-                ),
-            )
-        table = Table(show_lines=True)
-        for name in result.claims[0]:
-            table.add_column(name)
-        for row in result.claims:
-            table.add_row(*map(str, row.values()))
-        Console().print(table)
+        with progress("figures") as advance:
+            result = run_figures(self.out, progress=lambda what, done, _: advance(done, what))
+        print_rows("What the paper claims, what we find", result.claims)
         print(f"wrote {len(result.files)} files to {self.out}; start with {self.out / 'report.md'}")
 
 

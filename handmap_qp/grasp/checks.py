@@ -30,29 +30,19 @@ def finite_array(value: npt.ArrayLike, shape: tuple[int | str, ...], name: str) 
     return array
 
 
-def positive_number(value: Any, name: str) -> float:
-    """Return a finite number > 0.
+def positive_number(value: Any, name: str, *, or_zero: bool = False) -> float:
+    """Return a finite number > 0, or >= 0.
 
     Raises:
         InvalidInputError: If it is not one.
     """
-    number = _number(value)
-    # `not number > 0` also rejects NaN.
-    if not (number > 0.0 and np.isfinite(number)):
-        raise InvalidInputError(argument=name, expected="a number > 0", value=value)
-    return number
-
-
-def non_negative_number(value: Any, name: str) -> float:
-    """Return a finite number >= 0.
-
-    Raises:
-        InvalidInputError: If it is not one.
-    """
-    number = _number(value)
-    if not (number >= 0.0 and np.isfinite(number)):
-        raise InvalidInputError(argument=name, expected="a number >= 0", value=value)
-    return number
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    # NaN fails every comparison.
+    is_allowed = is_number and (0.0 < value < np.inf or (or_zero and value == 0.0))
+    if not is_allowed or isinstance(value, bool):
+        expected = "a number >= 0" if or_zero else "a number > 0"
+        raise InvalidInputError(argument=name, expected=expected, value=value)
+    return float(value)
 
 
 def whole_number(value: Any, name: str, *, least: int) -> int:
@@ -76,9 +66,3 @@ def one_of(value: Any, allowed: tuple[str, ...], name: str) -> str:
     if not isinstance(value, str) or value not in allowed:
         raise InvalidInputError(argument=name, expected=f"one of {', '.join(allowed)}", value=value)
     return value
-
-
-def _number(value: Any) -> float:
-    """The value as a float; NaN if it is not a real number."""
-    is_number = isinstance(value, int | float | np.integer | np.floating)
-    return float(value) if is_number and not isinstance(value, bool) else float("nan")

@@ -1,4 +1,4 @@
-"""Close a hand on an object by its collision shapes: `HandCloser`.
+"""Close a hand on an object by its collision shapes: `HandCloser`, from a `Preshape`.
 
 Fingers close one after the other, all closing joints of a finger at once. When a link touches the
 object, the joints that carry it stop. The others continue until each has stopped or reached its
@@ -8,6 +8,7 @@ limit. Contact between fingers is ignored.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array, positive_number
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.grasp.preshape import Preshape, default_preshape, finger_names
+from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, read_cube_figures
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import Finger, PalmKinematics, open_and_closing, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import PoseLike, check_pose, inverse_pose, transform_points
 
@@ -34,6 +36,67 @@ _DISTANCE_TOLERANCE = 1e-8
 _ANGLE_TOLERANCE = 1e-6
 # Contacts nearer than this are merged [m]: shapes of neighbouring links overlap at their joint.
 _SAME_CONTACT = 1e-3
+# Clearance of hands without a `grasp_cube50.json` [m].
+_CLEARANCE = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preshape:
+    """Posture from which a hand closes, and the direction in which each joint closes.
+
+    Attributes:
+        start: Joint angles of the open hand [rad], shape (n,).
+        direction: 1 or -1, the sense in which each joint closes; 0 for a joint that keeps its
+            angle. Shape (n,).
+        clearance: Initial gap between the centre of the palm and the circumscribed sphere of the
+            object, for a planner [m].
+    """
+
+    start: np.ndarray
+    direction: np.ndarray
+    clearance: float
+
+
+def default_preshape(hand: Hand) -> Preshape:
+    """Preshape of a hand, derived from its geometry where none is published.
+
+    For the two hands of the paper, and the left human hand, it is the toolbox's
+    (`grasp_cube50.json`). For any other hand, the joints that flex each finger start straight and
+    close, and jaws start open. All other joints (abduction, spread, opposition) stay at their rest
+    angles.
+    """
+    name = "human" if hand.name == "human_left" else hand.name
+    if name in REFERENCE_HANDS:
+        figures = read_cube_figures(name)["closing"]
+        start = np.array([figures["start"].get(joint, 0.0) for joint in hand.joint_names])
+        direction = np.array([float(joint in figures["joints"]) for joint in hand.joint_names])
+        return Preshape(start, direction, figures["clearance"])
+    return Preshape(*open_and_closing(hand, _fingers(hand)), _CLEARANCE)
+
+
+def palm_centre(hand: Hand, preshape: Preshape | None = None) -> np.ndarray:
+    """Centre of the palm: mean origin of the most proximal closing joint of each finger.
+
+    Args:
+        hand: The hand.
+        preshape: The preshape; `default_preshape` if omitted.
+
+    Returns:
+        Point in the palm frame [m], shape (3,).
+
+    Raises:
+        InvalidInputError: If no joint closes.
+    """
+    how = preshape or default_preshape(hand)
+    closing = [[i for i in finger.columns if how.direction[i]] for finger in _fingers(hand)]
+    joints = [hand.model.getJointId(hand.joint_names[found[0]]) for found in closing if found]
+    if not joints:
+        raise InvalidInputError(
+            argument="preshape.direction",
+            expected=f"a closing finger joint of {hand.name}",
+            got="none",
+        )
+    return PalmKinematics(hand).axes(how.start, joints)[1].mean(axis=0)
 
 
 class HandCloser:
@@ -87,13 +150,13 @@ class HandCloser:
                 key="urdf",
                 value=hand.spec.urdf,
             )
-        parts = list(self._geometry.geometryObjects)
-        self.links = tuple(hand.model.frames[part.parentFrame].name for part in parts)
-        self._carries = _carried_parts(hand, [part.parentJoint for part in parts])
+        self._parts = list(self._geometry.geometryObjects)
+        self.links = tuple(hand.model.frames[part.parentFrame].name for part in self._parts)
+        self._carries = _carried_parts(hand, [part.parentJoint for part in self._parts])
         held = self._geometry.addGeometryObject(
             pin.GeometryObject("object", 0, pin.SE3(self._object_pose), solid)
         )
-        for part in range(len(parts)):
+        for part in range(held):
             self._geometry.addCollisionPair(pin.CollisionPair(part, held))
         self._data = hand.model.createData()
         self._geometry_data = self._geometry.createData()
@@ -104,7 +167,6 @@ class HandCloser:
                 # No warm start: the result must not depend on earlier queries.
                 request.enable_cached_gjk_guess = False
                 request.gjk_tolerance = request.epa_tolerance = _DISTANCE_TOLERANCE
-        self._groups = _groups(np.flatnonzero(self.preshape.direction).tolist(), self._carries)
 
     def distances(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
         """Signed distance from each collision shape of the hand to the object.
@@ -153,67 +215,57 @@ class HandCloser:
                 value=wrist_pose,
             )
         q = self.preshape.start.copy()
-        for joints in self._groups:
+        for joints in _groups(np.flatnonzero(self.preshape.direction).tolist(), self._carries):
             q = self._close_joints(q, joints, wrist_pose)
-        return Grasp(
-            self.hand, q, self._object_pose, self._contacts(q, wrist_pose), wrist_pose, self._shape
-        )
+        contacts = self._contacts(q, wrist_pose)
+        return Grasp(self.hand, q, self._object_pose, contacts, wrist_pose, self._shape)
 
     def _close_joints(
-        self, q: np.ndarray, joints: list[int], wrist_pose: np.ndarray | None
+        self, q: np.ndarray, free: list[int], wrist_pose: np.ndarray | None
     ) -> np.ndarray:
-        free = joints
+        """Close joints together; each stops at its limit, or when a link that it carries touches.
+
+        The first touch inside a step is found by bisection.
+        """
         while free:
             ahead = q.copy()
             ahead[free] += np.clip(self._end[free] - q[free], -self._step, self._step)
             if np.array_equal(ahead, q):
                 break
-            moving: np.ndarray = np.any(self._carries[free], axis=0)
-            touching: np.ndarray = moving & (self.distances(ahead, wrist_pose) <= self._margin)
-            if touching.any():
-                ahead, touching = self._first_touch(q, ahead, moving, touching, wrist_pose)
-                free = [joint for joint in free if not (self._carries[joint] & touching).any()]
+            moving = self._carries[free].any(axis=0)
+            touching = moving & (self.distances(ahead, wrist_pose) <= self._margin)
+            clear = q
+            while touching.any() and np.abs(ahead - clear).max() > _ANGLE_TOLERANCE:
+                between = 0.5 * (clear + ahead)
+                found = moving & (self.distances(between, wrist_pose) <= self._margin)
+                if found.any():
+                    ahead, touching = between, found
+                else:
+                    clear = between
+            free = [joint for joint in free if not (self._carries[joint] & touching).any()]
             q = ahead
         return q
 
-    def _first_touch(
-        self,
-        clear: np.ndarray,
-        touch: np.ndarray,
-        moving: np.ndarray,
-        touching: np.ndarray,
-        wrist_pose: np.ndarray | None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Bisect between two postures: the first that touches, and the shapes that touch there."""
-        while np.abs(touch - clear).max() > _ANGLE_TOLERANCE:
-            between = 0.5 * (clear + touch)
-            found = moving & (self.distances(between, wrist_pose) <= self._margin)
-            if found.any():
-                touch, touching = between, found
-            else:
-                clear = between
-        return touch, touching
-
     def _contacts(self, q: np.ndarray, wrist_pose: np.ndarray | None) -> tuple[Contact, ...]:
         near = np.flatnonzero(self.distances(q, wrist_pose) <= self._margin).tolist()
-        results, parts = self._geometry_data.distanceResults, self._geometry.geometryObjects
         # Proximal first, finger by finger in the order of the joints.
         order = sorted(near, key=lambda part: np.flatnonzero(self._carries[:, part])[-1:].tolist())
         names = [self.links[part] for part in order]
-        links = self.hand.link_poses(names, q, wrist_pose)
-        finger_of = finger_names(self.hand)
+        fingers = _finger_names(self.hand)
         contacts: list[Contact] = []
         points: list[np.ndarray] = []
-        for part, name, pose in zip(order, names, links, strict=True):
-            point = np.array(results[part].getNearestPoint1())
+        for part, name, pose in zip(
+            order, names, self.hand.link_poses(names, q, wrist_pose), strict=True
+        ):
+            result = self._geometry_data.distanceResults[part]
+            point = np.array(result.getNearestPoint1())
             if any(np.linalg.norm(point - other) < _SAME_CONTACT for other in points):
                 continue
             points.append(point)
             x, y, z = transform_points(inverse_pose(pose), point)
-            a, b, c = np.array(results[part].normal) @ pose[:3, :3]
-            contacts.append(
-                Contact(name, (x, y, z), (a, b, c), finger_of.get(parts[part].parentJoint))
-            )
+            a, b, c = np.array(result.normal) @ pose[:3, :3]
+            finger = fingers.get(self._parts[part].parentJoint)
+            contacts.append(Contact(name, (x, y, z), (a, b, c), finger))
         return tuple(contacts)
 
 
@@ -267,3 +319,38 @@ def _groups(joints: list[int], carries: np.ndarray) -> list[list[int]]:
         joined = [member for group in coupled for member in group]
         groups = [group for group in groups if group not in coupled] + [sorted([*joined, joint])]
     return groups
+
+
+def _finger_names(hand: Hand) -> dict[int, str]:
+    """Anatomical finger name by joint of the Pinocchio model, from the names of the hand's points.
+
+    Mimic and locked joints are included, and joints of unnamed fingers left out.
+    """
+    chains = {joint: _beyond_palm(hand, joint) for joint in range(1, hand.model.njoints)}
+    roots: dict[int, str] = {}
+    for point in hand.spec.points:
+        beyond = chains.get(place_of(hand, point)[0])
+        if point.finger is not None and beyond:
+            roots[beyond[0]] = point.finger
+    return {joint: roots[way[0]] for joint, way in chains.items() if way and way[0] in roots}
+
+
+def _fingers(hand: Hand) -> list[Finger]:
+    """Return a finger for each joint attached to the palm, with the point farthest out as its tip.
+
+    Joints of an arm belong to no finger.
+    """
+    found: dict[int, Finger] = {}
+    for point in hand.spec.points:
+        tip = place_of(hand, point)
+        joints = _beyond_palm(hand, tip[0])
+        if joints and (joints[0] not in found or len(joints) > len(found[joints[0]].joints)):
+            found[joints[0]] = Finger(hand, joints, tip)
+    return list(found.values())
+
+
+def _beyond_palm(hand: Hand, joint: int) -> list[int]:
+    """Return the joints from the palm to this one, proximal first; none for an arm's joints."""
+    palm = hand.model.frames[hand.palm_frame_id].parentJoint
+    chain = list(hand.model.supports[joint])
+    return chain[chain.index(palm) + 1 :] if palm in chain else []

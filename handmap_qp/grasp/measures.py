@@ -25,13 +25,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from handmap_qp.grasp.checks import (
-    finite_array,
-    non_negative_number,
-    one_of,
-    positive_number,
-    whole_number,
-)
+from handmap_qp.grasp.checks import finite_array, one_of, positive_number, whole_number
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.statics import grasp_matrix
 
@@ -72,7 +66,7 @@ def grasp_quality(
         InvalidInputError: On an unknown name, friction < 0 or a length that is not > 0.
     """
     one_of(measure, QUALITIES, "measure")
-    friction = non_negative_number(friction, "friction")
+    friction = positive_number(friction, "friction", or_zero=True)
     if length is not None:
         length = positive_number(length, "length")
     if not grasp.contacts:
@@ -83,20 +77,20 @@ def grasp_quality(
     scale = float(np.linalg.norm(offsets, axis=1).max()) if length is None else length
     if measure == "ferrari_canny":
         return ferrari_canny(offsets / scale, grasp.normals, friction)
-    G = grasp_matrix(offsets / scale, np.zeros(3))
-    if measure in ("msvg", "gii", "vew"):
-        values = _singular_values(G)
-    else:
+    matrix = grasp_matrix(offsets / scale, np.zeros(3))
+    if measure in ("dtsc", "mev", "uot"):
         # Contacts on one line: do not invert singular values of G that are rounding errors.
-        values = _singular_values(np.linalg.pinv(G.T, rcond=1e-9) @ grasp.jacobian / scale)
-    if measure in ("vew", "mev"):
-        return float(values.prod())
-    if measure in ("msvg", "dtsc"):
-        return float(values[5])
-    least, most = float(values[5]), float(values[0])
+        matrix = np.linalg.pinv(matrix.T, rcond=1e-9) @ grasp.jacobian / scale
+    # A matrix with fewer than six columns has fewer than six singular values; the others are 0.
+    values = np.zeros(6)
+    found = np.linalg.svd(matrix, compute_uv=False)
+    values[: len(found)] = found
+    most, least = float(values[0]), float(values[5])
+    if measure == "uot":
+        return most / least if least > 0.0 else np.inf
     if measure == "gii":
         return least / most
-    return most / least if least > 0.0 else np.inf
+    return least if measure in ("msvg", "dtsc") else float(values.prod())
 
 
 def ferrari_canny(
@@ -149,7 +143,7 @@ def cone_wrenches(
     """
     points = finite_array(points, ("n", 3), "points")
     normals = finite_array(normals, points.shape, "normals")
-    friction = non_negative_number(friction, "friction")
+    friction = positive_number(friction, "friction", or_zero=True)
     edges = whole_number(edges, "edges", least=3)
     # First tangent: cross product with the axis of the normal's smallest component.
     first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
@@ -160,9 +154,3 @@ def cone_wrenches(
     forces = normals[:, None] + friction * around
     torques = np.cross(points[:, None], forces)
     return np.concatenate([forces, torques], axis=2).reshape(-1, 6)
-
-
-def _singular_values(matrix: np.ndarray) -> np.ndarray:
-    """Six singular values of a matrix with six rows, largest first, padded with zeros."""
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return np.concatenate([values, np.zeros(6 - len(values))])

@@ -71,8 +71,8 @@ class Cylinder:
     length: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive_number(self.radius, "radius"))
-        object.__setattr__(self, "length", positive_number(self.length, "length"))
+        for name in ("radius", "length"):
+            object.__setattr__(self, name, positive_number(getattr(self, name), name))
 
     @property
     def circumradius(self) -> float:

@@ -9,8 +9,7 @@ with our collision shapes, human links penetrate the cube by up to 8 mm and robo
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,8 +24,7 @@ REFERENCE_HANDS = ("human", "three_finger")
 """Names of the hands that have a reference grasp."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReferenceGrasp:
+class ReferenceGrasp(NamedTuple):
     """One of the paper's two grasps, with the published numbers.
 
     Attributes:
@@ -40,7 +38,6 @@ class ReferenceGrasp:
         published_quality: Quality measures by name, in millimetres (`length=1e-3` in
             `grasp_quality`).
         published_counts: Number of the toolbox's grasps of the cube by number of contacts.
-        source: Source of the numbers.
     """
 
     grasp: Grasp
@@ -48,7 +45,6 @@ class ReferenceGrasp:
     published_q: np.ndarray
     published_quality: dict[str, float]
     published_counts: dict[int, int]
-    source: str
 
 
 def reference_grasp(hand: str = "human") -> ReferenceGrasp:
@@ -89,7 +85,6 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
         published_counts={
             int(count): number for count, number in figures["contact_counts"].items()
         },
-        source=figures["source"],
     )
 
 

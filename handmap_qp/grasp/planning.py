@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp.checks import non_negative_number, one_of, whole_number
-from handmap_qp.grasp.closing import MARGIN, STEP, HandCloser
+from handmap_qp.grasp.checks import one_of, positive_number, whole_number
+from handmap_qp.grasp.closing import MARGIN, STEP, HandCloser, Preshape, palm_centre
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.measures import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
 from handmap_qp.grasp.objects import Shape
-from handmap_qp.grasp.preshape import Preshape, palm_centre
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose
 
@@ -22,8 +22,7 @@ from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose
 _RETREAT = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlannedGrasp:
+class PlannedGrasp(NamedTuple):
     """One grasp of a plan.
 
     Attributes:
@@ -90,20 +89,23 @@ def plan_grasps(
     samples = whole_number(samples, "samples", least=1)
     seed = whole_number(seed, "seed", least=0)
     one_of(quality, QUALITIES, "quality")
-    friction = non_negative_number(friction, "friction")
+    friction = positive_number(friction, "friction", or_zero=True)
     pose = np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
     closer = HandCloser(hand, shape, pose, preshape=preshape, step=step, margin=margin)
-    distance = shape.circumradius + closer.preshape.clearance
+    near = shape.circumradius + closer.preshape.clearance
     centre = palm_centre(hand, closer.preshape)
+    palm_to_wrist = inverse_pose(hand.wrist_to_palm)
     generator = np.random.default_rng(seed)
     planned: list[PlannedGrasp] = []
     for trial in range(samples):
-        angles = generator.uniform(0.0, 2.0 * np.pi, 3)
-        wrist = wrist_towards(hand, pose[:3, 3], distance, centre, angles)
-        retreat = 0.0
-        while not closer.starts_clear(wrist):
-            retreat += _RETREAT
-            wrist = wrist_towards(hand, pose[:3, 3], distance + retreat, centre, angles)
+        rotation = Rotation.from_euler("XYZ", generator.uniform(0.0, 2.0 * np.pi, 3)).as_matrix()
+        distance = near
+        while True:
+            place = pose[:3, 3] + distance * rotation[:, 2] - rotation @ centre
+            wrist = affine(rotation, place) @ palm_to_wrist
+            if closer.starts_clear(wrist):
+                break
+            distance += _RETREAT
         grasp = closer.close(wrist)
         planned.append(PlannedGrasp(trial, grasp, grasp_quality(grasp, quality, friction=friction)))
         if progress is not None:
@@ -112,37 +114,6 @@ def plan_grasps(
     return sorted(planned, key=lambda one: (sign * one.quality, one.trial))
 
 
-def wrist_towards(
-    hand: Hand, target: np.ndarray, distance: float, centre: np.ndarray, angles: np.ndarray
-) -> np.ndarray:
-    """Wrist pose at which the palm faces a point.
-
-    Args:
-        hand: The hand.
-        target: Point in the world [m], shape (3,).
-        distance: Distance from the centre of the palm to that point [m].
-        centre: Centre of the palm in the palm frame [m], shape (3,).
-        angles: a, b, c of the palm's orientation `Rx(a) Ry(b) Rz(c)` [rad], shape (3,).
-
-    Returns:
-        Pose of the wrist, shape (4, 4).
-    """
-    (ca, cb, cc), (sa, sb, sc) = np.cos(angles), np.sin(angles)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
-    about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
-    about_z = np.array([[cc, -sc, 0.0], [sc, cc, 0.0], [0.0, 0.0, 1.0]])
-    rotation = about_x @ about_y @ about_z
-    palm = affine(rotation, target + distance * rotation[:, 2] - rotation @ centre)
-    return palm @ inverse_pose(hand.wrist_to_palm)
-
-
 def contact_counts(planned: Iterable[PlannedGrasp]) -> dict[int, int]:
-    """Histogram of the number of contacts.
-
-    Args:
-        planned: Grasps.
-
-    Returns:
-        Number of grasps by number of contacts, fewest contacts first.
-    """
+    """Return the number of grasps by number of contacts, fewest contacts first."""
     return dict(sorted(Counter(len(one.grasp.contacts) for one in planned).items()))

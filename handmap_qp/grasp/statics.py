@@ -10,8 +10,7 @@ Malvezzi, Gabiccini and Bicchi, IEEE T-RO 29 (2013) 1282, the paper's [22] (soft
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +29,7 @@ _RANK_TOLERANCE = 1e-9
 _RIGID_TOLERANCE = 1e-14
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class QuasiStatic:
+class QuasiStatic(NamedTuple):
     """Response of a grasp in equilibrium to a unit of each synergy's reference, by column.
 
     Attributes:
@@ -117,25 +115,19 @@ def quasistatic(
             (the object could rotate freely about it), or infinite stiffnesses that leave the
             contact forces undetermined.
     """
-    J, G, S = (
-        finite_array(jacobian, ("m", "n"), "jacobian"),
-        finite_array(grasp_matrix, ("m", "n"), "grasp_matrix"),
-        finite_array(synergies, ("m", "n"), "synergies"),
-    )
-    _check_sizes(J, G, S)
+    J = finite_array(jacobian, ("m", "n"), "jacobian")
+    G = finite_array(grasp_matrix, (6, len(J)), "grasp_matrix")
+    S = finite_array(synergies, (J.shape[1], "n"), "synergies")
+    if S.shape[1] == 0:
+        raise InvalidInputError(argument="synergies", expected="at least one column", got="none")
+    _check_rank(G)
     joint_compliance = _compliance(joint_stiffness, J.shape[1], "joint_stiffness")
     synergy_compliance = _compliance(synergy_stiffness, S.shape[1], "synergy_stiffness")
     JS = J @ S
-    factor = _series_factor(
-        J,
-        JS,
-        _compliance(contact_stiffness, len(J), "contact_stiffness"),
-        joint_compliance,
-        synergy_compliance,
-    )
+    C = _compliance(contact_stiffness, len(J), "contact_stiffness")
+    factor = _cholesky(C + J @ joint_compliance @ J.T + JS @ synergy_compliance @ JS.T)
     GC = scipy.linalg.cho_solve(factor, G.T).T
-    stiffness = GC @ G.T
-    object_motion = np.linalg.solve(stiffness, GC @ JS)
+    object_motion = np.linalg.solve(GC @ G.T, GC @ JS)
     forces = scipy.linalg.cho_solve(factor, JS - G.T @ object_motion)
     torques = J.T @ forces
     synergy_motion = np.eye(S.shape[1]) - synergy_compliance @ S.T @ torques
@@ -143,9 +135,7 @@ def quasistatic(
     return QuasiStatic(object_motion, forces, joint_motion, torques, synergy_motion)
 
 
-def _series_factor(
-    J: np.ndarray, JS: np.ndarray, contact: np.ndarray, joint: np.ndarray, synergy: np.ndarray
-) -> Any:
+def _cholesky(compliance: np.ndarray) -> Any:
     """Cholesky factor of C: compliances of contacts, joints and synergies in series."""
     problem = InvalidInputError(
         argument="contact_stiffness",
@@ -153,7 +143,7 @@ def _series_factor(
         advice="give a finite contact_stiffness",
     )
     try:
-        factor = scipy.linalg.cho_factor(contact + J @ joint @ J.T + JS @ synergy @ JS.T)
+        factor = scipy.linalg.cho_factor(compliance)
     except np.linalg.LinAlgError as error:
         raise problem from error
     # Rounding can let a singular matrix pass the factorisation.
@@ -163,23 +153,10 @@ def _series_factor(
     return factor
 
 
-def _check_sizes(J: np.ndarray, G: np.ndarray, S: np.ndarray) -> None:
-    if G.shape != (6, len(J)):
-        raise InvalidInputError(
-            argument="grasp_matrix",
-            expected=f"shape (6, {len(J)}), as the Jacobian has {len(J)} rows",
-            got=f"shape {G.shape}",
-        )
-    if len(S) != J.shape[1] or S.shape[1] == 0:
-        raise InvalidInputError(
-            argument="synergies",
-            expected=f"shape ({J.shape[1]}, n), as the Jacobian has {J.shape[1]} columns",
-            got=f"shape {S.shape}",
-        )
+def _check_rank(G: np.ndarray) -> None:
     # Scale torques by the mean lever, so that the test does not depend on the unit of length.
     lever = max(float(np.linalg.norm(G[3:]) / np.linalg.norm(G[:3])), np.finfo(float).tiny)
-    values = np.linalg.svd(np.vstack([G[:3], G[3:] / lever]), compute_uv=False)
-    if len(values) < 6 or values[5] <= _RANK_TOLERANCE * values[0]:
+    if np.linalg.matrix_rank(np.vstack([G[:3], G[3:] / lever]), rtol=_RANK_TOLERANCE) < 6:
         raise InvalidInputError(
             argument="grasp_matrix",
             expected="rank 6",

@@ -184,3 +184,28 @@ def test_a_mapped_grasp_starts_as_planned_and_does_what_the_human_does(
     bent = np.abs(motion.q[-1] - motion.q[0])
     assert bent[1:4].sum() > 0.2
     assert bent[4:].max() < 0.1 * bent[1:4].sum()
+
+
+@pytest.mark.slow
+def test_runs_beyond_the_paper_are_tables_and_files(
+    benchmark: Callable[[str], Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    beyond = benchmark("beyond_the_paper")
+    monkeypatch.setattr(beyond, "STEPS", 2)
+    monkeypatch.setattr(beyond, "DISTANCES", (0.1,))
+    monkeypatch.setattr(beyond, "MARGINS", (0.0, 4.0))
+    names = ["limits", "placement", "origin"]
+    monkeypatch.setattr(sys, "argv", ["beyond", "--studies", *names, "--out", str(tmp_path)])
+    beyond.main()
+    assert {file.name for file in tmp_path.iterdir()} == {
+        f"{name}.{kind}" for name in names for kind in ("csv", "png")
+    }
+    printed = capsys.readouterr().out
+    assert "limit_excess_deg" in printed
+    rows = list(beyond.limits())
+    assert len(rows) == 2 * 3 * 4
+    worst = {row["fingers"]: row["limit_excess_deg"] for row in rows if row["margin_deg"] == 0.0}
+    assert worst["pseudoinverse"] > 0.1 > worst["qp"]

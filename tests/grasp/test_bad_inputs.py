@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp import Contact, Grasp, contact_jacobian, grasp_matrix
-from handmap_qp.grasp.closing import HandCloser
+from handmap_qp.grasp import Contact, Grasp, grasp_matrix
+from handmap_qp.grasp.closing import HandCloser, Preshape, default_preshape, palm_centre
 from handmap_qp.grasp.measures import cone_wrenches, ferrari_canny, grasp_quality
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.grasp.paper_cube import reference_grasp
 from handmap_qp.grasp.planning import plan_grasps
-from handmap_qp.grasp.preshape import Preshape, default_preshape, palm_centre
 from handmap_qp.grasp.statics import quasistatic
 from handmap_qp.hands.library import load_hand
 
@@ -86,7 +85,7 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "contacts of numbers": (lambda: grasp(contacts=[1.0]), "contacts"),
     "contacts None": (lambda: grasp(contacts=None), "contacts"),
     "motion of words": (lambda: REFERENCE.moved("up"), "motion"),
-    "no contact": (lambda: contact_jacobian(HAND, (), HAND.rest), "contacts"),
+    "no contact": (lambda: grasp(contacts=()).jacobian, "contacts"),
     "points of words": (lambda: grasp_matrix([["a", "b", "c"]], np.zeros(3)), "points"),
     "points of two columns": (lambda: grasp_matrix(np.zeros((4, 2)), np.zeros(3)), "points"),
     "centre of words": (lambda: grasp_matrix(np.zeros((4, 3)), "abc"), "centre"),

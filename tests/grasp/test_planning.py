@@ -15,9 +15,14 @@ from hypothesis import strategies as st
 from strategies import generators, motion_of, poses, rotations
 
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
-from handmap_qp.experiments.contact_histogram import contact_histogram_figure
 from handmap_qp.grasp import Grasp
-from handmap_qp.grasp.closing import MARGIN, HandCloser
+from handmap_qp.grasp.closing import (
+    MARGIN,
+    HandCloser,
+    Preshape,
+    default_preshape,
+    palm_centre,
+)
 from handmap_qp.grasp.measures import (
     QUALITIES,
     SMALLER_IS_BETTER,
@@ -26,16 +31,15 @@ from handmap_qp.grasp.measures import (
     grasp_quality,
 )
 from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from handmap_qp.grasp.paper_cube import reference_grasp
 from handmap_qp.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
-from handmap_qp.grasp.preshape import Preshape, default_preshape, palm_centre
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-HANDS = ("human", "human_left", "three_finger", "allegro_right")
+HANDS = ("human", "three_finger")
 CUBE = Box((0.05, 0.05, 0.05))
 SHAPES = (CUBE, Sphere(0.03), Cylinder(0.025, 0.09))
 MIRROR = np.diag([-1.0, 1.0, 1.0])
@@ -48,24 +52,14 @@ def load(name: str) -> Hand:
         pytest.skip("example-robot-data is not installed")
 
 
-@pytest.fixture(
-    scope="module",
-    # The left hand mirrors the right one (see the test of the mirror below), and the Allegro hand
-    # has the largest meshes.
-    params=[
-        pytest.param(
-            name, marks=pytest.mark.slow if name in ("human_left", "allegro_right") else ()
-        )
-        for name in HANDS
-    ],
-)
+@pytest.fixture(scope="module", params=HANDS)
 def plan(request: pytest.FixtureRequest) -> list[PlannedGrasp]:
-    """Plan twelve grasps of each shape by one hand."""
+    """Plan six grasps of each shape by one hand."""
     hand = load(request.param)
     return [
         one
         for shape in SHAPES
-        for one in plan_grasps(hand, shape, samples=12, quality="msvg", seed=3)
+        for one in plan_grasps(hand, shape, samples=6, quality="msvg", seed=3)
     ]
 
 
@@ -182,7 +176,7 @@ def test_a_left_hand_closes_as_the_right_one_in_a_mirror() -> None:
 
 
 def test_contacts_at_the_joint_of_two_links_are_one() -> None:
-    for one in plan_grasps(load("human"), CUBE, samples=30, quality="msvg"):
+    for one in plan_grasps(load("human"), CUBE, samples=12, quality="msvg"):
         gaps = np.linalg.norm(one.grasp.points[:, None] - one.grasp.points, axis=2) + np.eye(
             len(one.grasp.points)
         )
@@ -279,16 +273,13 @@ def test_palm_centre_is_the_toolbox_one(name: str, centre: list[float]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "mode", "share"), [("human", 7, 0.4), ("three_finger", 3, 0.9)])
-@pytest.mark.parametrize("seed", [0, 1])
 def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fingered_3(
-    name: str, mode: int, share: float, seed: int
+    name: str, mode: int, share: float
 ) -> None:
     reference = reference_grasp(name)
     cube = reference.grasp.object_pose
     counts = contact_counts(
-        plan_grasps(
-            reference.grasp.hand, CUBE, object_pose=cube, samples=120, seed=seed, quality="msvg"
-        )
+        plan_grasps(reference.grasp.hand, CUBE, object_pose=cube, samples=60, quality="msvg")
     )
     assert max(counts, key=lambda number: counts[number]) == mode
     # As in the toolbox's own plans.
@@ -296,7 +287,7 @@ def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fing
         max(reference.published_counts, key=lambda number: reference.published_counts[number])
         == mode
     )
-    assert counts[mode] > share * 120
+    assert counts[mode] > share * 60
 
 
 def test_a_plan_is_its_seed() -> None:
@@ -308,12 +299,12 @@ def test_a_plan_is_its_seed() -> None:
     assert not np.array_equal(first[0].grasp.q, other[0].grasp.q)
 
 
-@pytest.mark.parametrize("measure", QUALITIES)
+@pytest.mark.parametrize("measure", ["msvg", "uot"])
 def test_plans_are_ranked_best_first(measure: str) -> None:
-    planned = plan_grasps(load("three_finger"), CUBE, samples=8, quality=measure)
+    planned = plan_grasps(load("three_finger"), CUBE, samples=6, quality=measure)
     values = [one.quality for one in planned]
     assert values == sorted(values, reverse=measure not in SMALLER_IS_BETTER)
-    assert sorted(one.trial for one in planned) == list(range(8))
+    assert sorted(one.trial for one in planned) == list(range(6))
     assert all(one.quality == grasp_quality(one.grasp, measure) for one in planned)
 
 
@@ -435,18 +426,3 @@ def test_cones_stand_round_their_normals() -> None:
     np.testing.assert_allclose(np.linalg.norm(forces - normals[:, None], axis=2), 0.5, atol=1e-12)
     with pytest.raises(InvalidInputError, match="friction"):
         cone_wrenches(np.zeros((7, 3)), normals, -0.1)
-
-
-# The picture
-
-
-def test_histogram_names_each_hands_most_frequent_number() -> None:
-    counts = {"human": {6: 3, 7: 5}, "three_finger": {3: 9}}
-    published = {hand: reference_grasp(hand).published_counts for hand in REFERENCE_HANDS}
-    figure = contact_histogram_figure(counts, published)
-    assert [axes.get_title(loc="left") for axes in figure.axes] == [
-        "Human: most often 7",
-        "Three finger: most often 3",
-    ]
-    with pytest.raises(InvalidInputError, match="counts"):
-        contact_histogram_figure({"human": {}})

@@ -3,6 +3,7 @@
 import csv
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -11,19 +12,17 @@ import numpy as np
 import pytest
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.experiments import (
-    beyond_figures,
-    beyond_runs,
-    paper_drawings,
-    paper_figures,
-    report,
-)
+from handmap_qp.experiments import paper, paper_drawings
 from handmap_qp.experiments.cli import Figures
-from handmap_qp.experiments.figure_record import FigureRecord, markdown_table
-from handmap_qp.experiments.held_object import object_error
-from handmap_qp.experiments.report import BEYOND_FIGURES, PAPER_FIGURES, FiguresResult, run_figures
-from handmap_qp.experiments.section_four import Setting, paper_scene, run_experiment
-from handmap_qp.experiments.style import box_triangles
+from handmap_qp.experiments.paper import (
+    FIGURES,
+    FigureRecord,
+    FiguresResult,
+    markdown_table,
+    run_figures,
+)
+from handmap_qp.experiments.paper_drawings import box_triangles
+from handmap_qp.experiments.section_four import Setting, object_error, paper_scene, run_experiment
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("trimesh")
@@ -31,7 +30,7 @@ pytest.importorskip("trimesh")
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-NAMES = PAPER_FIGURES + BEYOND_FIGURES
+NAMES = tuple(FIGURES)
 TABLES = ("claims.csv", "final_errors.csv", "report.md")
 
 
@@ -45,16 +44,10 @@ def quick() -> Iterator[None]:
         draw(*arguments, **named)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (paper_figures, beyond_figures):
-            patch.setattr(module, "GAMMAS", (0.1, 0.5, 1.0))
-        for module in (paper_drawings, beyond_figures):
-            patch.setattr(module, "draw_hands", draw_coarsely)
-        patch.setattr(paper_figures, "STEPS", (5, 20, 50, 200))
-        patch.setattr(beyond_runs, "STEPS", 6)
-        patch.setattr(beyond_runs, "PLANS", 12)
-        patch.setattr(beyond_runs, "MARGINS", (0.0, 4.0))
-        patch.setattr(beyond_runs, "DISTANCES", (0.1, 1.0))
-        patch.setattr(beyond_runs, "COUNTS", (3, 4, 6))
+        patch.setattr(paper, "GAMMAS", (0.1, 0.5, 1.0))
+        patch.setattr(paper, "STEPS", (5, 20, 50, 200))
+        patch.setattr(paper, "PLANS", 12)
+        patch.setattr(paper_drawings, "draw_hands", draw_coarsely)
         yield
 
 
@@ -81,7 +74,6 @@ def rows_of(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(lines))
 
 
-@pytest.mark.slow
 def test_every_figure_comes_as_png_svg_and_numbers(result: FiguresResult, folder: Path) -> None:
     expected = sorted(
         [*(f"{name}.{kind}" for name in NAMES for kind in ("csv", "png", "svg")), *TABLES]
@@ -91,7 +83,6 @@ def test_every_figure_comes_as_png_svg_and_numbers(result: FiguresResult, folder
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.slow
 def test_pictures_show_something(folder: Path, name: str) -> None:
     from matplotlib.image import imread
 
@@ -102,7 +93,6 @@ def test_pictures_show_something(folder: Path, name: str) -> None:
     assert len(rows_of(folder / f"{name}.csv")) >= 4
 
 
-@pytest.mark.slow
 def test_contacts_are_blue_and_red(folder: Path) -> None:
     from matplotlib.image import imread
 
@@ -115,7 +105,6 @@ def test_contacts_are_blue_and_red(folder: Path) -> None:
         assert (cube[..., channel] - cube[..., other] > 0.4).sum() > 300
 
 
-@pytest.mark.slow
 def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
     text = (folder / "report.md").read_text(encoding="utf-8")
     assert re.findall(r"\]\((\w+)\.png\)", text) == list(NAMES)
@@ -125,7 +114,6 @@ def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
     assert text.count("| yes |") + text.count("| no |") + text.count("| assumed |") == 9
 
 
-@pytest.mark.slow
 def test_the_claims_hold(result: FiguresResult) -> None:
     # The paper plans 240 grasps, this test 12.
     verdicts = [row["holds"] for row in result.claims]
@@ -133,7 +121,6 @@ def test_the_claims_hold(result: FiguresResult) -> None:
     assert verdicts[2:] == ["yes"] * 7
 
 
-@pytest.mark.slow
 def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
     assert len(result.numbers) == 12
     row = next(
@@ -147,9 +134,8 @@ def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
         )
 
 
-@pytest.mark.slow
 def test_progress_goes_to_the_end(result: FiguresResult, said: list[tuple[str, int, int]]) -> None:
-    total = 3 + len(NAMES)
+    total = 2 + len(NAMES)
     assert [done for _, done, _ in said] == list(range(total + 1))
     assert {of for *_, of in said} == {total}
 
@@ -159,21 +145,15 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip planning and make empty pictures, for tests of files."""
     from matplotlib.figure import Figure
 
-    def make(name: str, *_: object) -> FigureRecord:
-        return FigureRecord(name, name, Figure(), [{"x": 1.0}], "Text.")
+    def made(name: str) -> FigureRecord:
+        return FigureRecord(name, name, Figure(), [{"x": 1.0}], "Text.", {})
 
-    monkeypatch.setattr(report, "_make", make)
-    monkeypatch.setattr(beyond_runs, "plan", lambda *_: [])
+    monkeypatch.setattr(paper, "FIGURES", {name: partial(made, name) for name in NAMES})
+    monkeypatch.setattr(paper, "most_contacts", lambda _: 7)
     for table in ("claim_rows", "number_rows"):
         monkeypatch.setattr(
-            report, table, lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}]
+            paper, table, lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}]
         )
-
-
-@pytest.mark.usefixtures("light")
-def test_the_papers_figures_alone(tmp_path: Path) -> None:
-    files = run_figures(tmp_path, has_beyond=False).files
-    assert {file.stem for file in files if file.suffix == ".svg"} == set(PAPER_FIGURES)
 
 
 @pytest.mark.usefixtures("light")
@@ -185,7 +165,7 @@ def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.Monke
     def fail(*_: object) -> None:
         raise RuntimeError("no table")
 
-    monkeypatch.setattr(report, "claim_rows", fail)
+    monkeypatch.setattr(paper, "claim_rows", fail)
     with pytest.raises(RuntimeError, match="no table"):
         run_figures(folder)
     assert [path.name for path in tmp_path.iterdir()] == ["figures"]
@@ -210,7 +190,7 @@ def test_the_same_numbers_give_the_same_files(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("light")
 def test_the_command_prints_the_claims(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Figures(out=tmp_path / "new", beyond=False).run()
+    Figures(out=tmp_path / "new").run()
     out = capsys.readouterr().out
     assert "the paper claims" in out
     assert "report.md" in out
@@ -222,7 +202,7 @@ def test_a_markdown_table_is_one() -> None:
 
 
 def test_a_box_is_closed_and_looks_outwards() -> None:
-    triangles = box_triangles(np.eye(4), (1.0, 2.0, 3.0))
+    triangles = box_triangles(np.eye(4), np.array([1.0, 2.0, 3.0]))
     corners = triangles.vertices
     volume = (
         np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0

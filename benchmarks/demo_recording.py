@@ -5,7 +5,7 @@ noise, the jitter, the dropped frames and the loss of a headset's tracker. The f
 for byte each time: numbers are rounded to what the file keeps (0.1 mm, 0.1 ms), and it is not
 compressed.
 
-    python -m handmap_qp.experiments.demo_recording handmap_qp/trackers/demo.npz
+    python benchmarks/demo_recording.py handmap_qp/trackers/demo.npz
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ RATE = 30.0
 HAND_LENGTH = 0.186
 """Length of the person's hand [m]."""
 SOURCE = (
-    "handmap_qp.experiments.demo_recording: the package's human model through a documented motion "
-    "with a headset's noise; no person was recorded"
+    "benchmarks/demo_recording.py: the package's human model through a documented motion with a "
+    "headset's noise; no person was recorded"
 )
 _REACH, _HOLD = 0.45, 0.40  # s to get from gesture to gesture, and to stay there
 _NOISE, _DRIFT, _DRIFT_TIME = 0.0005, 0.0010, 0.25  # m, m, s
