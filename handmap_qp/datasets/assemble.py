@@ -27,7 +27,7 @@ from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
-from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
+from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
 from handmap_qp.transform import quat_wxyz_from_rotation
 
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
