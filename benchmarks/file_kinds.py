@@ -23,7 +23,7 @@ from handmap_qp.onboarding.migrate import read_dex_configuration
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
 from handmap_qp.service.store import PostureStore, Record
 from handmap_qp.trackers.formats import format_to_write, list_sources
-from handmap_qp.trackers.layout import layout_names, load_layout, table_text
+from handmap_qp.trackers.layouts import layout_names, load_layout, table_text
 from handmap_qp.trackers.person import measure_person, person_text, read_person
 from handmap_qp.trackers.recording import Recording, read_recording
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.presets import PRESETS
     from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
-    from handmap_qp.trackers.layout import Layout, load_layout
+    from handmap_qp.trackers.layouts import Layout, load_layout
     from handmap_qp.trackers.plausibility import InputCheck
     from handmap_qp.trackers.recording import Recording, read_recording
     from handmap_qp.trackers.sample import HumanSample
@@ -124,7 +124,7 @@ _NAMES = {
     "mapping.presets": "PRESETS",
     "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",
-    "trackers.layout": "Layout load_layout",
+    "trackers.layouts": "Layout load_layout",
     "trackers.plausibility": "InputCheck",
     "trackers.recording": "Recording read_recording",
     "trackers.sample": "HumanSample",

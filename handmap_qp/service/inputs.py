@@ -14,7 +14,7 @@ from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Open, Step
 from handmap_qp.service.opening import Hands
 from handmap_qp.trackers.landmarks import PalmShape
-from handmap_qp.trackers.layout import Layout, layout_names, load_layout
+from handmap_qp.trackers.layouts import Layout, layout_names, load_layout
 from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
 
 InputKind = Literal["q", "landmarks", "points"]
