@@ -48,7 +48,7 @@ from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.urdf.elements import parse_urdf, set_numbers
+from handmap_qp.hands.urdf import parse_urdf, set_numbers
 
 STEPS = 20
 COUNTS = (3, 4, 5, 6, 7)

@@ -14,7 +14,7 @@ from pathlib import Path
 from PIL import Image
 
 from handmap_qp.drawing.layout_pictures import save_layout_picture
-from handmap_qp.trackers.layout import Layout, all_layouts
+from handmap_qp.trackers.layouts.base import LAYOUTS, Layout
 
 DOCS = Path(__file__).parent
 OVERVIEW = DOCS / "trackers.md"
@@ -62,7 +62,7 @@ def overview(text: str) -> str:
     rows = [
         f"| [{layout.name}](trackers/{layout.name}.md) | {layout.table.title} "
         f"| {layout.table.values} |"
-        for layout in all_layouts()
+        for layout in LAYOUTS.values()
     ]
     table = "\n".join(["| layout | tracker | one sample |", "|---|---|---|", *rows])
     return f"{head}{BEGIN}\n{table}\n{END}{tail}"
@@ -70,7 +70,7 @@ def overview(text: str) -> str:
 
 def pages() -> dict[Path, str]:
     """Return the text of every page by its file."""
-    found = {DOCS / "trackers" / f"{layout.name}.md": page(layout) for layout in all_layouts()}
+    found = {DOCS / "trackers" / f"{layout.name}.md": page(layout) for layout in LAYOUTS.values()}
     return {OVERVIEW: overview(OVERVIEW.read_text(encoding="utf-8")), **found}
 
 
@@ -114,7 +114,7 @@ def main(words: Sequence[str]) -> None:
         print(f"wrote {file}")
     if "--no-pictures" in words:
         return
-    for layout in all_layouts():
+    for layout in LAYOUTS.values():
         file = PICTURES / f"layout_{layout.name}.png"
         save_layout_picture(layout, file)
         # A palette takes a third of the space.

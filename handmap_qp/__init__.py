@@ -47,7 +47,8 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
     from handmap_qp.trackers.formats import read_recording
-    from handmap_qp.trackers.layout import Layout, load_layout
+    from handmap_qp.trackers.layouts import load_layout
+    from handmap_qp.trackers.layouts.base import Layout
     from handmap_qp.trackers.plausibility import InputCheck
 
 __all__ = [
@@ -125,7 +126,7 @@ _NAMES = {
     "mapping.presets": "PRESETS",
     "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",
-    "trackers.layout": "Layout load_layout",
+    "trackers.layouts": "Layout load_layout",
     "trackers.plausibility": "InputCheck",
     "human.recording": "Recording",
     "trackers.formats": "read_recording",

@@ -87,8 +87,8 @@ class InputArguments:
             InvalidInputError: If it is in another order, of the other hand, in other units or the
                 like (`handmap_qp.trackers.plausibility`).
         """
-        from handmap_qp.trackers.layout import load_layout
-        from handmap_qp.trackers.layout_files import layout_hint, read_with_layout
+        from handmap_qp.trackers.layouts import load_layout
+        from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
         from handmap_qp.trackers.plausibility import check_recording
 
         if self.layout is not None:
@@ -123,8 +123,8 @@ class InputArguments:
             HandmapError: As of `read`.
         """
         from handmap_qp.trackers.formats import read_hands
-        from handmap_qp.trackers.layout import load_layout
-        from handmap_qp.trackers.layout_files import read_with_layout
+        from handmap_qp.trackers.layouts import load_layout
+        from handmap_qp.trackers.layouts.files import read_with_layout
         from handmap_qp.trackers.plausibility import check_recording
 
         if self.side is not None:

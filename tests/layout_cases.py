@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.layout import Layout, from_own_axes
+from handmap_qp.trackers.layouts.base import Layout, from_own_axes
 
 
 def wrist_beside(layout: Layout, wrist: np.ndarray, side: Side) -> np.ndarray | None:

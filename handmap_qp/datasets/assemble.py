@@ -28,7 +28,7 @@ from handmap_qp.se3 import quat_wxyz_from_rotation
 from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
-from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
+from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
 
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""

@@ -16,6 +16,7 @@ import tyro
 from handmap_qp.arguments import MappingArguments
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.tables import print_rows, print_table, progress
+from handmap_qp.trackers.formats import FORMATS
 
 if TYPE_CHECKING:
     from handmap_qp.datasets.batch import Plan, Tally
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from handmap_qp.datasets.manifest import Line
     from handmap_qp.hands.hand import Hand
     from handmap_qp.hands.spec import Side
-
-FormatName = Literal["npz", "csv", "lerobot", "robomimic", "egodex", "mcap", "mano"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,11 @@ class Convert:
         ]
     ]
     format: Annotated[
-        FormatName | None, tyro.conf.arg(help_behavior_hint="(default: by the suffix of OUT)")
+        str | None,
+        tyro.conf.arg(
+            metavar=f"{{{','.join(FORMATS)}}}",
+            help_behavior_hint="(default: by the suffix of OUT)",
+        ),
     ] = None
     mano: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: $HANDMAP_MANO)")

@@ -10,8 +10,13 @@ from pathlib import Path
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.formats import FORMATS, SEPARATOR, Source, list_sources
-from handmap_qp.trackers.formats.npz import NpzFormat
+from handmap_qp.trackers.formats import (
+    FORMATS,
+    SEPARATOR,
+    Source,
+    known_suffixes,
+    list_sources,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +161,7 @@ def _tasks_of_file(file: InputFile) -> list[Task]:
 def _files_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[InputFile]:
     if not given.exists():
         raise InvalidInputError(argument="INPUT", problem=f"{given}: no such file or folder")
-    suffixes = {suffix for form in FORMATS for suffix in form.suffixes}
+    suffixes = known_suffixes()
     # Links come last, so that they do not change the names of the files they lead to.
     waiting, links = deque([given]), deque[Path]()
     while waiting or links:
@@ -184,7 +189,7 @@ def _identity(path: Path) -> object:
 
 def _is_set(folder: Path) -> bool:
     """Tell whether a folder is a data set, not a folder of files."""
-    return any(form.recognises(folder) for form in FORMATS if not isinstance(form, NpzFormat))
+    return any(form.recognises(folder) for form in FORMATS.values())
 
 
 def _stamped(name: str, path: Path) -> InputFile:

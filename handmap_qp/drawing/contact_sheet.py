@@ -31,7 +31,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import PALM, measure_hand
-from handmap_qp.human.recording import LANDMARK_COUNT, Recording
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.se3 import affine, inverse_pose, rigid_fit, transform_points
 
 if TYPE_CHECKING:

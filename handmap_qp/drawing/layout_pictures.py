@@ -14,10 +14,10 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import transform_points
-from handmap_qp.trackers.angle_layout import AngleLayout
-from handmap_qp.trackers.layout import UNITS, Layout, typical_human
-from handmap_qp.trackers.marker_layout import MarkerLayout
-from handmap_qp.trackers.point_layout import PointLayout
+from handmap_qp.trackers.layouts.angles import AngleLayout
+from handmap_qp.trackers.layouts.base import UNITS, Layout, sized_human
+from handmap_qp.trackers.layouts.markers import MarkerLayout
+from handmap_qp.trackers.layouts.points import PointLayout
 
 _PANEL = (430, 500)
 _SKIN = (0.93, 0.80, 0.72)
@@ -70,7 +70,7 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
 
 
 def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
-    human = typical_human(side)
+    human = sized_human(side)
     q = _open_posture(human)
     solid = _placed(load_shape(human, colour=_SKIN).triangles(q))
     points, labels, is_used = _entries(layout, human, q)

@@ -19,9 +19,9 @@ from handmap_qp.drawing.hands import (
 from handmap_qp.drawing.raster import Camera, Triangles, merged
 from handmap_qp.experiments.section_four import InHandStep, Run, Scene, object_poses
 from handmap_qp.experiments.style import COLOURS, INK, PALE, styled
-from handmap_qp.grasp import Grasp
+from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Box
-from handmap_qp.transform import transform_points
+from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -33,11 +33,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.grasp import Contact, Grasp, QuasiStatic, grasp_matrix, quasistatic
+from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.paper_cube import read_cube_figures, reference_grasp
+from handmap_qp.grasp.statics import QuasiStatic, grasp_matrix, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.synergies import load_synergies
-from handmap_qp.hands.urdf.elements import get_numbers, parse_urdf, set_numbers
+from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_numbers
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk

@@ -20,7 +20,7 @@ import pinocchio as pin
 from handmap_qp.errors import HandError
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import ArmSpec, HandSpec, LimitSpec, MimicSpec
-from handmap_qp.transform import affine, rotation_from_rpy, rpy_from_rotation
+from handmap_qp.se3 import affine, rotation_from_rpy, rpy_from_rotation
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""

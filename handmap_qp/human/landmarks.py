@@ -15,7 +15,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.human.recording import LANDMARK_COUNT, Recording
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.se3 import as_floats, frozen, rigid_fits
 
 PALM = np.array([0, 5, 9, 13, 17])

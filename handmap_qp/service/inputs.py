@@ -15,7 +15,8 @@ from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Open, Step
 from handmap_qp.service.opening import Hands
-from handmap_qp.trackers.layout import Layout, layout_names, load_layout
+from handmap_qp.trackers.layouts import layout_names, load_layout
+from handmap_qp.trackers.layouts.base import Layout
 
 InputKind = Literal["q", "landmarks", "points"]
 _FIELDS = ("q", "landmarks", "points", "values")

@@ -20,7 +20,7 @@ pytest.importorskip("rosbags")
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-NAMES = [form.name for form in FORMATS if form.name != "lerobot"]
+NAMES = [name for name in FORMATS if name != "lerobot"]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     landmarks = np.array([human.points(share * human.rest) for share in (0.2, 0.6, 1.0)])
     given = Recording("take", np.array([1.0, 1.5, 1.75]), landmarks, np.ones(3), "right")
     paths = {}
-    for form in (form for form in FORMATS if form.name in NAMES):
+    for form in map(FORMATS.__getitem__, NAMES):
         paths[form.name] = folder / f"{form.name}{form.suffixes[0] if form.suffixes else ''}"
         write_recordings([given], paths[form.name], form)
     return paths

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_qp.trackers.formats import lerobot_v3
-from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
+from handmap_qp.trackers.formats import lerobot
+from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
 
 PYTHON = os.environ.get("HANDMAP_LEROBOT_PYTHON") or (
     sys.executable if find_spec("lerobot") else ""
@@ -32,7 +32,7 @@ FPS, LENGTHS, TASKS = 30.0, (5, 9, 4), ("pour", "stack", "pour")
 def test_lerobot_reads_what_was_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pyarrow")
     # Each episode begins a new file.
-    monkeypatch.setattr(lerobot_v3, "DATA_FILE_SIZE", 1)
+    monkeypatch.setattr(lerobot, "DATA_FILE_SIZE", 1)
     rng, names = np.random.default_rng(0), ("a", "b", "c")
     features = {
         "observation.state": Feature("float32", names),

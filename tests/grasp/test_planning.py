@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from strategies import generators, motion_of, poses, rotations
 
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
-from handmap_qp.grasp import Grasp
 from handmap_qp.grasp.closing import (
     MARGIN,
     HandCloser,
@@ -23,6 +22,7 @@ from handmap_qp.grasp.closing import (
     default_preshape,
     palm_centre,
 )
+from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.measures import (
     QUALITIES,
     SMALLER_IS_BETTER,

@@ -22,8 +22,8 @@ from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 from handmap_qp.service.websocket import WebSettings
-from handmap_qp.trackers.layout import load_layout
-from handmap_qp.trackers.point_layout import PointLayout
+from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.points import PointLayout
 
 pytestmark = pytest.mark.slow
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")

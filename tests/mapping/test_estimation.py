@@ -23,13 +23,8 @@ from strategies import (
 )
 
 from handmap_qp.errors import DegeneratePointsError
-from handmap_qp.mapping.estimation import (
-    MotionEstimate,
-    MotionEstimator,
-    determinant,
-    estimate_motion,
-)
-from handmap_qp.se3 import nearest_rotation, transform_points
+from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator, estimate_motion
+from handmap_qp.se3 import determinant, nearest_rotation, transform_points
 
 ridges = st.sampled_from([0.0, 1e-6, 0.1, 1.0, 1e3])
 

@@ -13,7 +13,8 @@ from PIL import Image
 from handmap_qp import HumanLengths, cli
 from handmap_qp.human.person import Person, write_person
 from handmap_qp.se3 import affine
-from handmap_qp.trackers.layout import layout_names, load_layout, typical_human
+from handmap_qp.trackers.layouts import layout_names, load_layout
+from handmap_qp.trackers.layouts.base import sized_human
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 def write_hand(path: Path, name: str = "webxr25", *, count: int = 30, side: str = "right") -> Path:
     """Half a second of a right hand that closes, in a layout's own form."""
-    layout, human = load_layout(name), typical_human("right")
+    layout, human = load_layout(name), sized_human("right")
     values = [
         layout.write_posture(human, (0.4 + share) * human.rest, affine(np.eye(3), np.zeros(3)))
         for share in np.linspace(0.0, 0.8, count)

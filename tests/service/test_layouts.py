@@ -28,7 +28,8 @@ from handmap_qp.service.convert import to_matrix, to_pose
 from handmap_qp.service.messages import PROTOCOL, Error, Step, decode_request
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
-from handmap_qp.trackers.layout import Layout, load_layout
+from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.base import Layout
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

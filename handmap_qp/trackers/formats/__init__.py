@@ -1,18 +1,20 @@
 """File formats of recordings: find the format of a file, read, write and convert.
 
-A format is an object with the protocol `RecordingFormat`; to add one, add it to `FORMATS`.
+A format is an object of a subclass of `RecordingFormat`. Other packages add theirs by entry points
+of the group `handmap_qp.formats`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
+from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.egodex import EgoDexFormat
@@ -22,7 +24,7 @@ from handmap_qp.trackers.formats.mcap import McapFormat
 from handmap_qp.trackers.formats.npz import NpzFormat
 from handmap_qp.trackers.formats.robomimic import RobomimicFormat
 
-FORMATS: tuple[RecordingFormat, ...] = (
+_OWN = (
     NpzFormat(),
     CsvFormat(),
     LeRobotFormat(),
@@ -31,7 +33,18 @@ FORMATS: tuple[RecordingFormat, ...] = (
     McapFormat(),
     ManoFormat(),
 )
-"""All formats; where a suffix has several, the first one that recognises a file reads it."""
+
+
+def _check(form: RecordingFormat) -> None:
+    if not isinstance(form, RecordingFormat):
+        raise TypeError("expected an object of a subclass of RecordingFormat")
+
+
+FORMATS: Mapping[str, RecordingFormat] = Plugins(
+    "handmap_qp.formats", lambda: {form.name: form for form in _OWN}, _check
+)
+"""All formats by name; where a suffix has several, the first one that recognises a file reads it,
+and the first one writes it."""
 SEPARATOR = "::"
 """Between the path of a file and the name of one of its recordings."""
 DEMO = "demo"
@@ -87,14 +100,11 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
         file = DEMO_FILE
     form = format_of(file)
     entries = form.entries(file)
-    if name:
-        chosen = tuple(entry for entry in entries if entry.name == name)
-        if not chosen:
-            raise RecordingError(f"has no recording {name!r}; {_listing(entries)}", file=file)
-        entries = chosen
-    if not entries:
-        raise RecordingError("has no recordings", file=file)
-    return tuple(Source(file, form, entry) for entry in entries)
+    chosen = [entry for entry in entries if name in ("", entry.name)]
+    if not chosen:
+        problem = f"has no recording {name!r}; {_listing(entries)}" if name else "has no recordings"
+        raise RecordingError(problem, file=file)
+    return tuple(Source(file, form, entry) for entry in chosen)
 
 
 def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
@@ -139,14 +149,19 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
             than expected, or it holds several recordings and none was named.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    sources = list(list_sources(path))
+    sources = list_sources(path)
     if len(sources) > 1 and side is not None:
-        sources = [source for source in sources if source.entry.side == side] or sources
+        sources = tuple(source for source in sources if source.entry.side == side) or sources
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])
         problem = f"{listing}: name one of them after {SEPARATOR}"
         raise RecordingError(problem, file=sources[0].path)
     return sources[0].read()
+
+
+def known_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of all formats."""
+    return tuple(dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes))
 
 
 def format_of(path: Path) -> RecordingFormat:
@@ -157,18 +172,18 @@ def format_of(path: Path) -> RecordingFormat:
     """
     if not path.exists():
         raise RecordingError("cannot be read: No such file or directory", file=path)
-    is_folder = path.is_dir()
-    candidates = [f for f in FORMATS if is_folder or path.suffix.lower() in f.suffixes]
+    suffix = path.suffix.lower()
+    candidates = [form for form in FORMATS.values() if path.is_dir() or suffix in form.suffixes]
     for form in candidates:
         if form.recognises(path):
             return form
-    if is_folder:
-        raise RecordingError("cannot be read: is a folder of no known form", file=path)
-    known = ", ".join(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
-    if candidates:
-        forms = " or ".join(form.name for form in candidates)
-        raise RecordingError(f"is not of the form {forms}", file=path)
-    raise RecordingError(f"has the unknown suffix {path.suffix!r}; known are {known}", file=path)
+    if path.is_dir():
+        problem = "cannot be read: is a folder of no known form"
+    elif candidates:
+        problem = f"is not of the form {' or '.join(form.name for form in candidates)}"
+    else:
+        problem = f"has the unknown suffix {path.suffix!r}; known are {', '.join(known_suffixes())}"
+    raise RecordingError(problem, file=path)
 
 
 def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
@@ -181,19 +196,16 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
     Raises:
         InvalidInputError: If there is no such format.
     """
+    if name is not None and name in FORMATS:
+        return FORMATS[name]
     if name is not None:
-        for form in FORMATS:
-            if form.name == name:
-                return form
-        names = ", ".join(form.name for form in FORMATS)
+        names = ", ".join(FORMATS)
         raise InvalidInputError(argument="--format", expected=f"one of {names}", value=name)
-    for form in FORMATS:
-        if path.suffix.lower() in form.suffixes or (not path.suffix and not form.suffixes):
+    for form in FORMATS.values():
+        if path.suffix.lower() in (form.suffixes or ("",)):
             return form
-    known = ", ".join(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
-    raise InvalidInputError(
-        argument="OUT", expected=f"a file that ends in one of {known}", value=str(path)
-    )
+    expected = f"a file that ends in one of {', '.join(known_suffixes())}"
+    raise InvalidInputError(argument="OUT", expected=expected, value=str(path))
 
 
 def write_recordings(
@@ -219,12 +231,8 @@ def write_recordings(
     return chosen.losses(recordings)
 
 
-def _path_text(path: Any) -> str:
-    """Return a path as text.
-
-    Raises:
-        InvalidInputError: If it is something else than a path.
-    """
+def _path_text(path: Path | str) -> str:
+    """Return a path as text, and reject something else than a path."""
     text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
     if not isinstance(text, str):
         raise InvalidInputError(argument="path", expected="the path of a file", value=path)

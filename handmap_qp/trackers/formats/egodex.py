@@ -11,16 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
-from handmap_qp.trackers.formats.base import SIDES, Entry, check_one_per_hand, entry_stem, reading
-from handmap_qp.trackers.formats.columns import finite_samples
-from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, numbers, opened
+from handmap_qp.trackers.formats.base import (
+    SIDES,
+    Entry,
+    RecordingFormat,
+    build_recording,
+    finite_samples,
+)
+from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, has_group, numbers, opened
 from handmap_qp.trackers.wrist_axes import palm_axes
 
 RATE = 30.0
@@ -37,7 +41,7 @@ def joint_names(side: Side) -> tuple[str, ...]:
     )
 
 
-class EgoDexFormat:
+class EgoDexFormat(RecordingFormat):
     """Both hands as poses of ARKit's joints.
 
     A sample is valid where all 21 poses are finite and the wrist's confidence is above 0. Its
@@ -48,13 +52,11 @@ class EgoDexFormat:
     name = "egodex"
     suffixes = SUFFIXES
     about = "EgoDex's HDF5, poses of ARKit's joints; one recording of each hand"
+    lacks = ("source",)
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the file has poses of joints."""
-        if not path.is_file():
-            return False
-        with opened(path) as file:
-            return "transforms" in file
+        return has_group(path, "transforms")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands whose wrist the file has."""
@@ -72,25 +74,25 @@ class EgoDexFormat:
         with opened(path) as file:
             group = file["transforms"]
             poses = [numbers(path, group, name, (entry.samples, 4, 4)) for name in names]
-            shares = self._confidences(path, file, names, entry.samples)
+            shares = None
+            if "confidences" in file:
+                given = file["confidences"]
+                shares = np.array([numbers(path, given, name, (entry.samples,)) for name in names])
             time = np.arange(entry.samples) / RATE
             if "time" in file:
                 time = numbers(path, file, "time", (entry.samples,))
-        landmarks = np.stack([pose[:, :3, 3] for pose in poses], axis=1)
-        valid = finite_samples(landmarks) & finite_samples(poses[0])
-        if shares is not None:
-            valid &= shares[:, 0] > 0.0
-        with reading(path, f"{entry.side} hand: "):
-            return Recording(
-                name=entry_stem(path, entry),
-                time=time,
-                landmarks=landmarks,
-                valid=valid,
-                side=entry.side,
-                source="EgoDex",
-                wrist=poses[0],
-                confidence=None if shares is None else shares.mean(axis=1),
-            )
+        is_seen = finite_samples(poses[0])
+        return build_recording(
+            path,
+            entry,
+            time,
+            np.stack([pose[:, :3, 3] for pose in poses], axis=1),
+            prefix=f"{entry.side} hand: ",
+            valid=is_seen if shares is None else is_seen & (shares[0] > 0.0),
+            source="EgoDex",
+            wrist=poses[0],
+            confidence=None if shares is None else shares.mean(axis=0),
+        )
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the joints and groups that a recording cannot hold."""
@@ -103,7 +105,7 @@ class EgoDexFormat:
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Name what the poses of joints cannot say."""
-        lost = ["the words about the source"] if any(r.source for r in recordings) else []
+        lost = [*super().losses(recordings)]
         if any(r.wrist is None for r in recordings):
             lost.append("that the wrist's orientation is unknown")
         if any(_is_apart(r) for r in recordings):
@@ -117,7 +119,7 @@ class EgoDexFormat:
 
         Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.
         """
-        check_one_per_hand(recordings, self.name)
+        self.check_one_per_hand(recordings)
         if len({recording.time.tobytes() for recording in recordings}) > 1:
             raise InvalidInputError(
                 argument="recordings",
@@ -128,28 +130,13 @@ class EgoDexFormat:
         with created(path) as file:
             file["time"] = recordings[0].time
             for recording in recordings:
-                self._write_hand(recording, file)
-
-    @staticmethod
-    def _confidences(path: Path, file: Any, names: Sequence[str], count: int) -> np.ndarray | None:
-        """Return the confidence of every joint, shape (N, 21); None where the file has none."""
-        if "confidences" not in file:
-            return None
-        group = file["confidences"]
-        return np.stack([numbers(path, group, name, (count,)) for name in names], axis=1)
-
-    @staticmethod
-    def _write_hand(recording: Recording, file: Any) -> None:
-        count = len(recording)
-        given = np.ones(count) if recording.confidence is None else recording.confidence
-        share = np.where(recording.valid, given, 0.0)
-        for i, name in enumerate(joint_names(recording.side)):
-            poses = np.tile(np.eye(4), (count, 1, 1))
-            if i == 0:
-                poses[:, :3, :3] = _wrist_rotations(recording)
-            poses[:, :3, 3] = recording.landmarks[:, i]
-            file[f"transforms/{name}"] = poses
-            file[f"confidences/{name}"] = share
+                given = 1.0 if recording.confidence is None else recording.confidence
+                poses = np.tile(np.eye(4), (21, len(recording), 1, 1))
+                poses[:, :, :3, 3] = recording.landmarks.transpose(1, 0, 2)
+                poses[0, :, :3, :3] = _wrist_rotations(recording)
+                for name, pose in zip(joint_names(recording.side), poses, strict=True):
+                    file[f"transforms/{name}"] = pose
+                    file[f"confidences/{name}"] = np.where(recording.valid, given, 0.0)
 
 
 def _wrist_rotations(recording: Recording) -> np.ndarray:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import RecordingError
 from handmap_qp.output_files import replaced_path
-from handmap_qp.trackers.formats.archive import DAMAGES, LARGEST_ARCHIVE
+from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, damages
 from handmap_qp.trackers.formats.base import require
 
 SUFFIXES = (".hdf5", ".h5")
@@ -37,57 +37,42 @@ def opened(path: Path) -> Iterator[Any]:
         MissingExtraError: If h5py is not installed.
     """
     h5py = require("h5py")
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except (RecordingError, InvalidInputError):
-        raise
-    except DAMAGES as error:
-        text = " ".join(str(error).split())
-        raise RecordingError(f"cannot be read as HDF5: {text[:160]}", file=path) from error
+    with damages(path, "cannot be read as HDF5"), h5py.File(path, "r") as file:
+        yield file
 
 
-def numbers(path: Path, group: Any, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+def has_group(path: Path, name: str) -> bool:
+    """Tell whether a path is an HDF5 file that has a group."""
+    if not path.is_file():
+        return False
+    with opened(path) as file:
+        return name in file
+
+
+def numbers(path: Path, group: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """Read an array of numbers.
 
     Args:
         path: The file, for errors.
         group: The group that holds it.
         name: Its name there.
-        shape: Its shape; None stands for any length.
+        shape: Its shape.
 
     Raises:
         RecordingError: If it is missing, of another shape or type, or impossibly large.
     """
-    h5py = require("h5py")
-    try:
-        # The low-level call takes a third of the time of h5py's `group[name]`, and files of poses
-        # have many arrays.
-        item = h5py.h5d.open(group.id, name.encode())
-    except (KeyError, TypeError):
-        names = sorted(group)
-        shown = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
-        problem = f"is missing; there are {shown or 'none'}"
-        raise RecordingError(problem, file=path, array=_place(group, name)) from None
-    # These properties are looked up in the file each time.
-    dtype, found = item.dtype, item.shape
-    fits = len(found) == len(shape) and all(
-        wanted is None or length == wanted for length, wanted in zip(found, shape, strict=True)
-    )
-    if not fits or dtype.kind not in "biuf":
-        sizes = ", ".join("T" if length is None else str(length) for length in shape)
-        problem = f"expected numbers of shape ({sizes}), got {dtype} of shape {found}"
-        raise RecordingError(problem, file=path, array=_place(group, name))
-    if math.prod(found) * dtype.itemsize > LARGEST_ARCHIVE:
+    item, place = group.get(name), f"{group.name.rstrip('/')}/{name}"
+    if not hasattr(item, "dtype"):
+        shown = ", ".join(sorted(group)[:6]) + (", ..." if len(group) > 6 else "")
+        raise RecordingError(f"is missing; there are {shown or 'none'}", file=path, array=place)
+    if item.shape != shape or item.dtype.kind not in "biuf":
+        sizes = ", ".join(map(str, shape))
+        problem = f"expected numbers of shape ({sizes}), got {item.dtype} of shape {item.shape}"
+        raise RecordingError(problem, file=path, array=place)
+    if math.prod(shape) * item.dtype.itemsize > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
-        raise RecordingError(problem, file=path, array=_place(group, name))
-    array = np.empty(found, dtype)
-    item.read(h5py.h5s.ALL, h5py.h5s.ALL, array)
-    return array.astype(float, copy=False)
-
-
-def _place(group: Any, name: str) -> str:
-    return f"{group.name.rstrip('/')}/{name}"
+        raise RecordingError(problem, file=path, array=place)
+    return item[()].astype(float, copy=False)
 
 
 @contextmanager

@@ -1,36 +1,82 @@
-"""Recordings as episodes of a LeRobot v3 data set, which is written and not read."""
+"""Data sets in the form of LeRobot v3, and recordings as their episodes; written, not read.
+
+Written from the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot):
+`meta/info.json` with the features, `meta/stats.json`, `meta/tasks.parquet`,
+`meta/episodes/chunk-000/` with a row for each episode, and `data/chunk-000/file-000.parquet` with a
+row for each frame. pyarrow alone reads them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.human.recording import Recording
-from handmap_qp.trackers.formats.base import Entry
-from handmap_qp.trackers.formats.columns import (
+from handmap_qp.output_files import make_folder, sync, writing
+from handmap_qp.trackers.formats.base import (
     LANDMARK_COLUMNS,
     POSE_COLUMNS,
+    Entry,
+    RecordingFormat,
     landmark_rows,
     pose_rows,
+    require,
 )
-from handmap_qp.trackers.formats.lerobot_v3 import Feature, LeRobotWriter
 
-_LANDMARKS, _WRIST = "observation.landmarks", "observation.wrist"
-_VALID, _CONFIDENCE = "observation.valid", "observation.confidence"
-_TIME = "observation.time"
+VERSION = "v3.0"
+DATA_FILE_SIZE = 100 * 2**20
+"""Size from which a new data file is begun [bytes in memory]."""
+CHUNK_FILES = 1000
+"""Files of a chunk, which is a folder."""
+_DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+_ROW_GROUP = 1000
+_QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+"""Quantiles by the names of LeRobot, some of whose policies are normalised by them."""
+
+
+class Feature(NamedTuple):
+    """One column of a data set.
+
+    Attributes:
+        dtype: `float64`, `float32`, `int64`, `bool` or `string`.
+        names: Names of its numbers; None for a single one.
+    """
+
+    dtype: str
+    names: tuple[str, ...] | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers a frame has."""
+        return 1 if self.names is None else len(self.names)
+
+
+_INDEX_FEATURES = {
+    "timestamp": Feature("float32"),
+    "frame_index": Feature("int64"),
+    "episode_index": Feature("int64"),
+    "index": Feature("int64"),
+    "task_index": Feature("int64"),
+}
 _FEATURES = {
-    _LANDMARKS: Feature("float64", LANDMARK_COLUMNS),
-    _WRIST: Feature("float64", POSE_COLUMNS),
-    _VALID: Feature("bool"),
-    _CONFIDENCE: Feature("float64"),
-    _TIME: Feature("float64"),
+    "observation.landmarks": Feature("float64", LANDMARK_COLUMNS),
+    "observation.wrist": Feature("float64", POSE_COLUMNS),
+    "observation.valid": Feature("bool"),
+    "observation.confidence": Feature("float64"),
+    "observation.time": Feature("float64"),
 }
 
 
-class LeRobotFormat:
+class LeRobotFormat(RecordingFormat):
     """A folder with one episode for each hand and recording; lossless.
 
     LeRobot's own `timestamp` is the frame over `fps`; the tracker's instants are in
@@ -47,51 +93,318 @@ class LeRobotFormat:
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """Refuse: no data set is read."""
-        raise _written_only(path)
+        problem = "is a LeRobot data set, which is written and not read"
+        raise RecordingError(f"{problem}: read the recordings that it was made from", file=path)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Refuse: no data set is read."""
-        raise _written_only(path)
-
-    def unread(self, path: Path) -> tuple[str, ...]:
-        """Refuse: no data set is read."""
-        raise _written_only(path)
-
-    def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
-        """Name nothing: the form is lossless."""
-        return ()
+        self.entries(path)
+        raise AssertionError("no data set has entries")
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
         if not recordings:
             raise InvalidInputError(argument="recordings", expected="at least one", got="none")
         features = dict(_FEATURES)
-        if all(recording.confidence is None for recording in recordings):
-            del features[_CONFIDENCE]
-        if all(recording.wrist is None for recording in recordings):
-            del features[_WRIST]
+        for name in ("confidence", "wrist"):
+            if all(getattr(recording, name) is None for recording in recordings):
+                del features[f"observation.{name}"]
         steps = np.concatenate([recording.steps for recording in recordings])
         fps = max(1.0, float(np.round(1.0 / np.median(steps))))
         with LeRobotWriter(path, fps=fps, features=features, robot_type="human_hand") as writer:
             for recording in recordings:
+                given = recording.confidence
+                values = {
+                    "landmarks": landmark_rows(recording),
+                    "wrist": pose_rows(recording),
+                    "valid": recording.valid,
+                    "confidence": np.full(len(recording), np.nan) if given is None else given,
+                    "time": recording.time,
+                }
                 writer.add(
-                    _columns(recording),
+                    {f"observation.{name}": array for name, array in values.items()},
                     f"{recording.side} human hand",
                     {"name": recording.name, "side": recording.side, "source": recording.source},
                 )
 
 
-def _written_only(path: Path) -> RecordingError:
-    problem = "is a LeRobot data set, which is written and not read"
-    return RecordingError(f"{problem}: read the recordings that it was made from", file=path)
+class LeRobotWriter:
+    """Writes a data set episode by episode; memory does not grow with their number.
+
+    Use as a context manager. The folder appears when the block has succeeded.
+
+    Args:
+        root: Folder to write; must not exist, or be empty.
+        fps: Frames per second of all episodes.
+        features: Columns by name, without those that every data set has.
+        robot_type: Name of the robot or hand.
+        argument: Argument or option that names the folder, for errors.
+
+    Raises:
+        InvalidInputError: If the folder exists and is not empty, or cannot be written.
+        MissingExtraError: If pyarrow is not installed.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        *,
+        fps: float,
+        features: Mapping[str, Feature],
+        robot_type: str,
+        argument: str = "path",
+    ) -> None:
+        self._pa, self._pq = require("pyarrow"), require("pyarrow.parquet")
+        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+            raise InvalidInputError(
+                argument=argument, problem=f"{root} exists already", advice="remove it first"
+            )
+        self._root, self._argument = root, argument
+        self._fps, self._robot_type = fps, robot_type
+        self._features = {**features, **_INDEX_FEATURES}
+        self._tasks: dict[str, int] = {}
+        self._stats: dict[str, Stats] = {}
+        self._episodes: list[dict[str, Any]] = []
+        self._episode_count = self._frame_count = self._file_index = self._file_size = 0
+        self._data: Any = None
+        self._meta: Any = None
+
+    def __enter__(self) -> Self:
+        parent = self._root.parent
+        make_folder(parent, self._argument)
+        with writing(self._root, self._argument):
+            self._folder = Path(tempfile.mkdtemp(prefix=f".{self._root.name}-", dir=parent))
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                with writing(self._root, self._argument):
+                    self._finish()
+                    if self._root.exists():
+                        self._root.rmdir()
+                    self._folder.chmod(0o755)
+                    for path in (*self._folder.rglob("*"), self._folder):
+                        sync(path)
+                    self._folder.rename(self._root)
+                    sync(self._root.parent)
+        finally:
+            for writer in (self._data, self._meta):
+                if writer is not None:
+                    # After an error, pyarrow would write its last part when it is deleted.
+                    writer.is_open = False
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def add(
+        self, columns: Mapping[str, np.ndarray], task: str, about: Mapping[str, Any] | None = None
+    ) -> int:
+        """Add an episode.
+
+        Args:
+            columns: An array (T,) or (T, n) for each feature.
+            task: What is done in it, in words.
+            about: Further values of the episode, for columns in `meta/episodes`; the same names in
+                every episode.
+
+        Returns:
+            Index of the episode.
+
+        Raises:
+            InvalidInputError: If the disk is full.
+        """
+        frames = np.arange(len(next(iter(columns.values()))))
+        start, episode = self._frame_count, self._episode_count
+        values = {
+            **columns,
+            "timestamp": frames / self._fps,
+            "frame_index": frames,
+            "episode_index": np.full_like(frames, episode),
+            "index": start + frames,
+            "task_index": np.full_like(frames, self._tasks.setdefault(task, len(self._tasks))),
+        }
+        with writing(self._root, self._argument):
+            self._write_data(self._table(values))
+            stats = {
+                name: episode_stats(np.asarray(values[name]))
+                for name, feature in self._features.items()
+                if feature.dtype != "string"
+            }
+            for name, own in stats.items():
+                before = self._stats.get(name)
+                self._stats[name] = own if before is None else joined_stats(before, own)
+            self._episodes.append(
+                {
+                    "episode_index": episode,
+                    "tasks": [task],
+                    "length": len(frames),
+                    "data/chunk_index": self._file_index // CHUNK_FILES,
+                    "data/file_index": self._file_index % CHUNK_FILES,
+                    "dataset_from_index": start,
+                    "dataset_to_index": start + len(frames),
+                    "meta/episodes/chunk_index": 0,
+                    "meta/episodes/file_index": 0,
+                    **(about or {}),
+                    **{
+                        f"stats/{name}/{key}": value
+                        for name, own in _as_lists(stats).items()
+                        for key, value in own.items()
+                    },
+                }
+            )
+            if len(self._episodes) >= _ROW_GROUP:
+                self._flush_episodes()
+        self._frame_count += len(frames)
+        self._episode_count += 1
+        return episode
+
+    def _table(self, values: Mapping[str, np.ndarray]) -> Any:
+        pa, arrays = self._pa, []
+        for name, feature in self._features.items():
+            flat = np.asarray(values[name]).reshape(-1)
+            kind = pa.type_for_alias(feature.dtype)
+            if feature.dtype == "float32":
+                flat = flat.astype(np.float32)
+            array = pa.array(flat, type=kind)
+            if feature.names is not None:
+                array = pa.FixedSizeListArray.from_arrays(array, feature.size)
+            arrays.append(array)
+        return pa.Table.from_arrays(arrays, names=list(self._features))
+
+    def _write_data(self, table: Any) -> None:
+        """Write an episode as a row group of its own, so that it is found without the others."""
+        if self._data is not None and self._file_size + table.nbytes > DATA_FILE_SIZE:
+            self._data.close()
+            self._data, self._file_size = None, 0
+            self._file_index += 1
+        if self._data is None:
+            chunk, file = divmod(self._file_index, CHUNK_FILES)
+            place = _DATA_PATH.format(chunk_index=chunk, file_index=file)
+            self._data = self._parquet(place, table)
+        self._data.write_table(table, row_group_size=max(1, table.num_rows))
+        self._file_size += table.nbytes
+
+    def _parquet(self, place: str, table: Any) -> Any:
+        """Open a parquet file with the columns of a table."""
+        file = self._folder / place
+        file.parent.mkdir(parents=True, exist_ok=True)
+        return self._pq.ParquetWriter(file, table.schema, compression="snappy")
+
+    def _flush_episodes(self) -> None:
+        if not self._episodes:
+            return
+        table = self._pa.Table.from_pylist(self._episodes)
+        if self._meta is None:
+            self._meta = self._parquet(_EPISODES_PATH, table)
+        self._meta.write_table(table.cast(self._meta.schema))
+        self._episodes.clear()
+
+    def _finish(self) -> None:
+        self._flush_episodes()
+        self._write_tasks()
+        self._write_json("stats", _as_lists(self._stats), indent=1)
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": self._robot_type,
+            "total_episodes": self._episode_count,
+            "total_frames": self._frame_count,
+            "total_tasks": len(self._tasks),
+            "chunks_size": CHUNK_FILES,
+            "data_files_size_in_mb": DATA_FILE_SIZE // 2**20,
+            "video_files_size_in_mb": 500,
+            "fps": int(self._fps) if float(self._fps).is_integer() else self._fps,
+            "splits": {"train": f"0:{self._episode_count}"},
+            "data_path": _DATA_PATH,
+            "video_path": None,
+            "features": {
+                name: {"dtype": item.dtype, "shape": [item.size], "names": item.names}
+                for name, item in self._features.items()
+            },
+        }
+        self._write_json("info", info, indent=4)
+        for writer in (self._data, self._meta):
+            if writer is not None:
+                writer.close()
+
+    def _write_json(self, name: str, values: Mapping[str, Any], indent: int) -> None:
+        file = self._folder / "meta" / f"{name}.json"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(json.dumps(values, indent=indent) + "\n", encoding="utf-8")
+
+    def _write_tasks(self) -> None:
+        """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
+        columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
+        kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        about = {
+            "index_columns": ["task"],
+            "column_indexes": [],
+            "columns": [
+                {
+                    "name": name,
+                    "field_name": name,
+                    "pandas_type": kind,
+                    "numpy_type": own,
+                    "metadata": None,
+                }
+                for name, kind, own in kinds
+            ],
+            "creator": {"library": "pyarrow", "version": self._pa.__version__},
+            "pandas_version": "2.0.0",
+        }
+        table = self._pa.table(columns).replace_schema_metadata({"pandas": json.dumps(about)})
+        file = self._folder / "meta" / "tasks.parquet"
+        file.parent.mkdir(exist_ok=True)
+        self._pq.write_table(table, file)
 
 
-def _columns(recording: Recording) -> dict[str, np.ndarray]:
-    count, wrist, confidence = len(recording), recording.wrist, recording.confidence
+Stats = dict[str, np.ndarray]
+"""Statistics of a column by the names that LeRobot gives them, shape (n,); `count` is (1,)."""
+
+
+def episode_stats(values: np.ndarray) -> Stats:
+    """Return the statistics of one episode, (T,) or (T, n), over the frames without NaN."""
+    rows = values.reshape(len(values), -1).astype(float)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    count = len(rows)
+    rows = rows if count else np.zeros((1, rows.shape[1]))
+    quantiles = np.quantile(rows, list(_QUANTILES.values()), axis=0)
     return {
-        _LANDMARKS: landmark_rows(recording),
-        _WRIST: np.full((count, 12), np.nan) if wrist is None else pose_rows(wrist),
-        _VALID: recording.valid,
-        _CONFIDENCE: np.full(count, np.nan) if confidence is None else confidence,
-        _TIME: recording.time,
+        "min": rows.min(axis=0),
+        "max": rows.max(axis=0),
+        "mean": rows.mean(axis=0),
+        "std": rows.std(axis=0),
+        **dict(zip(_QUANTILES, quantiles, strict=True)),
+        "count": np.array([count]),
+    }
+
+
+def joined_stats(one: Stats, other: Stats) -> Stats:
+    """Return the statistics of both (Chan, Golub and LeVeque 1979).
+
+    Quantiles are the means of the episodes' own, weighted by their frames, as LeRobot itself puts
+    them together.
+    """
+    counts = np.array([one["count"][0], other["count"][0]])
+    if not counts.all():
+        return other if counts[1] else one
+    share = counts[1] / counts.sum()
+    mixed = {name: (1.0 - share) * one[name] + share * other[name] for name in one}
+    shift = other["mean"] - one["mean"]
+    square = (1.0 - share) * one["std"] ** 2 + share * other["std"] ** 2
+    return {
+        **mixed,
+        "min": np.minimum(one["min"], other["min"]),
+        "max": np.maximum(one["max"], other["max"]),
+        "std": np.sqrt(square + share * (1.0 - share) * shift**2),
+        "count": counts.sum(keepdims=True),
+    }
+
+
+def _as_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, list[float]]]:
+    return {
+        name: {key: array.tolist() for key, array in own.items()} for name, own in stats.items()
     }

@@ -8,13 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.errors import RecordingError
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording, as_flags
+from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import as_floats
 from handmap_qp.trackers.formats.archive import member_names, read_archive
-from handmap_qp.trackers.formats.base import SIDES, Entry, check_one_per_hand, entry_stem, reading
+from handmap_qp.trackers.formats.base import (
+    Entry,
+    RecordingFormat,
+    build_recording,
+    reading,
+    side_of,
+)
 from handmap_qp.trackers.formats.mano_model import load_model
 
 FROM_MANO = np.array([0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20])
@@ -27,7 +32,7 @@ _POSES = ("pose", "hand_pose")
 _KNOWN = {"joints", "side", "time", "fps", "valid", "betas", "transl", "global_orient"} | {*_POSES}
 
 
-class ManoFormat:
+class ManoFormat(RecordingFormat):
     """Arrays of MANO by name.
 
     Needed: `side` (right or left), `time (T,)` [s] or `fps`, and either `joints (T, 21, 3)` [m] in
@@ -43,6 +48,7 @@ class ManoFormat:
     name = "mano"
     suffixes = (".npz",)
     about = "MANO's 21 joints, or its parameters with your copy of the licensed model"
+    lacks = ("wrist", "confidence", "source")
 
     def __init__(self, model: Path | None = None) -> None:
         self._model = model
@@ -53,53 +59,32 @@ class ManoFormat:
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the one hand."""
-        arrays = read_archive(path, {"side"})
+        arrays = read_archive(path)
         if "side" not in arrays:
             raise RecordingError("has no array 'side': right or left", file=path)
-        text, main = str(arrays["side"]).lower(), self._main(path)
-        side: Side | None = next((known for known in SIDES if known == text), None)
-        if side is None:
-            problem = f"expected right or left, got {text[:20]!r}"
-            raise RecordingError(problem, file=path, array="side")
-        return (Entry("", side, len(np.atleast_1d(read_archive(path, {main})[main]))),)
+        main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
+        return (Entry("", side_of(arrays["side"], path, "side"), len(np.atleast_1d(main))),)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the hand."""
-        arrays = read_archive(path)
+        arrays, shape = read_archive(path), ("T", LANDMARK_COUNT, 3)
         with reading(path):
             if "joints" in arrays:
-                shape = ("T", LANDMARK_COUNT, 3)
                 joints = as_floats(arrays["joints"], "joints", shape=shape)
             else:
                 joints = self._forward(path, arrays, entry)
-            landmarks = joints[:, FROM_MANO]
-            is_finite = np.isfinite(landmarks).all(axis=(1, 2))
-            valid = as_flags(arrays.get("valid", is_finite), "valid", len(landmarks))
-            return Recording(
-                name=entry_stem(path, entry),
-                time=self._time(path, arrays, len(landmarks)),
-                landmarks=landmarks,
-                valid=valid & is_finite,
-                side=entry.side,
-                source="MANO",
-            )
+            time = self._time(path, arrays, len(joints))
+        return build_recording(
+            path, entry, time, joints[:, FROM_MANO], valid=arrays.get("valid"), source="MANO"
+        )
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the arrays that a recording cannot hold."""
         return tuple(sorted(member_names(path) - _KNOWN - {"flat_hand_mean"}))
 
-    def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
-        """Name what joints cannot say."""
-        lost = ["the wrist's orientation"] if any(r.wrist is not None for r in recordings) else []
-        if any(r.confidence is not None for r in recordings):
-            lost.append("the confidence")
-        if any(r.source for r in recordings):
-            lost.append("the words about the source")
-        return tuple(lost)
-
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write the joints of one hand."""
-        check_one_per_hand(recordings[:1] if len(recordings) == 1 else [*recordings] * 2, self.name)
+        self.check_one_per_hand([*recordings, *recordings[1:]])
         recording = recordings[0]
         with replaced_file(path, "path") as file:
             np.savez_compressed(
@@ -110,12 +95,6 @@ class ManoFormat:
                 joints=recording.landmarks[:, np.argsort(FROM_MANO)],
                 valid=recording.valid,
             )
-
-    @staticmethod
-    def _main(path: Path) -> str:
-        """Return the array whose length is the number of samples."""
-        names = member_names(path)
-        return next(name for name in ("joints", *_POSES) if name in names)
 
     @staticmethod
     def _time(path: Path, arrays: dict[str, np.ndarray], count: int) -> np.ndarray:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -21,38 +20,30 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import poses_from_quats, quat_wxyz_from_rotation
-from handmap_qp.trackers.formats.archive import DAMAGES
+from handmap_qp.trackers.formats.archive import damages
 from handmap_qp.trackers.formats.base import (
     SIDES,
     Entry,
-    check_one_per_hand,
-    entry_stem,
+    RecordingFormat,
+    build_recording,
+    finite_samples,
     reading,
     require,
 )
-from handmap_qp.trackers.formats.columns import finite_samples
 
 _POSES, _STATE = "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/JointState"
 _POSE, _NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64"
+# Message types of a hand's topics, and a word of the topic's name.
+_KINDS = {
+    "landmarks": (_POSES, ""),
+    "joint_states": (_STATE, ""),
+    "wrist": (_POSE, "wrist"),
+    "confidence": (_NUMBER, "confidence"),
+}
 _FRAME = "tracker"
 
 
-@dataclass(frozen=True, slots=True)
-class _Topics:
-    """The topics of one hand, with their number of messages."""
-
-    landmarks: str | None
-    joints: str | None
-    wrist: str | None
-    confidence: str | None
-    count: int
-
-    @property
-    def names(self) -> tuple[str | None, ...]:
-        return (self.landmarks, self.joints, self.wrist, self.confidence)
-
-
-class McapFormat:
+class McapFormat(RecordingFormat):
     """A bag with topics below a namespace that has `left` or `right` in its name.
 
     Read are `.../landmarks` (geometry_msgs/PoseArray of 21 poses, MediaPipe's order) or, without
@@ -74,44 +65,44 @@ class McapFormat:
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands that have landmarks or joint states."""
         with _opened(path) as bag:
-            hands = _hands(path, bag)
-            return tuple(Entry(side, side, topics.count) for side, topics in hands.items())
+            return tuple(
+                Entry(side, side, bag.topics[_main(topics)].msgcount)
+                for side, topics in _hands(path, bag).items()
+            )
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""
         with _opened(path) as bag:
             topics = _hands(path, bag)[entry.side]
-            reader = _Reader(bag)
-            name = topics.landmarks or topics.joints or ""
-            times, messages = reader.stamped(name)
-            wrist = _wrist_poses(reader, topics.wrist, times)
-            if topics.landmarks is not None:
+            name = _main(topics)
+            pairs = list(_messages(bag, name))
+            messages, times = [message for _, message in pairs], [_instant(m) for _, m in pairs]
+            wrist = _wrist_poses(path, bag, topics["wrist"], times) if "wrist" in topics else None
+            if "landmarks" in topics:
                 landmarks = _landmarks(path, name, messages)
             else:
                 landmarks = _forward(path, name, messages, entry.side, wrist)
             confidence = None
-            if topics.confidence is not None:
-                found = reader.logged(topics.confidence)
-                confidence = np.array([found.get(stamp, np.nan) for stamp in reader.logs])
-        valid = finite_samples(landmarks)
-        if wrist is not None and not np.isfinite(wrist[valid]).all():
+            if "confidence" in topics:
+                found = {log: message.data for log, message in _messages(bag, topics["confidence"])}
+                confidence = np.array([found.get(log, np.nan) for log, _ in pairs])
+        if wrist is not None and not np.isfinite(wrist[finite_samples(landmarks)]).all():
             wrist = None
-        with reading(path, f"{name}: "):
-            return Recording(
-                name=entry_stem(path, entry),
-                time=np.array(times),
-                landmarks=landmarks,
-                valid=valid,
-                side=entry.side,
-                source=f"ROS 2 bag, {name}",
-                wrist=wrist,
-                confidence=confidence,
-            )
+        return build_recording(
+            path,
+            entry,
+            np.array(times),
+            landmarks,
+            prefix=f"{name}: ",
+            source=f"ROS 2 bag, {name}",
+            wrist=wrist,
+            confidence=confidence,
+        )
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
-            used = {topic for topics in _hands(path, bag).values() for topic in topics.names}
+            used = {topic for topics in _hands(path, bag).values() for topic in topics.values()}
             return tuple(f"topic {topic}" for topic in sorted(set(bag.topics) - used))
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -125,7 +116,7 @@ class McapFormat:
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both; a bag of one file, without the folder around it."""
-        check_one_per_hand(recordings, self.name)
+        self.check_one_per_hand(recordings)
         bags = require("rosbags.rosbag2")
         for recording in recordings:
             if recording.time[0] < 0.0 or recording.time[-1] > 2.0**31:
@@ -138,7 +129,8 @@ class McapFormat:
         ):
             bag = Path(folder) / path.stem
             with bags.Writer(bag, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
-                _Writer(writer).write(recordings)
+                for recording in recordings:
+                    _write_hand(writer, recording)
             (file,) = bag.glob("*.mcap")
             file.replace(temporary)
 
@@ -147,15 +139,13 @@ class McapFormat:
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag, and turn what rosbags raises inside the block into `RecordingError`."""
     bags, serde = require("rosbags.rosbag2"), require("rosbags.serde")
-    try:
-        with bags.Reader(path) as bag:
-            yield bag
-    except HandmapError:
-        raise
-    # rosbags asserts on damaged records.
-    except (bags.ReaderError, serde.SerdeError, AssertionError, *DAMAGES) as error:
-        text = " ".join(str(error).split())
-        raise RecordingError(f"cannot be read as MCAP: {text[:160]}", file=path) from error
+    with damages(path, "cannot be read as MCAP"):
+        try:
+            with bags.Reader(path) as bag:
+                yield bag
+        # rosbags asserts on damaged records.
+        except (bags.ReaderError, serde.SerdeError, AssertionError) as error:
+            raise ValueError(*error.args) from error
 
 
 def _store() -> Any:
@@ -163,23 +153,18 @@ def _store() -> Any:
     return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 
-def _hands(path: Path, bag: Any) -> dict[Side, _Topics]:
-    """Find the topics of each hand by their types and names."""
-    found: dict[Side, _Topics] = {}
+def _hands(path: Path, bag: Any) -> dict[Side, dict[str, str]]:
+    """Find the topics of each hand by their types and names: the first of each of `_KINDS`."""
+    found: dict[Side, dict[str, str]] = {}
     for side in SIDES:
-        own = {name: info for name, info in bag.topics.items() if side in name.lower()}
-
-        def pick(kind: str, word: str = "", own: dict[str, Any] = own) -> str | None:
-            names = [n for n, info in own.items() if info.msgtype == kind and word in n]
-            return names[0] if names else None
-
-        landmarks, joints = pick(_POSES), pick(_STATE)
-        main = landmarks or joints
-        if main is not None:
-            count = own[main].msgcount
-            found[side] = _Topics(
-                landmarks, joints, pick(_POSE, "wrist"), pick(_NUMBER, "confidence"), count
-            )
+        own = {
+            what: topic
+            for what, (kind, word) in _KINDS.items()
+            for topic, info in reversed([*bag.topics.items()])
+            if side in topic.lower() and info.msgtype == kind and word in topic
+        }
+        if "landmarks" in own or "joint_states" in own:
+            found[side] = own
     if not found:
         names = ", ".join(sorted(bag.topics)) or "none"
         problem = f"has no {_POSES} or {_STATE} with left or right in the topic's name; topics are "
@@ -187,52 +172,35 @@ def _hands(path: Path, bag: Any) -> dict[Side, _Topics]:
     return found
 
 
-class _Reader:
-    """Reads the messages of topics."""
-
-    def __init__(self, bag: Any) -> None:
-        self._bag, self._store = bag, _store()
-        self.logs: list[int] = []
-
-    def stamped(self, topic: str) -> tuple[list[float], list[Any]]:
-        """Return the instants of the headers [s] and the messages; `logs` has the logged times."""
-        times, messages = [], []
-        for log, message in self._messages(topic):
-            stamp = message.header.stamp
-            times.append(stamp.sec + 1e-9 * stamp.nanosec)
-            messages.append(message)
-            self.logs.append(log)
-        return times, messages
-
-    def logged(self, topic: str) -> dict[int, float]:
-        """Return the values of a topic of numbers by the logged times."""
-        return {log: message.data for log, message in self._messages(topic)}
-
-    def poses(self, topic: str) -> dict[float, tuple[float, ...]]:
-        """Return seven numbers, position and quaternion wxyz, by instants."""
-        found = {}
-        for _, message in self._messages(topic):
-            stamp, pose = message.header.stamp, message.pose
-            p, q = pose.position, pose.orientation
-            found[stamp.sec + 1e-9 * stamp.nanosec] = (p.x, p.y, p.z, q.w, q.x, q.y, q.z)
-        return found
-
-    def _messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        connections = [c for c in self._bag.connections if c.topic == topic]
-        for connection, log, raw in self._bag.messages(connections=connections):
-            yield log, self._store.deserialize_cdr(raw, connection.msgtype)
+def _main(topics: dict[str, str]) -> str:
+    """Return the topic that has the samples of a hand."""
+    return topics.get("landmarks") or topics["joint_states"]
 
 
-def _wrist_poses(reader: _Reader, topic: str | None, times: list[float]) -> np.ndarray | None:
+def _messages(bag: Any, topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield the messages of a topic with the times at which they were logged [ns]."""
+    store, connections = _store(), [c for c in bag.connections if c.topic == topic]
+    for connection, log, raw in bag.messages(connections=connections):
+        yield log, store.deserialize_cdr(raw, connection.msgtype)
+
+
+def _instant(message: Any) -> float:
+    """Return the instant of a message's header [s]."""
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+
+
+def _wrist_poses(path: Path, bag: Any, topic: str, times: list[float]) -> np.ndarray:
     """Return the wrist's poses at the instants, NaN where there is none, shape (T, 4, 4)."""
-    if topic is None:
-        return None
-    found, none = reader.poses(topic), (np.nan,) * 7
-    rows = np.array([found.get(time, none) for time in times])
-    is_given = np.isfinite(rows).all(axis=1)
+    found = {}
+    for _, message in _messages(bag, topic):
+        p, q = message.pose.position, message.pose.orientation
+        found[_instant(message)] = (p.x, p.y, p.z, q.w, q.x, q.y, q.z)
+    rows = np.array([found.get(time, (np.nan,) * 7) for time in times]).reshape(-1, 7)
+    is_given = finite_samples(rows)
     poses = np.full((len(rows), 4, 4), np.nan)
     if is_given.any():
-        poses[is_given] = poses_from_quats(rows[is_given, :3], rows[is_given, 3:], topic)
+        with reading(path):
+            poses[is_given] = poses_from_quats(rows[is_given, :3], rows[is_given, 3:], topic)
     return poses
 
 
@@ -269,56 +237,42 @@ def _forward(
     return rows
 
 
-class _Writer:
-    """Writes the messages of recordings."""
+def _write_hand(writer: Any, recording: Recording) -> None:
+    """Write all topics of a recording."""
+    store, motion, topics = _store(), fit_recording(recording), {}
+    for what, (kind, _) in _KINDS.items():
+        # Landmarks and joint states are always there.
+        if getattr(recording, what, ()) is not None:
+            topic = f"/{recording.side}_hand/{what}"
+            topics[kind] = writer.add_connection(topic, kind, typestore=store)
 
-    def __init__(self, writer: Any) -> None:
-        self._writer, self._store = writer, _store()
-        self._types = self._store.types
+    def made(kind: str, *values: Any) -> Any:
+        return store.types[kind](*values)
 
-    def write(self, recordings: Sequence[Recording]) -> None:
-        """Write all topics of each recording."""
-        for recording in recordings:
-            self._write_hand(recording)
-
-    def _write_hand(self, recording: Recording) -> None:
-        base, motion = f"/{recording.side}_hand", fit_recording(recording)
-        landmarks = self._topic(f"{base}/landmarks", _POSES)
-        joints = self._topic(f"{base}/joint_states", _STATE)
-        wrist = None if recording.wrist is None else self._topic(f"{base}/wrist", _POSE)
-        confidence = (
-            None if recording.confidence is None else self._topic(f"{base}/confidence", _NUMBER)
-        )
-        names, none = list(motion.human.joint_names), np.zeros(0)
-        for i, time in enumerate(recording.time.tolist()):
-            stamp = round(1e9 * time)
-            header = self._header(stamp)
-            points = recording.landmarks[i] if recording.valid[i] else np.full((21, 3), np.nan)
-            poses = [self._pose(point, (1.0, 0.0, 0.0, 0.0)) for point in points.tolist()]
-            self._send(landmarks, stamp, _POSES, header, poses)
-            if motion.valid[i]:
-                self._send(joints, stamp, _STATE, header, names, motion.q[i], none, none)
-            if wrist is not None and recording.wrist is not None and recording.valid[i]:
-                pose = recording.wrist[i]
-                turn = quat_wxyz_from_rotation(pose[:3, :3]).tolist()
-                self._send(wrist, stamp, _POSE, header, self._pose(pose[:3, 3].tolist(), turn))
-            if confidence is not None and recording.confidence is not None:
-                self._send(confidence, stamp, _NUMBER, float(recording.confidence[i]))
-
-    def _topic(self, name: str, kind: str) -> Any:
-        return self._writer.add_connection(name, kind, typestore=self._store)
-
-    def _send(self, topic: Any, stamp: int, kind: str, *values: Any) -> None:
-        message = self._types[kind](*values)
-        self._writer.write(topic, stamp, self._store.serialize_cdr(message, kind))
-
-    def _header(self, stamp: int) -> Any:
-        time = self._types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
-        return self._types["std_msgs/msg/Header"](time, _FRAME)
-
-    def _pose(self, position: Sequence[float], quat_wxyz: Sequence[float]) -> Any:
+    def pose(position: np.ndarray, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)) -> Any:
         w, x, y, z = quat_wxyz
-        return self._types["geometry_msgs/msg/Pose"](
-            self._types["geometry_msgs/msg/Point"](*position),
-            self._types["geometry_msgs/msg/Quaternion"](x, y, z, w),
+        return made(
+            "geometry_msgs/msg/Pose",
+            made("geometry_msgs/msg/Point", *position.tolist()),
+            made("geometry_msgs/msg/Quaternion", x, y, z, w),
         )
+
+    names, none = list(motion.human.joint_names), np.zeros(0)
+    for i, time in enumerate(recording.time.tolist()):
+        stamp = round(1e9 * time)
+        instant = made("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
+        header = made("std_msgs/msg/Header", instant, _FRAME)
+        points = recording.landmarks[i] if recording.valid[i] else np.full((21, 3), np.nan)
+        values: dict[str, tuple[Any, ...]] = {_POSES: (header, [pose(point) for point in points])}
+        if motion.valid[i]:
+            values[_STATE] = (header, names, motion.q[i], none, none)
+        if recording.wrist is not None and recording.valid[i]:
+            own = recording.wrist[i]
+            values[_POSE] = (
+                header,
+                pose(own[:3, 3], quat_wxyz_from_rotation(own[:3, :3]).tolist()),
+            )
+        if recording.confidence is not None:
+            values[_NUMBER] = (float(recording.confidence[i]),)
+        for kind, given in values.items():
+            writer.write(topics[kind], stamp, store.serialize_cdr(made(kind, *given), kind))

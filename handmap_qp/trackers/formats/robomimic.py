@@ -13,20 +13,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from handmap_qp.errors import InvalidInputError, RecordingError
-from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.trackers.formats.base import SIDES, Entry, reading
-from handmap_qp.trackers.formats.columns import landmark_rows, pose_rows, recording_of_rows
-from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, numbers, opened
+from handmap_qp.trackers.formats.base import (
+    Entry,
+    RecordingFormat,
+    build_recording,
+    landmark_rows,
+    pose_rows,
+    side_of,
+)
+from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, has_group, numbers, opened
 
 _KNOWN = {"landmarks", "time", "valid", "confidence", "wrist"}
 
 
-class RobomimicFormat:
+class RobomimicFormat(RecordingFormat):
     """A file with one demonstration for each hand and recording; lossless.
 
     `obs` of each demonstration has `landmarks (N, 63)` [m], `time (N,)` [s], `valid (N,)`, and
@@ -40,10 +43,7 @@ class RobomimicFormat:
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the file has demonstrations."""
-        if not path.is_file():
-            return False
-        with opened(path) as file:
-            return "data" in file
+        return has_group(path, "data")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the demonstrations by their numbers."""
@@ -57,35 +57,22 @@ class RobomimicFormat:
         with opened(path) as file:
             demo = file["data"][entry.name]
             obs, count = demo["obs"], entry.samples
+            is_flat = len(obs["landmarks"].shape) == 2
+            sizes = {"time": (), "valid": (), "confidence": (), "wrist": (12,)}
+            sizes["landmarks"] = (3 * LANDMARK_COUNT,) if is_flat else (LANDMARK_COUNT, 3)
             columns = {
-                name: numbers(path, obs, name, shape)
-                for name, shape in {
-                    "time": (count,),
-                    "valid": (count,),
-                    "confidence": (count,),
-                    "wrist": (count, 12),
-                }.items()
+                name: numbers(path, obs, name, (count, *size))
+                for name, size in sizes.items()
                 if name in obs or name == "time"
             }
-            size = 3 * LANDMARK_COUNT
-            is_flat = "landmarks" not in obs or len(obs["landmarks"].shape) == 2
-            shape = (count, size) if is_flat else (count, LANDMARK_COUNT, 3)
-            landmarks = numbers(path, obs, "landmarks", shape).reshape(count, size)
             about = {key: str(demo.attrs.get(key, "")) for key in ("name", "source")}
-        valid = columns.get("valid")
-        with reading(path, f"data/{entry.name}/obs/"):
-            if valid is not None and not np.isin(valid, (0.0, 1.0)).all():
-                raise InvalidInputError(argument="valid", problem="expected 0 and 1")
-            return recording_of_rows(
-                about["name"] or f"{path.stem}_{entry.name}",
-                entry.side,
-                columns["time"],
-                landmarks,
-                valid=None if valid is None else valid.astype(bool),
-                confidence=columns.get("confidence"),
-                wrist=columns.get("wrist"),
-                source=about["source"],
-            )
+        return build_recording(
+            path,
+            entry,
+            prefix=f"data/{entry.name}/obs/",
+            **columns,
+            **about,
+        )
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the arrays that a recording cannot hold."""
@@ -95,10 +82,6 @@ class RobomimicFormat:
                 found |= {name for name in demo if name != "obs"}
                 found |= {f"obs/{name}" for name in demo["obs"] if name not in _KNOWN}
             return tuple(sorted(found))
-
-    def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
-        """Name nothing: the form is lossless."""
-        return ()
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as a demonstration."""
@@ -121,7 +104,7 @@ class RobomimicFormat:
                 if recording.confidence is not None:
                     obs["confidence"] = recording.confidence
                 if recording.wrist is not None:
-                    obs["wrist"] = pose_rows(recording.wrist)
+                    obs["wrist"] = pose_rows(recording)
 
 
 def _number(name: str) -> tuple[int, str]:
@@ -135,12 +118,5 @@ def _entry(path: Path, name: str, demo: Any) -> Entry:
         known = sorted(demo["obs"]) if hasattr(demo, "keys") and "obs" in demo else ["no group obs"]
         problem = f"has no landmarks; it has {', '.join(known)}"
         raise RecordingError(problem, file=path, array=f"data/{name}")
-    return Entry(name, _side(path, name, demo), len(demo["obs"]["landmarks"]))
-
-
-def _side(path: Path, name: str, demo: Any) -> Side:
-    for side in SIDES:
-        if demo.attrs.get("side") == side:
-            return side
-    problem = "expected the attribute side, right or left"
-    raise RecordingError(problem, file=path, array=f"data/{name}")
+    side = side_of(demo.attrs.get("side"), path, f"data/{name}")
+    return Entry(name, side, len(demo["obs"]["landmarks"]))

@@ -14,14 +14,8 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, HumanSample
-from handmap_qp.se3 import (
-    affine,
-    inverse_pose,
-    poses_from_quats,
-    quat_wxyz_from_rotation,
-    rigid_fit,
-)
-from handmap_qp.trackers.layout import (
+from handmap_qp.se3 import affine, inverse_pose, quat_wxyz_from_rotation, rigid_fit
+from handmap_qp.trackers.layouts.base import (
     UNITS,
     AxesTable,
     Hands,
@@ -30,11 +24,14 @@ from handmap_qp.trackers.layout import (
     QuatOrder,
     WristTable,
     from_own_axes,
+    poses_of_sevens,
+    sized_human,
     to_own_axes,
-    typical_human,
 )
 
 _OUR_AXES = AxesTable("+y", "+z")
+_FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
+"""Shapes of a joint, by how many numbers it has."""
 
 
 class BetweenTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,7 +86,7 @@ class PointLayout(Layout[PointTable]):
     """
 
     def __init__(self, table: PointTable) -> None:
-        self.table = table
+        super().__init__(table)
         self._indices = {
             "right": np.array(table.landmarks, dtype=int),
             "left": np.array(table.left_landmarks or table.landmarks, dtype=int),
@@ -102,7 +99,7 @@ class PointLayout(Layout[PointTable]):
             if indices.min() < 0 or indices.max() >= table.count:
                 expected = f"indices below count, {table.count}"
                 raise InvalidInputError(argument="landmarks", expected=expected, value=indices)
-        if not table.poses or not set(table.poses) <= {3, 7, 16}:
+        if not table.poses or not set(table.poses) <= set(_FORMS):
             raise InvalidInputError(
                 argument="poses", expected="some of 3, 7 and 16", value=table.poses
             )
@@ -114,27 +111,9 @@ class PointLayout(Layout[PointTable]):
                 argument="wrist.joint", expected="one of the names", value=joint
             )
         self._wrist_index = None if joint is None else names[joint]
-
-    @property
-    def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of one sample: a row for every joint."""
-        sizes = {3: (3,), 7: (7,), 16: (4, 4)}
-        return tuple((self.table.count, *sizes[size]) for size in self.table.poses)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """`JOINT_x` and so on, of positions."""
-        return tuple(f"{self.joint_name(i)}_{a}" for i in range(self.table.count) for a in "xyz")
-
-    @property
-    def has_wrist(self) -> bool:
-        """Whether the joints have orientations, and one of them is the wrist's."""
-        return self._wrist_index is not None and self.table.poses != (3,)
-
-    @property
-    def wrist_table(self) -> WristTable | None:
-        """How a wrist pose is obtained."""
-        return self.table.wrist
+        self.shapes = tuple((table.count, *_FORMS[size]) for size in table.poses)
+        self.columns = tuple(f"{self.joint_name(i)}_{a}" for i in range(table.count) for a in "xyz")
+        self.has_wrist = joint is not None and table.poses != (3,)
 
     def joint_name(self, index: int) -> str:
         """Return the name of a joint."""
@@ -180,7 +159,9 @@ class PointLayout(Layout[PointTable]):
             return Hands(landmarks, wrists)
         if self._wrist_index is not None and values.shape[2:] != (3,):
             assert self.table.wrist is not None  # it names the joint
-            poses = self._poses(values[:, self._wrist_index])
+            poses = values[:, self._wrist_index]
+            if poses.shape[1:] == (7,):
+                poses = poses_of_sevens(poses, self.table.quaternion, "values")
             axes = self.table.wrist.axes(side)
             wrists = to_own_axes(poses, axes, reflection, self._scale)
         return Hands(landmarks, wrists)
@@ -191,7 +172,7 @@ class PointLayout(Layout[PointTable]):
             raise InvalidInputError(argument="sample", expected="a valid sample", got="another")
         wrist = sample.wrist
         if wrist is None:
-            model = typical_human(sample.side)
+            model = sized_human(sample.side)
             wrist = rigid_fit(model.points(model.rest)[PALM], sample.landmarks[PALM])
         return self._write(sample.landmarks, wrist, sample.side)
 
@@ -222,13 +203,6 @@ class PointLayout(Layout[PointTable]):
         axes = _OUR_AXES if self.table.wrist is None else self.table.wrist.axes(side)
         theirs = from_own_axes(poses, axes, self.table.reflection, self._scale)
         return theirs if size == 16 else self._as_sevens(theirs)
-
-    def _poses(self, values: np.ndarray) -> np.ndarray:
-        """Return poses of one joint as matrices, shape (T, 4, 4)."""
-        if values.shape[1:] == (4, 4):
-            return values
-        order = [3, 4, 5, 6] if self.table.quaternion == "wxyz" else [6, 3, 4, 5]
-        return poses_from_quats(values[:, :3], values[:, order], "values")
 
     def _as_sevens(self, poses: np.ndarray) -> np.ndarray:
         quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in poses])

@@ -17,7 +17,7 @@ from handmap_qp.hands.urdf import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import rigid_fit, transform_points
-from handmap_qp.trackers.layout import TYPICAL_LENGTH, UNITS, Hands, Layout, LayoutTable
+from handmap_qp.trackers.layouts.base import TYPICAL_LENGTH, UNITS, Hands, Layout, LayoutTable
 
 # A left hand is fitted as its mirror image: places on links are those of a right hand.
 _MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -69,7 +69,7 @@ class MarkerLayout(Layout[MarkerTable]):
     """
 
     def __init__(self, table: MarkerTable) -> None:
-        self.table = table
+        super().__init__(table)
         names = [entry.name for entry in table.markers]
         if len(set(names)) < len(names):
             raise InvalidInputError(argument="markers", expected="different names", value=names)
@@ -81,21 +81,9 @@ class MarkerLayout(Layout[MarkerTable]):
         if len(self._on_palm) < 3:
             expected, got = "three markers on the palm", f"{len(self._on_palm)}"
             raise InvalidInputError(argument="markers", expected=expected, got=got)
-
-    @property
-    def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """A position for every marker."""
-        return ((len(self.table.markers), 3),)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """`MARKER_x` and so on."""
-        return tuple(f"{entry.name}_{axis}" for entry in self.table.markers for axis in "xyz")
-
-    @property
-    def has_wrist(self) -> bool:
-        """The wrist's pose is fitted."""
-        return True
+        self.shapes = ((len(names), 3),)
+        self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
+        self.has_wrist = True
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every marker."""

@@ -6,18 +6,20 @@ Files in the package's own forms need no layout; `handmap_qp.trackers.formats` r
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.trackers.formats.archive import read_archive
-from handmap_qp.trackers.layout import Layout, all_layouts
+from handmap_qp.trackers.formats.archive import damages, read_archive
+from handmap_qp.trackers.formats.base import SIDES, side_of
+from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, layouts_of_shape
 from handmap_qp.trackers.plausibility import Finding, examine_recording
 
 _TIMES = {"time": 1.0, "time_s": 1.0, "t": 1.0, "timestamp": 1.0, "time_ms": 1e-3, "time_ns": 1e-9}
@@ -53,29 +55,32 @@ def read_with_layout(
             shape than expected. The message names layouts that fit better.
     """
     file = Path(path)
-    if file.suffix.lower() == ".npz":
-        columns = _read_npz(file, layout, side)
-    elif file.suffix.lower() == ".csv":
-        columns = _read_csv(file, layout, side)
-    else:
+    readers = {".npz": _read_npz, ".csv": _read_csv}
+    if file.suffix.lower() not in readers:
         problem = f"has the suffix {file.suffix!r}; with a layout, .npz and .csv are read"
         raise RecordingError(problem, file=file)
-    time, values, valid, wrists, found_side = columns
-    if side is not None and found_side is not None and side != found_side:
-        raise RecordingError(f"is of a {found_side} hand, not of a {side} one", file=file)
-    hand = side or found_side
+    found = readers[file.suffix.lower()](file, layout, side)
+    if side is not None and found.side is not None and side != found.side:
+        raise RecordingError(f"is of a {found.side} hand, not of a {side} one", file=file)
+    hand = side or found.side
     if hand is None:
         raise RecordingError("does not say which hand it is of: give --side", file=file)
     try:
         recording = layout.record(
-            file.stem, time, values, hand, valid=valid, wrists=wrists, lengths=lengths
+            file.stem,
+            found.time,
+            found.values,
+            hand,
+            valid=found.valid,
+            wrists=found.wrists,
+            lengths=lengths,
         )
     except InvalidInputError as error:
         text = f"{error.what}: {error.advice}" if error.advice else error.what
         raise RecordingError(text, file=file, array=error.argument) from error
     finding = examine_recording(recording)
     if finding is not None:
-        raise _better(file, layout, recording, values, finding)
+        raise _better(file, layout, recording, found.values, finding)
     return recording
 
 
@@ -94,11 +99,16 @@ def layout_hint(path: Path) -> str:
         arrays = read_archive(path)
     except RecordingError:
         return ""
+    return _shaped_like(arrays, "--layout ", " or ")
+
+
+def _shaped_like(arrays: Mapping[str, np.ndarray], option: str = "", between: str = ", ") -> str:
+    """Say which layouts have the shape of an array that is not plain landmarks."""
     for name, array in arrays.items():
         shape = array.shape[1:]
-        names = [layout.name for layout in all_layouts() if shape in layout.shapes]
-        if array.ndim >= 2 and names and shape != (LANDMARK_COUNT, 3):
-            return f"{name} {array.shape} has the shape of --layout {' or '.join(names)}"
+        names = layouts_of_shape(shape) if shape and shape != (LANDMARK_COUNT, 3) else []
+        if names:
+            return f"{name} {array.shape} has the shape of {option}{between.join(names)}"
     return ""
 
 
@@ -108,21 +118,28 @@ def _better(
     """Name the layouts of the same shape that explain the values without a mistake."""
     names = []
     if finding.kind not in ("time", "wrist"):
-        for other in all_layouts():
-            if other.name == layout.name or values.shape[1:] not in other.shapes:
+        for name in layouts_of_shape(values.shape[1:]):
+            if name == layout.name:
                 continue
             try:
-                read = other.record(recording.name, recording.time, values, recording.side)
+                read = LAYOUTS[name].record(recording.name, recording.time, values, recording.side)
             except InvalidInputError:
                 continue
             if examine_recording(read) is None:
-                names.append(other.name)
+                names.append(name)
     advice = f"read them with --layout {' or '.join(names)}" if names else finding.advice
     problem = f"as the layout {layout.name}, {finding.problem}: {advice}"
     return RecordingError(problem, file=file)
 
 
-_Columns = tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None, Side | None]
+class _Columns(NamedTuple):
+    """What a file holds: time [s], values, and where it says so valid, wrist poses and side."""
+
+    time: np.ndarray
+    values: np.ndarray
+    valid: np.ndarray | None
+    wrists: np.ndarray | None
+    side: Side | None
 
 
 def _read_npz(file: Path, layout: Layout, side: Side | None) -> _Columns:
@@ -140,104 +157,73 @@ def _read_npz(file: Path, layout: Layout, side: Side | None) -> _Columns:
     chosen = [name for name in chosen if side is None or name.startswith(side)] or chosen
     if len(chosen) != 1:
         shapes = " or ".join(f"({count}, {', '.join(map(str, s))})" for s in layout.shapes)
-        have = ", ".join(f"{name} {array.shape}" for name, array in arrays.items() if array.ndim)
-        others = _shaped_like(arrays, count)
         problem = f"has {'no' if not chosen else 'more than one'} array of shape {shapes}"
-        hint = f"; {others}" if others and not chosen else f"; it has {have}"
-        raise RecordingError(problem + hint, file=file)
-    values = arrays[chosen[0]].astype(float)
-    valid = arrays.get("valid")
-    flags = None if valid is None else as_flags(valid, "valid", count)
-    wrists = None
+        have = ", ".join(f"{name} {array.shape}" for name, array in arrays.items() if array.ndim)
+        hint = (
+            ""
+            if chosen
+            else _shaped_like({n: a for n, a in arrays.items() if a.shape[:1] == (count,)})
+        )
+        raise RecordingError(f"{problem}; {hint or f'it has {have}'}", file=file)
+    valid, wrists = arrays.get("valid"), None
     if layout.wrist_table is not None and not layout.has_wrist:
-        names = [n for n in _WRISTS if n in arrays and (side is None or _is_of(n, side))]
-        found = [arrays[n].astype(float) for n in names]
-        wrists = next((w.reshape(count, *w.shape[-2:]) if w.ndim > 2 else w for w in found), None)
-    return time, values, flags, wrists, _side_of(file, arrays)
+        other = {"left": "right", "right": "left", None: "neither"}[side]
+        names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]
+        if names:
+            given = arrays[names[0]].astype(float)
+            wrists = given.reshape(count, *given.shape[-2:]) if given.ndim > 2 else given
+    return _Columns(
+        time,
+        arrays[chosen[0]].astype(float),
+        None if valid is None else as_flags(valid, "valid", count),
+        wrists,
+        side_of(arrays["handedness"], file, "handedness") if "handedness" in arrays else None,
+    )
 
 
 def _read_csv(file: Path, layout: Layout, side: Side | None) -> _Columns:
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        text = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise RecordingError(f"cannot be read: {text}", file=file) from error
+    with damages(file, "cannot be read"), file.open(newline="", encoding="utf-8-sig") as stream:
+        rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
     if len(rows) < 2:
         raise RecordingError("has no rows below its header", file=file)
     header = tuple(cell.strip() for cell in rows[0])
-    body = [row + [""] * (len(header) - len(row)) for row in rows[1:]]
-    hand = side or _side_in(header)
+    named = {side for side in SIDES for name in header if side in name.lower()}
+    hand = side or (named.pop() if len(named) == 1 else None)
     try:
         columns = layout.find_columns(header, hand or "right")
     except InvalidInputError as error:
         raise RecordingError(f"{error.what}; it has {', '.join(header)}", file=file) from error
-    values = np.empty((len(body), len(columns)))
+
+    def numbers(name: str) -> np.ndarray:
+        place, found = header.index(name), np.full(len(rows) - 1, np.nan)
+        for i, row in enumerate(rows[1:]):
+            cell = row[place].strip() if place < len(row) else ""
+            try:
+                found[i] = float(cell or "nan")
+            except ValueError as error:
+                problem = f"expected a number in row {i + 2}, got {cell[:40]!r}"
+                raise RecordingError(problem, file=file, array=name) from error
+        return found
+
+    values = np.empty((len(rows) - 1, len(columns)))
     for i, name in columns:
-        values[:, i] = layout.default(i) if name is None else _numbers(file, header, body, name)
-    times = {name: _numbers(file, header, body, name) for name in _time_names(header, layout)}
-    return _time(file, times, layout), values, None, None, hand
+        values[:, i] = layout.default(i) if name is None else numbers(name)
+    times = {name: numbers(name) for name in _times_of(header, layout)}
+    return _Columns(_time(file, times, layout), values, None, None, hand)
 
 
-def _numbers(
-    file: Path, header: Sequence[str], body: Sequence[Sequence[str]], name: str
-) -> np.ndarray:
-    place = header.index(name)
-    numbers = np.empty(len(body))
-    for i, row in enumerate(body):
-        cell = row[place].strip()
-        try:
-            numbers[i] = float(cell) if cell else np.nan
-        except ValueError as error:
-            problem = f"expected a number in row {i + 2}, got {cell[:40]!r}"
-            raise RecordingError(problem, file=file, array=name) from error
-    return numbers
+def _times_of(names: Iterable[str], layout: Layout) -> dict[str, float]:
+    """Return the first name of a time among names, with its unit [s]; nothing if there is none."""
+    units, known = _TIMES | layout.table.time, set(names)
+    found = [name for name in (*layout.table.time, *_TIMES) if name in known]
+    return {name: units[name] for name in found[:1]}
 
 
-def _time_names(names: Sequence[str], layout: Layout) -> list[str]:
-    units = {**_TIMES, **layout.table.time}
-    return [name for name in (*layout.table.time, *_TIMES) if name in names and name in units][:1]
-
-
-def _time(file: Path, arrays: dict[str, np.ndarray], layout: Layout) -> np.ndarray:
-    units = {**_TIMES, **layout.table.time}
-    for name in _time_names(tuple(arrays), layout):
+def _time(file: Path, arrays: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
+    for name, unit in _times_of(arrays, layout).items():
         values = np.asarray(arrays[name])
         if values.ndim == 1 and values.dtype.kind in "fiu":
             # Nanoseconds since 1970 need more digits than a float has.
-            return (values - values[:1]).astype(float) * units[name]
+            return (values - values[:1]).astype(float) * unit
     expected = ", ".join(dict.fromkeys((*layout.table.time, *_TIMES)))
     raise RecordingError(f"has no time; expected one of {expected}", file=file, array="time")
-
-
-def _shaped_like(arrays: dict[str, np.ndarray], count: int) -> str:
-    """Say which layouts have the shape of an array."""
-    for name, array in arrays.items():
-        if array.ndim >= 2 and array.shape[0] == count:
-            names = [layout.name for layout in all_layouts() if array.shape[1:] in layout.shapes]
-            if names:
-                return f"{name} {array.shape} has the shape of {', '.join(names)}"
-    return ""
-
-
-def _side_of(file: Path, arrays: dict[str, np.ndarray]) -> Side | None:
-    if "handedness" not in arrays:
-        return None
-    text = str(arrays["handedness"]).lower()
-    try:
-        check_side(text)
-    except InvalidInputError as error:
-        raise RecordingError(error.what, file=file, array="handedness") from error
-    return "left" if text == "left" else "right"
-
-
-def _side_in(header: Sequence[str]) -> Side | None:
-    """Tell the hand that the columns are named after, if it is one only."""
-    sides = {side for side in ("left", "right") for name in header if side in name.lower()}
-    if len(sides) != 1:
-        return None
-    return "left" if sides == {"left"} else "right"
-
-
-def _is_of(name: str, side: Side) -> bool:
-    return not name.startswith("left" if side == "right" else "right")

@@ -1,21 +1,16 @@
-"""`Layout`: how a tracker lays out one sample of a hand, and the layouts by name or by file.
+"""`Layout`: how a tracker lays out one sample of a hand.
 
-A layout is a table, a YAML file in `layouts/` or one of the user's own, not code: the order of the
-joints, their unit and axes, how the wrist's pose is obtained, and what the tracker does not give.
-There are three kinds of them: points or poses of joints (`point_layout`), joint angles
-(`angle_layout`) and optical markers (`marker_layout`).
-
-    layout = load_layout("openxr26")
-    sample = layout.read(poses, time=0.0, side="right")     # a HumanSample
-    values = layout.write(sample)                           # the same in the layout's own form
+There are three kinds of them: points or poses of joints (`points`), joint angles (`angles`) and
+optical markers (`markers`). Each kind reads tables: the order of the joints, their unit and axes,
+how the wrist's pose is obtained, and what the tracker does not give.
 """
 
 from __future__ import annotations
 
 import abc
 from collections.abc import Mapping
-from functools import cache, lru_cache
-from pathlib import Path
+from functools import lru_cache
+from importlib import import_module
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
@@ -31,7 +26,8 @@ from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.se3 import check_pose, check_poses, poses_from_quats
+from handmap_qp.plugins import Plugins
+from handmap_qp.se3 import check_poses, poses_from_quats
 from handmap_qp.trackers.wrist_axes import axes_convention
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
@@ -41,8 +37,6 @@ UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "rad": 1.0, "deg":
 """Size of a unit in metres or radians."""
 TYPICAL_LENGTH = 0.19
 """Length of the hand that angles and markers are read with where no person was measured [m]."""
-
-_FOLDER = Path(__file__).with_name("layouts")
 
 
 class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -136,13 +130,24 @@ class Hands(NamedTuple):
 class Layout(abc.ABC, Generic[Table]):
     """A tracker's form of samples.
 
+    Other packages add theirs by entry points of the group `handmap_qp.layouts`, each of which names
+    a layout.
+
+    Args:
+        table: The table.
+
     Attributes:
-        name: Short name.
-        title: Device or data set.
         table: All that the table says.
+        shapes: Shapes that one sample may have, the usual one first.
+        columns: Names of the numbers of one sample in a table of columns.
+        has_wrist: Whether the values hold a wrist pose.
     """
 
-    table: Table
+    def __init__(self, table: Table) -> None:
+        self.table = table
+        self.shapes: tuple[tuple[int, ...], ...] = ()
+        self.columns: tuple[str, ...] = ()
+        self.has_wrist = False
 
     @property
     def name(self) -> str:
@@ -155,19 +160,9 @@ class Layout(abc.ABC, Generic[Table]):
         return self.table.title
 
     @property
-    @abc.abstractmethod
-    def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes that one sample may have, the usual one first."""
-
-    @property
-    @abc.abstractmethod
-    def columns(self) -> tuple[str, ...]:
-        """Names of the numbers of one sample in a table of columns."""
-
-    @property
-    @abc.abstractmethod
-    def has_wrist(self) -> bool:
-        """Whether the values hold a wrist pose."""
+    def wrist_table(self) -> WristTable | None:
+        """How a wrist pose is obtained; None if it cannot be."""
+        return getattr(self.table, "wrist", None)
 
     @abc.abstractmethod
     def rows(self) -> list[dict[str, Any]]:
@@ -245,18 +240,18 @@ class Layout(abc.ABC, Generic[Table]):
             InvalidInputError: If the values are not of this layout; the message names the layouts
                 that have their shape.
         """
-        check_side(side)
         if isinstance(values, Mapping):
             found = self.find_columns(tuple(values), side)
             values = np.array([self.default(i) if n is None else values[n] for i, n in found])
-        array = self._checked(np.asarray(values)[None] if np.ndim(values) else values)
-        pose = None if wrist is None else self._own_wrists(np.asarray(wrist)[None], side)
-        is_seen = bool(valid) and bool(np.isfinite(array).all())
-        if not is_seen:
-            return HumanSample(time, side, np.full((21, 3), np.nan), None, False, confidence)
-        landmarks, wrists = self.hands(array, side, pose, lengths)
-        found = None if wrists is None else wrists[0]
-        return HumanSample(time, side, landmarks[0], found, True, confidence)
+        landmarks, wrists, seen = self._convert(
+            np.asarray(values)[None] if np.ndim(values) else values,
+            side,
+            None if wrist is None else np.asarray(wrist)[None],
+            np.array([valid]),
+            lengths,
+        )
+        pose = wrists[0] if wrists is not None else None
+        return HumanSample(time, side, landmarks[0], pose, bool(seen[0]), confidence)
 
     def record(
         self,
@@ -283,22 +278,33 @@ class Layout(abc.ABC, Generic[Table]):
         Raises:
             InvalidInputError: As of `read` and of `Recording`.
         """
+        landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
+        times = np.asarray(time, dtype=float)
+        return Recording(name, times, landmarks, seen, side, f"layout {self.name}", wrist=poses)
+
+    def _convert(
+        self,
+        values: Any,
+        side: Side,
+        wrists: Any,
+        valid: np.ndarray | None,
+        lengths: HumanLengths | None,
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+        """Return landmarks, wrist poses if there are any, and which samples are seen."""
         check_side(side)
         array = self._checked(values)
         seen = np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
         if valid is not None:
             seen = np.logical_and(seen, valid)
-        landmarks = np.full((len(array), 21, 3), np.nan)
-        poses = None if wrists is None else self._own_wrists(np.asarray(wrists), side, seen)
-        found: np.ndarray | None = None
+        beside = None if wrists is None else self._own_wrists(np.asarray(wrists), side, seen)
+        landmarks, poses = np.full((len(array), 21, 3), np.nan), None
         if seen.any():
-            own = self.hands(array[seen], side, None if poses is None else poses[seen], lengths)
-            landmarks[seen] = own.landmarks
-            if own.wrists is not None:
-                found = np.tile(np.eye(4), (len(array), 1, 1))
-                found[seen] = own.wrists
-        times = np.asarray(time, dtype=float)
-        return Recording(name, times, landmarks, seen, side, f"layout {self.name}", wrist=found)
+            found = self.hands(array[seen], side, None if beside is None else beside[seen], lengths)
+            landmarks[seen] = found.landmarks
+            if found.wrists is not None:
+                poses = np.tile(np.eye(4), (len(array), 1, 1))
+                poses[seen] = found.wrists
+        return landmarks, poses, seen
 
     def find_columns(
         self, names: tuple[str, ...], side: Side
@@ -340,11 +346,6 @@ class Layout(abc.ABC, Generic[Table]):
         return None
 
     @property
-    def wrist_table(self) -> WristTable | None:
-        """How a wrist pose is obtained; None if it cannot be."""
-        return None
-
-    @property
     def _length(self) -> float:
         """The unit of lengths [m]."""
         return 1.0 if self.table.unit in ("deg", "rad") else UNITS[self.table.unit]
@@ -361,7 +362,7 @@ class Layout(abc.ABC, Generic[Table]):
         for own in self.shapes:
             if shape == (int(np.prod(own)),):
                 return array.reshape(len(array), *own)
-        others = [layout.name for layout in all_layouts() if shape in layout.shapes]
+        others = layouts_of_shape(shape)
         raise InvalidInputError(
             argument="values",
             expected=f"a sample of {self.name}, {' or '.join(map(str, self.shapes))}",
@@ -369,9 +370,7 @@ class Layout(abc.ABC, Generic[Table]):
             advice=f"that is the shape of {', '.join(others)}" if others else "",
         )
 
-    def _own_wrists(
-        self, values: np.ndarray, side: Side, seen: np.ndarray | None = None
-    ) -> np.ndarray:
+    def _own_wrists(self, values: np.ndarray, side: Side, seen: np.ndarray) -> np.ndarray:
         """Return poses that came beside the values, with our axes, shape (T, 4, 4)."""
         table = self.wrist_table
         if table is None:
@@ -379,13 +378,35 @@ class Layout(abc.ABC, Generic[Table]):
                 argument="wrist", expected=f"none: {self.name} says nothing about its axes"
             )
         if values.shape[1:] == (7,):
-            order = [3, 4, 5, 6] if table.quaternion == "wxyz" else [6, 3, 4, 5]
-            values = poses_from_quats(values[:, :3], values[:, order], "wrist")
-        elif seen is None:
-            values = check_pose(values[0], "wrist")[None]
+            values = poses_of_sevens(values, table.quaternion, "wrist")
         else:
             values = check_poses(values, "wrist", seen)
         return to_own_axes(values, table.axes(side), self.table.reflection, self._length)
+
+
+def _check(layout: Layout) -> None:
+    if not isinstance(layout, Layout):
+        raise TypeError("expected a Layout")
+
+
+LAYOUTS: Mapping[str, Layout] = Plugins(
+    # Imported when used: the kinds of layouts build on this module.
+    "handmap_qp.layouts",
+    lambda: import_module("handmap_qp.trackers.layouts").read_tables(),
+    _check,
+)
+"""All layouts by name."""
+
+
+def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
+    """Return the names of the layouts whose samples may have a shape."""
+    return [name for name, layout in LAYOUTS.items() if shape in layout.shapes]
+
+
+def poses_of_sevens(values: np.ndarray, order: QuatOrder, name: str) -> np.ndarray:
+    """Return the poses of positions and quaternions, shape (T, 7), as matrices, (T, 4, 4)."""
+    columns = [3, 4, 5, 6] if order == "wxyz" else [6, 3, 4, 5]
+    return poses_from_quats(values[:, :3], values[:, columns], name)
 
 
 def to_own_axes(
@@ -420,90 +441,11 @@ def from_own_axes(
     return theirs
 
 
-@cache
-def typical_human(side: Side) -> Hand:
-    """Return the human hand that angles and markers are read with, its points the landmarks."""
-    return load_hand(human_name(side), points="landmarks", hand_length=TYPICAL_LENGTH)
-
-
 @lru_cache(maxsize=4)  # lengths hash by identity
-def sized_human(side: Side, lengths: HumanLengths | None) -> Hand:
-    """Return the human hand of a person, or a typical one."""
-    if lengths is None:
-        return typical_human(side)
-    return load_hand(human_name(side), points="landmarks", lengths=lengths)
-
-
-def layout_names() -> tuple[str, ...]:
-    """Return the names of the layouts of the package."""
-    return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
-
-
-@cache
-def all_layouts() -> tuple[Layout, ...]:
-    """Return all layouts of the package."""
-    return tuple(load_layout(name) for name in layout_names())
-
-
-def table_text(layout: str | Path) -> str:
-    """Return the text of a layout's table, with its comments.
-
-    Raises:
-        InvalidInputError: As of `load_layout`.
-    """
-    load_layout(layout)
-    known = str(layout) in layout_names()
-    return (_FOLDER / f"{layout}.yaml" if known else Path(layout)).read_text(encoding="utf-8")
-
-
-def load_layout(layout: str | Path | Layout) -> Layout:
-    """Load a layout.
-
-    Args:
-        layout: Name of a layout of the package, path of a table (`.yaml`), or a layout.
-
-    Raises:
-        InvalidInputError: If there is no such layout, or the table is not one.
-    """
-    if isinstance(layout, Layout):
-        return layout
-    if not isinstance(layout, str | Path):
-        raise InvalidInputError(argument="layout", expected="a name or a path", value=layout)
-    names = layout_names()
-    if str(layout) in names:
-        return _load(_FOLDER / f"{layout}.yaml")
-    file = Path(layout)
-    if file.suffix not in (".yaml", ".yml"):
-        raise InvalidInputError(
-            argument="layout",
-            expected=f"one of {', '.join(names)}, or the path of a table (.yaml)",
-            value=str(layout),
-            advice=did_you_mean(str(layout), names).strip(),
-        )
-    return _load(file)
-
-
-def _load(file: Path) -> Layout:
-    # Imported when used: the kinds of layouts build on this module.
-    from handmap_qp.trackers.angle_layout import AngleLayout, AngleTable
-    from handmap_qp.trackers.marker_layout import MarkerLayout, MarkerTable
-    from handmap_qp.trackers.point_layout import PointLayout, PointTable
-
-    try:
-        text = file.read_bytes()
-        table = msgspec.yaml.decode(text, type=PointTable | AngleTable | MarkerTable)
-        if isinstance(table, PointTable):
-            return PointLayout(table)
-        return AngleLayout(table) if isinstance(table, AngleTable) else MarkerLayout(table)
-    except OSError as error:
-        problem = f"{file}: cannot be read: {error.strerror or error}"
-        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
-    except InvalidInputError as error:
-        problem = f"{file}: {error}"
-        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
-    except (ValueError, TypeError) as error:  # yaml's and msgspec's errors
-        problem = f"{file}: {' '.join(str(error).split())}"
-        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
+def sized_human(side: Side, lengths: HumanLengths | None = None) -> Hand:
+    """Return the human hand of a person, or a typical one, its points the landmarks."""
+    size: Any = {"hand_length": TYPICAL_LENGTH} if lengths is None else {"lengths": lengths}
+    return load_hand(human_name(side), points="landmarks", **size)
 
 
 def _direction(axis: Axis) -> np.ndarray:

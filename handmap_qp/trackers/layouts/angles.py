@@ -15,8 +15,7 @@ from handmap_qp.errors import InvalidInputError, did_you_mean
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import transform_points
-from handmap_qp.trackers.layout import (
+from handmap_qp.trackers.layouts.base import (
     UNITS,
     Hands,
     Layout,
@@ -29,6 +28,7 @@ from handmap_qp.trackers.layout import (
 # that all its angles are smaller, so smaller ones are in radians.
 _LARGEST_ANGLE = 3.2  # rad
 _STRAIGHTEST = 3.2  # deg
+_WORDS = {"rad": "radians", "deg": "degrees"}
 _BACKWARDS = np.radians(-20.0)  # mean of the four middle joints; people reach about -10
 
 
@@ -75,7 +75,7 @@ class AngleLayout(Layout[AngleTable]):
     """
 
     def __init__(self, table: AngleTable) -> None:
-        self.table = table
+        super().__init__(table)
         joints = [entry.joint for entry in table.angles]
         for joint in joints:
             if joint not in HUMAN_JOINTS or joints.count(joint) > 1:
@@ -92,26 +92,8 @@ class AngleLayout(Layout[AngleTable]):
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
-
-    @property
-    def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """One number for every angle."""
-        return ((len(self.table.angles),),)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The names of the angles."""
-        return tuple(entry.name for entry in self.table.angles)
-
-    @property
-    def has_wrist(self) -> bool:
-        """Angles hold no wrist pose."""
-        return False
-
-    @property
-    def wrist_table(self) -> WristTable | None:
-        """How a wrist pose is obtained."""
-        return self.table.wrist
+        self.shapes = ((len(joints),),)
+        self.columns = tuple(entry.name for entry in table.angles)
 
     def aliases(self, index: int) -> tuple[str, ...]:
         """Return further names of an angle."""
@@ -165,12 +147,7 @@ class AngleLayout(Layout[AngleTable]):
         postures = np.clip(self.postures(values), human.lower_limits, human.upper_limits)
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
-            landmarks = np.array(
-                [
-                    transform_points(wrist, points)
-                    for wrist, points in zip(wrists, landmarks, strict=True)
-                ]
-            )
+            landmarks = landmarks @ wrists[:, :3, :3].transpose(0, 2, 1) + wrists[:, None, :3, 3]
         return Hands(landmarks, wrists)
 
     def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
@@ -181,19 +158,18 @@ class AngleLayout(Layout[AngleTable]):
     def _check(self, values: np.ndarray, q: np.ndarray) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
         largest = float(np.abs(values).max(initial=0.0))
-        if self.table.unit == "rad" and largest > 2.0 * _LARGEST_ANGLE:
+        unit, other, got = self.table.unit, "", f"{largest:.4g}"
+        if unit == "rad" and largest > 2.0 * _LARGEST_ANGLE:
+            other = "deg"
+        if unit == "deg" and len(values) > 1 and 0.0 < largest < _STRAIGHTEST:
+            other, got = "rad", f"none above {largest:.3g}"
+        if other:
             raise InvalidInputError(
                 argument="values",
-                expected="angles in radians",
-                got=f"{largest:.4g}",
-                advice="these are degrees: convert them, or set `unit: deg` in a table of your own",
-            )
-        if self.table.unit == "deg" and len(values) > 1 and 0.0 < largest < _STRAIGHTEST:
-            raise InvalidInputError(
-                argument="values",
-                expected="angles in degrees",
-                got=f"none above {largest:.3g}",
-                advice="these are radians: convert them, or set `unit: rad` in a table of your own",
+                expected=f"angles in {_WORDS[unit]}",
+                got=got,
+                advice=f"these are {_WORDS[other]}: convert them, or set `unit: {other}` in a "
+                "table of your own",
             )
         bends = [i for i, name in enumerate(HUMAN_JOINTS) if name.endswith("PIP_flexion")]
         backwards = q[:, bends].mean(axis=1) < _BACKWARDS
