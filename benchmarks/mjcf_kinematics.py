@@ -14,9 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.mjcf.comparison import kinematics_difference
-from handmap_qp.hands.mjcf.compile import is_mjcf
-from handmap_qp.hands.mjcf.convert import convert_mjcf
+from handmap_qp.hands.mjcf.convert import convert_mjcf, kinematics_difference
+from handmap_qp.hands.sources import is_mjcf
 from handmap_qp.tables import print_rows
 
 

@@ -341,7 +341,7 @@ class Hand:
         Raises:
             InvalidInputError: If there is no such frame, or as `configuration_vector`.
         """
-        frame_id = self._find_frame(frame)
+        frame_id = self._find(frame, "frame", self._frame_ids)
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         return self._scratch.frame_pose(self.model.frames[frame_id])
 
@@ -366,7 +366,7 @@ class Hand:
         """
         if isinstance(links, str) or not isinstance(links, Sequence):
             raise InvalidInputError(argument="links", expected="names of links", value=links)
-        frames = [self._find_link(link, f"links[{i}]") for i, link in enumerate(links)]
+        frames = [self._find(link, f"links[{i}]", self._links) for i, link in enumerate(links)]
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         poses = [self._scratch.frame_pose(self.model.frames[frame]) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
@@ -409,17 +409,24 @@ class Hand:
         self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
         palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
         self.wrist_to_palm = _frozen(palm.homogeneous)
+        # By kind: in many URDFs a joint has the name of its link.
+        joints, self._links = (
+            {frame.name: i for i, frame in enumerate(model.frames) if frame.type == kind}
+            for kind in (pin.FrameType.JOINT, pin.FrameType.BODY)
+        )
+        own = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
+        self._named_frames = {**joints, **self._links}, own
 
     def _take_points(self, points: tuple[PointSpec, ...]) -> None:
         """Use reference points: they are the last frames of a model of their own."""
         self.model = model = pin.Model(self._pointless_model)
-        self._frame_ids = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
-        self.first_point_frame = len(model.frames)
+        self.first_point_frame, ids = len(model.frames), dict[str, int]()
         for i, point in enumerate(points):
             placement = affine(np.eye(3), np.array(point.xyz))
             name, key = f"/{i}/{point.name}", f"points[{i}].link"
-            frame = add_frame(model, self.spec, name, point.link, placement, key)
-            self._frame_ids.setdefault(point.name, frame)
+            ids[point.name] = add_frame(model, self.spec, name, point.link, placement, key)
+        others, own = self._named_frames
+        self._frame_ids = {**others, **ids, **own}
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
         self.__dict__.pop("_placed_model", None)
@@ -435,21 +442,12 @@ class Hand:
         """Workspace of the methods that place the hand; most hands with other points need none."""
         return self.configuration()
 
-    def _find_frame(self, name: str) -> int:
-        _check_type("frame", name, str, "the name of a frame")
-        if name in self._frame_ids:
-            return self._frame_ids[name]
-        is_link = self.model.existFrame(name, pin.FrameType.BODY)
-        if not is_link and self.model.existFrame(name, pin.FrameType.JOINT):
-            return self.model.getFrameId(name, pin.FrameType.JOINT)
-        return self._find_link(name, "frame")
-
-    def _find_link(self, name: str, argument: str) -> int:
-        _check_type(argument, name, str, "the name of a link")
-        if not self.model.existFrame(name, pin.FrameType.BODY):
+    def _find(self, name: str, argument: str, known: Mapping[str, int]) -> int:
+        _check_type(argument, name, str, "a name")
+        if name not in known:
             problem = f"{self.name} has no link {name!r}"
             raise InvalidInputError(problem, argument=argument, value=name)
-        return self.model.getFrameId(name, pin.FrameType.BODY)
+        return known[name]
 
 
 def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ...]:

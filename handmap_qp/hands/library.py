@@ -146,9 +146,14 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
         MissingExtraError: If its URDF lies in a package that is not installed.
     """
     found = load_hand(hand)
-    numbers = (found.lower_limits, found.upper_limits, found.velocity_limits)
-    numbers += (found.stop_distances, found.rest)
-    columns = (found.joint_names, *(array.tolist() for array in numbers))
+    columns = {
+        "joint": found.joint_names,
+        "lower rad": found.lower_limits.tolist(),
+        "upper rad": found.upper_limits.tolist(),
+        "speed rad/s": found.velocity_limits.tolist(),
+        "stop": found.stop_distances.tolist(),
+        "rest rad": found.rest.tolist(),
+    }
     chosen = {point.name for point in found.reference_points}
     return {
         "name": found.name,
@@ -158,15 +163,7 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
         "palm": f"link {found.spec.palm.link}",
         "stops within": f"{LONGEST_STOP:g} s",
         "joints": [
-            {
-                "joint": name,
-                "lower rad": lower,
-                "upper rad": upper,
-                "speed rad/s": speed,
-                "stop": stop,
-                "rest rad": rest,
-            }
-            for name, lower, upper, speed, stop, rest in zip(*columns, strict=True)
+            dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
         ],
         "points": [
             {

@@ -59,9 +59,6 @@ class Expansion(NamedTuple):
 def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
     """Read the mimic rules of a URDF, resolved to leaders that follow no other joint.
 
-    Args:
-        robot: The `<robot>` element.
-
     Returns:
         One rule per follower, in the order of the file, without those of fixed joints.
 
@@ -117,15 +114,12 @@ def _resolve(rule: MimicRule, direct: Mapping[str, MimicRule]) -> MimicRule:
 def expansion_matrix(
     names: Iterable[str], active: Iterable[str], rules: Iterable[MimicRule]
 ) -> Expansion:
-    """Compose S and offset for given orders of the joints.
+    """Compose S and offset.
 
     Args:
         names: All joints, in the order of the rows.
         active: The joints that follow no other, in the order of the columns.
         rules: Resolved rules, one for each of the others.
-
-    Returns:
-        The map from the active joints to all.
     """
     rows = {name: i for i, name in enumerate(names)}
     columns = {name: i for i, name in enumerate(active)}
@@ -139,15 +133,10 @@ def expansion_matrix(
 
 
 def tighten_model(model: pin.Model, rules: Iterable[MimicRule]) -> tuple[str, ...]:
-    """Tighten the limits of leaders so that their followers stay inside theirs.
+    """Tighten the limits of leaders in a model so that their followers stay inside theirs.
 
     If a follower's limits would leave its leader almost no range, they contradict its own rule (a
-    wrong sign, say). They are then dropped, with a note. A follower without a speed limit passes
-    none on.
-
-    Args:
-        model: The model, changed in place.
-        rules: Resolved rules.
+    wrong sign, say). They are then dropped. A follower without a speed limit passes none on.
 
     Returns:
         A sentence for each follower whose limits were dropped.

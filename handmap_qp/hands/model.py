@@ -18,14 +18,7 @@ FLOATING_JOINT = "wrist_mount"
 
 
 def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
-    """Choose how the root of the model is held.
-
-    Args:
-        spec: The hand.
-        mount: The caller's choice; the spec's own if None.
-
-    Returns:
-        `floating` or `fixed`; a hand on an arm stands on the arm's root.
+    """Return the caller's mount, else the spec's own; a hand on an arm stands on the arm's root.
 
     Raises:
         InvalidInputError: If there is no such mount.
@@ -44,16 +37,9 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
 def build_model(
     spec: HandSpec, urdf_text: str, mount: Mount, rules: Sequence[MimicRule]
 ) -> pin.Model:
-    """Build the Pinocchio model of a composed URDF.
+    """Build the Pinocchio model of a composed URDF: every movable joint is a variable.
 
-    Args:
-        spec: The hand.
-        urdf_text: Its composed URDF.
-        mount: A floating hand gets a free-flyer above its root link.
-        rules: Its mimic rules.
-
-    Returns:
-        The model: every movable joint of the URDF is a variable, followers included.
+    A floating hand gets a free-flyer above its root link.
 
     Raises:
         HandError: If Pinocchio cannot read the URDF, or its joints are not those of the spec.
@@ -91,7 +77,7 @@ def build_model(
 def add_frame(
     model: pin.Model, spec: HandSpec, name: str, link: str, placement: np.ndarray, key: str
 ) -> int:
-    """Add a frame that is fixed to a link.
+    """Add a frame that is fixed to a link, and return its index.
 
     Args:
         model: The model, changed in place.
@@ -100,9 +86,6 @@ def add_frame(
         link: URDF link that carries it.
         placement: Its pose in the link, shape (4, 4).
         key: Key of the spec that names the link.
-
-    Returns:
-        Index of the frame.
 
     Raises:
         HandError: If there is no such link.
@@ -118,12 +101,7 @@ def add_frame(
 
 
 def with_frames(model: pin.Model, frames: Sequence[int]) -> pin.Model:
-    """Return a model with the same joints and some of the frames: the others take time to place.
-
-    Args:
-        model: The model, such as that of a URDF with a link for every part.
-        frames: Indices of the frames to keep.
-    """
+    """Return a model with the same joints and some of the frames: others take time to place."""
     few = pin.Model()
     for joint in range(1, model.njoints):
         place = model.jointPlacements[joint]
@@ -175,13 +153,6 @@ def check_wrist(model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm
     """Reject a wrist or palm that moves with the fingers.
 
     Only the free-flyer or the joints of an arm may move them, and both together.
-
-    Args:
-        model: The model.
-        spec: The hand.
-        mount: How it is mounted.
-        wrist: Index of the wrist frame.
-        palm: Index of the palm frame.
 
     Raises:
         HandError: With the key of the link at fault.

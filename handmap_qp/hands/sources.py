@@ -146,7 +146,7 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
         path = source_file(spec)
         if is_mjcf(path):
             # MuJoCo takes a second to load.
-            from handmap_qp.hands.mjcf.cache import cached_urdf
+            from handmap_qp.hands.mjcf.convert import cached_urdf
 
             return cached_urdf(path)
     except HandError as error:
@@ -156,9 +156,6 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
 
 def read_urdf(spec: HandSpec | ArmSpec) -> str:
     """Read the URDF of a hand or an arm.
-
-    Returns:
-        The text of the file.
 
     Raises:
         HandError: If the file cannot be read.
@@ -180,18 +177,11 @@ def _source_error(spec: HandSpec | ArmSpec, problem: str) -> HandError:
 
 
 def find_mesh(name: str, folder: Path) -> Path:
-    """Find a mesh that a URDF names.
+    """Find a mesh that a URDF in a folder names; the path need not exist.
 
     A relative name starts at the URDF's folder. `package://PACKAGE/...` is searched in installed
     packages of robot descriptions first. After that, it is searched in the folders above the URDF:
     a ROS package is a folder of the package's name, or one that holds a `package.xml`.
-
-    Args:
-        name: The file name in the URDF.
-        folder: The URDF's folder.
-
-    Returns:
-        A path, which need not exist.
     """
     if not name.startswith((PACKAGE_SCHEME, "model://")):
         return folder / name.removeprefix("file://")
@@ -210,11 +200,7 @@ def find_mesh(name: str, folder: Path) -> Path:
 def decode_xml(content: bytes) -> str:
     """Decode an XML file by its byte-order mark or declared encoding; UTF-8 without either.
 
-    Args:
-        content: The bytes of the file.
-
-    Returns:
-        The text, without XML declaration, which would repeat an encoding that it no longer has.
+    The text has no XML declaration, which would repeat an encoding that it no longer has.
 
     Raises:
         ValueError: If the bytes are not of the encoding, or the encoding is unknown.
@@ -231,10 +217,9 @@ def decode_xml(content: bytes) -> str:
 
 
 def root_tag(content: bytes) -> str:
-    """Return the name of an XML text's root element; empty if there is none.
+    """Return the name of an XML file's root element; empty if there is none.
 
-    Args:
-        content: The bytes of the file, in UTF-8, UTF-16 or an encoding that contains ASCII.
+    The file is in UTF-8, UTF-16 or an encoding that contains ASCII.
     """
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         content = content.decode("utf-16", "replace").encode()

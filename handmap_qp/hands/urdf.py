@@ -84,16 +84,7 @@ def _parse_xml(text: str) -> ET.Element:
 def get_numbers(
     element: ET.Element, key: str, count: int, default: str | None = None
 ) -> list[float]:
-    """Read the numbers in an attribute.
-
-    Args:
-        element: An element of a URDF.
-        key: The attribute.
-        count: How many numbers it must hold.
-        default: Its text where it is missing.
-
-    Returns:
-        The numbers; NaN and infinity are passed on.
+    """Read `count` numbers in an attribute; NaN and infinity are passed on.
 
     Raises:
         HandError: If it is missing without a default, or does not hold `count` numbers.
@@ -121,10 +112,7 @@ def child(element: ET.Element, tag: str) -> ET.Element:
 
 
 def origin_of(element: ET.Element) -> np.ndarray:
-    """Read the pose in an element's `<origin>`.
-
-    Returns:
-        Pose, shape (4, 4); the identity where there is no origin.
+    """Read the pose in an element's `<origin>`, shape (4, 4); the identity where there is none.
 
     Raises:
         HandError: If it does not hold finite numbers.
@@ -147,10 +135,7 @@ def set_origin(element: ET.Element, pose: np.ndarray) -> None:
 
 
 def axis_of(joint: ET.Element) -> np.ndarray:
-    """Read a joint's axis.
-
-    Returns:
-        Unit vector, shape (3,); x where none is given, as URDF specifies.
+    """Read a joint's axis, a unit vector of shape (3,); x where none is given, as URDF says.
 
     Raises:
         HandError: If it is zero or not finite.
@@ -168,7 +153,7 @@ def axis_of(joint: ET.Element) -> np.ndarray:
 
 
 def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
-    """Iterate over the joints of a URDF, with the names of their parent and child links.
+    """Iterate over the joints, with the names of their parent and child links.
 
     Raises:
         HandError: If a joint lacks one of them.
@@ -209,12 +194,7 @@ def _levels(robot: ET.Element, starts: Collection[str]) -> Iterator[list[str]]:
 
 
 def cut_subtree(robot: ET.Element, root: str) -> None:
-    """Keep one link and its descendants, and remove everything else.
-
-    Args:
-        robot: The `<robot>` element, changed in place. Materials are kept; other elements, such as
-            `<transmission>`, are removed.
-        root: Name of the link.
+    """Keep one link and its descendants, and materials; remove everything else.
 
     Raises:
         HandError: If there is no such link.
@@ -228,12 +208,7 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
 
 
 def remove_subtrees(robot: ET.Element, roots: Collection[str]) -> None:
-    """Remove links, their descendants and the joints between them.
-
-    Args:
-        robot: The `<robot>` element, changed in place.
-        roots: Names of the links.
-    """
+    """Remove links, their descendants and the joints between them."""
     _remove_links(robot, set().union(*_levels(robot, roots)))
 
 
@@ -252,9 +227,6 @@ def _remove_links(robot: ET.Element, names: set[str]) -> None:
 
 def check_tree(robot: ET.Element) -> None:
     """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
-
-    Args:
-        robot: The `<robot>` element.
 
     Raises:
         HandError: On duplicate names, missing links, loops, several roots, attributes that are not
@@ -301,11 +273,7 @@ def _check_one_tree(
 
 
 def _parents(robot: ET.Element, links: set[str]) -> dict[str, tuple[str, str]]:
-    """Return the joint above every link that has one, and the parent link.
-
-    Raises:
-        HandError: If a joint names a link that does not exist, or a link has two parents.
-    """
+    """Return the joint above every link that has one, and the parent link."""
     above: dict[str, tuple[str, str]] = {}
     for joint, parent, child in edges(robot):
         name = joint.get("name", "")
@@ -348,9 +316,6 @@ def _check_joint(joint: ET.Element) -> None:
 def check_limits(robot: ET.Element) -> None:
     """Reject joints without position limits; joints that mimic others need none.
 
-    Args:
-        robot: The `<robot>` element.
-
     Raises:
         HandError: With the key in `limits` that gives them.
     """
@@ -374,11 +339,11 @@ def prepare_urdf(
     locked: Mapping[str, float],
     limits: Mapping[str, LimitSpec],
 ) -> dict[str, float]:
-    """Cut one URDF and edit its joints.
+    """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
     Args:
         robot: The `<robot>` element, changed in place.
-        root: Link from which outwards it is kept; all of it if None.
+        root: Link at which the part begins; all of it if None.
         mimic: Mimic rules by follower, as of `HandSpec`.
         locked: Positions of joints to lock [rad or m].
         limits: Limits by joint name.
@@ -409,13 +374,7 @@ def prepare_urdf(
 
 
 def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:
-    """Make joints fixed ones, at given positions.
-
-    Joints that mimic a locked one are locked where they then stand.
-
-    Args:
-        robot: The `<robot>` element, changed in place.
-        positions: Position by joint name [rad or m].
+    """Make joints fixed ones at given positions, and those that mimic them where they then stand.
 
     Returns:
         Positions of all joints that were made fixed, in the order of the file [rad or m].
@@ -453,15 +412,9 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
 
 
 def fix_free_joints(robot: ET.Element) -> list[str]:
-    """Make floating and planar joints fixed ones, where their origins are.
+    """Make floating and planar joints fixed ones, where their origins are; return their names.
 
     No single number moves them; an object or a whole robot hangs from them, not a finger.
-
-    Args:
-        robot: The `<robot>` element, changed in place.
-
-    Returns:
-        Names of these joints.
     """
     free = {name: j for name, j in joints_by_name(robot).items() if j.get("type") in _FREE}
     for joint in free.values():
@@ -515,12 +468,7 @@ def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
 
 
 def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
-    """Replace the file names of all meshes by absolute paths, as `find_mesh` finds them.
-
-    Args:
-        robot: The `<robot>` element, changed in place.
-        folder: The folder of its URDF.
-    """
+    """Replace the file names of all meshes by absolute paths, as `find_mesh` finds them."""
     for mesh in robot.iter("mesh"):
         if name := mesh.get("filename"):
             mesh.set("filename", str(find_mesh(name, folder).resolve()))
@@ -528,10 +476,6 @@ def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
 
 def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
     """Return a hand's URDF with absolute paths of its meshes, for readers that know no folder.
-
-    Args:
-        spec: The hand, whose URDF file tells where its meshes lie.
-        urdf_text: Its URDF, composed or as in the file.
 
     Raises:
         HandError: If the text is not a URDF.
@@ -546,14 +490,9 @@ def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
 
 
 def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
-    """Join an arm and a hand to one robot.
+    """Join an arm, which becomes the whole robot, and a hand.
 
-    Args:
-        arm: The arm's `<robot>` element, which becomes the whole robot. Its links, fixed joints and
-            materials are renamed where the hand has the same names.
-        hand: The hand's `<robot>` element.
-        spec: The arm: which of its links carries the hand, and the pose of the hand's root link
-            there.
+    The arm's links, fixed joints and materials are renamed where the hand has the same names.
 
     Raises:
         HandError: If the arm has no such link, or both have a movable joint of the same name.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.sources import source_path
+from handmap_qp.hands.sources import is_mjcf, source_path
 from handmap_qp.output_files import writing
 
 # Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
@@ -48,28 +48,18 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     source = source_path(given)
     path = robot if source is None else source
     # MuJoCo takes a second to load.
-    if not _is_mjcf(path):
+    if not is_mjcf(path):
         return RobotSource(path, None if source is None else given)
-    from handmap_qp.hands.mjcf.cache import cached_urdf
-    from handmap_qp.hands.mjcf.convert import convert_mjcf
+    from handmap_qp.hands.mjcf.convert import cached_urdf, convert_mjcf
 
     if source is not None:
         return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
     return _convert(path, folder, overwrite)
 
 
-def _is_mjcf(path: Path) -> bool:
-    if path.suffix not in (".xml", ".mjcf"):
-        return False
-    from handmap_qp.hands.mjcf.compile import is_mjcf
-
-    return is_mjcf(path)
-
-
 def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
     """Convert an MJCF file, and write its URDF and meshes into a folder."""
-    from handmap_qp.hands.mjcf.comparison import kinematics_difference
-    from handmap_qp.hands.mjcf.convert import convert_mjcf, write_converted
+    from handmap_qp.hands.mjcf.convert import convert_mjcf, kinematics_difference, write_converted
 
     urdf = folder / f"{file.stem}.urdf"
     if urdf.exists() and not overwrite:

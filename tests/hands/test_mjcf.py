@@ -14,11 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.hands.mjcf.cache import cached_urdf
-from handmap_qp.hands.mjcf.comparison import kinematics_difference
-from handmap_qp.hands.mjcf.compile import is_mjcf, root_tag
-from handmap_qp.hands.mjcf.convert import ConvertedMjcf, convert_mjcf, write_converted
+from handmap_qp.hands.mjcf.convert import (
+    ConvertedMjcf,
+    cached_urdf,
+    convert_mjcf,
+    kinematics_difference,
+    write_converted,
+)
 from handmap_qp.hands.mjcf.shapes import binary_stl
+from handmap_qp.hands.sources import is_mjcf, root_tag
 
 HAND = """
 <mujoco model="claw">

@@ -1,19 +1,19 @@
-"""Recognise and compile MJCF files: `is_mjcf`, `compile_mjcf`."""
+"""Compile MJCF files, and guess the unit of angles where none is stated: `compile_mjcf`."""
 
 from __future__ import annotations
 
 import math
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import mujoco
 
 from handmap_qp.errors import HandError
+from handmap_qp.hands.sources import root_tag
 
-_ROOT = re.compile(rb"<\s*([A-Za-z_][\w.:-]*)")
-# A comment may come first and hold an example; the root is searched behind it.
-_NOT_ELEMENTS = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
-SMALL_RANGE = 0.06
-"""A range of this size in radians is one of pi in degrees [rad]."""
+# A range of this size in radians is one of pi in degrees [rad].
+_SMALL_RANGE = 0.06
 # The unit of angles, Euler angles, and included files in an MJCF; larger angles are in degrees.
 _UNIT = re.compile(r"""<compiler\b[^>]*\bangle\s*=""")
 _ANGLES = re.compile(r"""\beuler\s*=\s*["']([^"']*)["']""")
@@ -22,38 +22,18 @@ _INCLUDE = re.compile(r"""<include\b[^>]*\bfile\s*=\s*["']([^"']*)["']""")
 _LARGE_ANGLE = 2.0 * math.pi + 0.01
 
 
-def root_tag(content: bytes) -> str:
-    """Return the name of an XML text's root element; empty if there is none.
-
-    Args:
-        content: The bytes of the file, in UTF-8, UTF-16 or an encoding that contains ASCII.
-    """
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        content = content.decode("utf-16", "replace").encode()
-    found = _ROOT.search(_NOT_ELEMENTS.sub(b"", content))
-    return "" if found is None else found[1].decode("ascii", "replace")
-
-
-def is_mjcf(file: Path) -> bool:
-    """Return whether a file is an MJCF model; False if it cannot be read."""
-    try:
-        return root_tag(file.read_bytes()) in ("mujoco", "mujocoinclude")
-    except (OSError, ValueError):  # ValueError: a null character in the path
-        return False
-
-
 class CompiledMjcf(NamedTuple):
     """A compiled MJCF file.
 
     Attributes:
-        model: `mujoco.MjModel`.
+        model: The model.
         name: Its name; the file's stem if it has none.
         notes: Assumptions, one sentence each.
     """
 
-    model: Any
+    model: mujoco.MjModel
     name: str
-    notes: tuple[str, ...] = ()
+    notes: list[str]
 
 
 def compile_mjcf(file: Path) -> CompiledMjcf:
@@ -67,13 +47,11 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
         file: The file.
 
     Returns:
-        The model, its name, and a note if the unit of angles was assumed.
+        The model, its name, and notes on the unit of angles.
 
     Raises:
         HandError: If MuJoCo cannot compile it, in its words, or a name is not UTF-8.
     """
-    import mujoco
-
     try:
         content = file.read_bytes()
     except OSError as error:
@@ -85,12 +63,12 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
         spec = mujoco.MjSpec.from_file(str(file))
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
-        model = spec.compile()
-        notes: tuple[str, ...] = ()
-        if widest_range(model) < SMALL_RANGE and not _states_angles(file):
-            notes = (
+        model, notes = spec.compile(), []
+        widest = _widest_range(model)
+        if widest < _SMALL_RANGE and not _states_angles(file):
+            notes.append(
                 f"the file states no unit of angles, and ranges of at most "
-                f"{math.degrees(widest_range(model)):.2g} deg make no sense: taken as radians",
+                f"{math.degrees(widest):.2g} deg make no sense: taken as radians"
             )
             spec.compiler.degree = False
             model = spec.compile()
@@ -105,14 +83,21 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
     return CompiledMjcf(model, spec.modelname if named else file.stem, notes)
 
 
-def widest_range(model: Any) -> float:
-    """Return the widest range of a hinge [rad]; infinity if no hinge has one."""
-    import mujoco
+def small_range_notes(model: mujoco.MjModel) -> list[str]:
+    """Return a note if all hinges have a range so small that radians were read as degrees."""
+    if (widest := _widest_range(model)) > _SMALL_RANGE:
+        return []
+    return [
+        f"no hinge has a range of more than {math.degrees(widest):.2g} deg: if the file "
+        'means radians, write <compiler angle="radian"/> into it'
+    ]
 
+
+def _widest_range(model: mujoco.MjModel) -> float:
+    """Return the widest range of a hinge [rad]; infinity if no hinge has one."""
     is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
-    hinges = is_hinge & (model.jnt_limited != 0)
-    widths = model.jnt_range[hinges, 1] - model.jnt_range[hinges, 0]
-    return float(widths.max()) if len(widths) else math.inf
+    low, high = model.jnt_range[is_hinge & (model.jnt_limited != 0)].T
+    return float((high - low).max()) if len(low) else math.inf
 
 
 def _states_angles(file: Path, seen: frozenset[Path] = frozenset()) -> bool:
@@ -120,10 +105,8 @@ def _states_angles(file: Path, seen: frozenset[Path] = frozenset()) -> bool:
     if file in seen or not file.is_file():
         return False
     text = file.read_bytes().decode("utf-8", "replace")
-    if _UNIT.search(text) or any(
-        max((abs(float(number)) for number in _NUMBER.findall(angles)), default=0.0) > _LARGE_ANGLE
-        for angles in _ANGLES.findall(text)
-    ):
+    angles = (float(n) for words in _ANGLES.findall(text) for n in _NUMBER.findall(words))
+    if _UNIT.search(text) or any(abs(angle) > _LARGE_ANGLE for angle in angles):
         return True
     parts = (file.parent / name for name in _INCLUDE.findall(text))
     return any(_states_angles(part, seen | {file}) for part in parts)

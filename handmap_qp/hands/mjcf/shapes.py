@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from typing import Any
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
-from handmap_qp.hands.urdf import set_numbers
-from handmap_qp.se3 import affine, rotation_from_quat_wxyz, rpy_from_rotation
+from handmap_qp.hands.urdf import set_numbers, set_origin
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 
 _GEOM = mujoco.mjtGeom
 # Rings and points per ring of the sphere that ellipsoids are scaled from.
 _RINGS, _SECTORS = 12, 24
 # Last group of geoms that MuJoCo's viewer shows unless it is asked for more.
 _LAST_SHOWN_GROUP = 2
+
+
+def pose_of(position: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:
+    """Return a pose of MuJoCo as a matrix, shape (4, 4)."""
+    return affine(rotation_from_quat_wxyz(quat_wxyz), np.array(position))
 
 
 class ShapeWriter:
@@ -25,7 +30,7 @@ class ShapeWriter:
     body has no visual geom, or if they are meshes that MuJoCo's viewer shows (groups 0 to 2).
 
     Args:
-        model: `mujoco.MjModel`.
+        model: The model.
         folder: Folder of the meshes, relative to the URDF.
 
     Attributes:
@@ -33,7 +38,7 @@ class ShapeWriter:
         omitted: Kinds of geoms that have no counterpart in URDF.
     """
 
-    def __init__(self, model: Any, folder: str) -> None:
+    def __init__(self, model: mujoco.MjModel, folder: str) -> None:
         self._model = model
         self._folder = folder
         self._files: dict[int, str] = {}
@@ -41,12 +46,7 @@ class ShapeWriter:
         self.omitted: set[str] = set()
 
     def add_shapes(self, link: ET.Element, body: int) -> None:
-        """Add the geoms of a body to its link.
-
-        Args:
-            link: The `<link>`, whose frame is the body's.
-            body: Index of the body.
-        """
+        """Add the geoms of a body to its `<link>`, whose frame is the body's."""
         model = self._model
         geoms = np.flatnonzero(model.geom_bodyid == body)
         collides = (model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)
@@ -57,105 +57,73 @@ class ShapeWriter:
             for geom in chosen:
                 for pose, geometry in self._geometries(int(geom)):
                     element = ET.SubElement(link, tag)
-                    add_origin(element, pose)
+                    set_origin(element, pose)
                     ET.SubElement(element, "geometry").append(geometry)
 
-    def _geometries(self, geom: int) -> list[tuple[np.ndarray, ET.Element]]:
-        """Return the URDF geometries of a geom with their poses in the link."""
+    def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, ET.Element]]:
+        """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model, size = self._model, self._model.geom_size[geom]
-        pose = affine(
-            rotation_from_quat_wxyz(model.geom_quat[geom]), np.array(model.geom_pos[geom])
-        )
-        kind = _GEOM(int(model.geom_type[geom]))
-        if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
-            return [(pose, self._mesh(int(model.geom_dataid[geom])))]
-        if kind == _GEOM.mjGEOM_BOX:
-            return [(pose, _element("box", size=2.0 * size))]
-        if kind == _GEOM.mjGEOM_SPHERE:
-            return [(pose, _element("sphere", radius=size[:1]))]
-        if kind == _GEOM.mjGEOM_CYLINDER:
-            return [(pose, _element("cylinder", radius=size[:1], length=2.0 * size[1:2]))]
-        if kind == _GEOM.mjGEOM_CAPSULE:  # URDF has none
-            ends = (np.array([0.0, 0.0, sign * size[1]]) for sign in (-1.0, 1.0))
-            return [
-                (pose, _element("cylinder", radius=size[:1], length=2.0 * size[1:2])),
-                *((pose @ affine(np.eye(3), e), _element("sphere", radius=size[:1])) for e in ends),
-            ]
-        if kind == _GEOM.mjGEOM_ELLIPSOID:
-            return [(pose, self._ellipsoid(size))]
-        self.omitted.add(kind.name.removeprefix("mjGEOM_").lower())
-        return []
+        pose = pose_of(model.geom_pos[geom], model.geom_quat[geom])
+        match _GEOM(int(model.geom_type[geom])):
+            case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
+                yield pose, self._mesh(int(model.geom_dataid[geom]))
+            case _GEOM.mjGEOM_BOX:
+                yield pose, _element("box", size=2.0 * size)
+            case _GEOM.mjGEOM_SPHERE:
+                yield pose, _element("sphere", radius=size[:1])
+            case _GEOM.mjGEOM_CYLINDER | _GEOM.mjGEOM_CAPSULE as kind:
+                yield pose, _element("cylinder", radius=size[:1], length=2.0 * size[1:2])
+                # URDF has no capsules.
+                for sign in (-1.0, 1.0) if kind == _GEOM.mjGEOM_CAPSULE else ():
+                    end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
+                    yield pose @ end, _element("sphere", radius=size[:1])
+            case _GEOM.mjGEOM_ELLIPSOID:
+                file = f"{self._folder}/unit_sphere.stl"
+                self.meshes.setdefault(file, _unit_sphere())
+                element = ET.Element("mesh", filename=file)
+                set_numbers(element, "scale", size)
+                yield pose, element
+            case kind:
+                self.omitted.add(kind.name.removeprefix("mjGEOM_").lower())
 
     def _mesh(self, mesh: int) -> ET.Element:
         model = self._model
         if mesh not in self._files:
-            name = file_name(model.mesh(mesh).name or f"mesh{mesh}")
-            file = _unused(f"{self._folder}/{name}", self.meshes)
-            first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-            vertices = model.mesh_vert[first : first + count]
-            first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-            self.meshes[file] = np.array(vertices[model.mesh_face[first : first + count]])
+            stem = f"{self._folder}/{file_name(model.mesh(mesh).name or f'mesh{mesh}')}"
+            file, count, taken = f"{stem}.stl", 2, {name.lower() for name in self.meshes}
+            while file.lower() in taken:
+                file, count = f"{stem}_{count}.stl", count + 1
+            first, number = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            vertices = model.mesh_vert[first : first + number]
+            first, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+            self.meshes[file] = np.array(vertices[model.mesh_face[first : first + number]])
             self._files[mesh] = file
         return ET.Element("mesh", filename=self._files[mesh])
 
-    def _ellipsoid(self, radii: np.ndarray) -> ET.Element:
-        file = f"{self._folder}/unit_sphere.stl"
-        if file not in self.meshes:
-            self.meshes[file] = _unit_sphere()
-        element = ET.Element("mesh", filename=file)
-        set_numbers(element, "scale", [float(radius) for radius in radii])
-        return element
-
-
-def add_origin(element: ET.Element, pose: np.ndarray) -> None:
-    """Add an `<origin>` to an element of a URDF.
-
-    Args:
-        element: The element.
-        pose: Its pose [m], shape (4, 4).
-    """
-    origin = ET.SubElement(element, "origin")
-    set_numbers(origin, "xyz", pose[:3, 3].tolist())
-    set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]).tolist())
-
 
 def binary_stl(triangles: np.ndarray) -> bytes:
-    """Return triangles as a binary STL file.
-
-    Args:
-        triangles: Corners [m], shape (k, 3, 3).
-    """
-    kind: np.dtype[np.void] = np.dtype(
-        [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-    )  # ty: ignore[invalid-assignment]
+    """Return triangles [m], shape (k, 3, 3), as a binary STL file."""
+    fields = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    kind: np.dtype[np.void] = np.dtype(fields)  # ty: ignore[invalid-assignment]
     rows = np.zeros(len(triangles), kind)
     rows["corners"] = triangles
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).astype(
-        float
-    )
+    first, second, third = triangles.swapaxes(0, 1)
+    normals = np.cross(second - first, third - first).astype(float)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     rows["normal"] = normals / np.where(lengths > 0.0, lengths, 1.0)
     return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()
 
 
 def file_name(name: str) -> str:
-    """Return the file name of a mesh: its name with unusual characters replaced."""
+    """Return a name as that of a file, without unusual characters."""
     plain = "".join(c if c.isalnum() or c in "_-." else "_" for c in name)
-    return f"{plain.lstrip('.') or 'mesh'}.stl"
-
-
-def _unused(name: str, names: dict[str, np.ndarray]) -> str:
-    stem, count = name.removesuffix(".stl"), 2
-    while name.lower() in {other.lower() for other in names}:
-        name = f"{stem}_{count}.stl"
-        count += 1
-    return name
+    return plain.lstrip(".") or "mesh"
 
 
 def _element(tag: str, **numbers: np.ndarray) -> ET.Element:
     element = ET.Element(tag)
     for key, values in numbers.items():
-        set_numbers(element, key, [float(value) for value in values])
+        set_numbers(element, key, values)
     return element
 
 
