@@ -1,7 +1,7 @@
 """Tracker, mapping service and robot driver as three parties on one machine.
 
 In use they are three processes, and the service is started by `handmap serve`. Tracker and driver
-need nothing but a copy of `handmap_qp/client.py`.
+need nothing but a copy of the folder `handmap_qp/client`.
 
     python examples/tracker_service_driver.py
 """

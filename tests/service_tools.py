@@ -20,9 +20,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from handmap_qp.client import Client, KeyFiles, ServiceError
 from handmap_qp.client import Command as HeardCommand
-from handmap_qp.service.calibration import Calibration
-from handmap_qp.service.hand_cache import HandCache
-from handmap_qp.service.messages import (
+from handmap_qp.client.messages import (
     PROTOCOL,
     Command,
     Configure,
@@ -33,7 +31,7 @@ from handmap_qp.service.messages import (
     Sample,
     Step,
 )
-from handmap_qp.service.opening import Hands, prepare_hands
+from handmap_qp.service.opening import Calibration, HandCache, Hands, prepare_hands
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.session import Posture, Session
 

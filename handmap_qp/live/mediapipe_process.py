@@ -1,9 +1,9 @@
 """Track a hand in pictures with MediaPipe: a program of its own, in an environment of its own.
 
 MediaPipe 0.10.21, the last version that brings its hand model, needs numpy below 2. So this file
-imports nothing of handmap_qp but, for --to, the client in one file. `handmap track mediapipe` runs
+imports nothing of handmap_qp but, for --to, its client. `handmap track mediapipe` runs
 it and reads its samples, one JSON object a line. On a machine with a camera and without handmap_qp,
-copy this file and client.py there:
+copy this file and the folder client there:
 
     pip install mediapipe==0.10.21 msgspec pyzmq
     python mediapipe_process.py --camera 0 --to tcp://192.168.1.5:5570 --robot allegro_right
@@ -233,9 +233,10 @@ def _rows(landmarks: Any) -> np.ndarray:
 
 
 def _client_module() -> Any:
-    """Import client.py from beside this file, or from its place in handmap_qp."""
+    """Import the folder `client` from beside this file, or from its place in handmap_qp."""
     here = Path(__file__).resolve()
-    for file in (here.with_name("client.py"), here.parents[1] / "client.py"):
+    for folder in (here.with_name("client"), here.parents[1] / "client"):
+        file = folder / "__init__.py"
         if file.is_file():
             spec = importlib.util.spec_from_file_location("handmap_client", file)
             if spec is None or spec.loader is None:
@@ -244,7 +245,7 @@ def _client_module() -> Any:
             sys.modules[spec.name] = module
             spec.loader.exec_module(module)
             return module
-    _stop("client.py of handmap_qp must lie beside this file")
+    _stop("the folder client of handmap_qp must lie beside this file")
 
 
 def _stop(message: str) -> NoReturn:

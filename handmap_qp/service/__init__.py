@@ -1,18 +1,19 @@
 """The mapper as a process that trackers, robots and viewers connect to: `handmap serve`.
 
+Its messages are the types of `handmap_qp.client.messages`.
+
 Messages:
-    messages    types of requests and replies, decoding and checks
-    schema      their description
-    convert     arrays to the values of messages and back
+    decoding    requests, their checks, and replies
+    schema      description of the messages
+    refusals    errors as refusals that name a field
 
 One session, without input or output:
     session     steps, reset, options
     states      states and transitions
     watchdog    effects of silence
     safety      posture last commanded, speed limits, time granted
-    inputs      kinds of samples
-    opening     hands and mapper from a request; hand_cache, calibration
-    refusals    errors as refusals that name a field
+    samples     kinds of samples, and the values of commands
+    opening     hands and mapper from a request; measurement of the human hand
 
 All sessions:
     dispatch    requests, rate limits, repeated requests, answers

@@ -17,8 +17,8 @@ class Serve:
     """Serve the mapper to trackers and robots over ZeroMQ and WebSocket.
 
     Listens on loopback, prints one JSON line with its ports when it is ready, and logs JSON lines
-    on stderr. `handmap serve --schema` describes the messages. `handmap_qp/client.py` is a client
-    in one file, to copy where you need it.
+    on stderr. `handmap serve --schema` describes the messages. The folder
+    `handmap_qp/client` is a client to copy where you need it.
 
     Attributes:
         host: Address to listen on; any but loopback requires --keys.

@@ -15,12 +15,7 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.errors import RefusedError
-from handmap_qp.service.audit import AuditLog
-from handmap_qp.service.caps import Bucket, Caps, RateLimit
-from handmap_qp.service.hand_cache import HandCache
-from handmap_qp.service.logs import Throttle
-from handmap_qp.service.messages import (
+from handmap_qp.client.messages import (
     AnyReply,
     AnyRequest,
     Clear,
@@ -41,10 +36,14 @@ from handmap_qp.service.messages import (
     Step,
     Stop,
     Subscribe,
-    decode_request,
-    encode_reply,
 )
+from handmap_qp.errors import RefusedError
+from handmap_qp.service.audit import AuditLog
+from handmap_qp.service.caps import Bucket, Caps, RateLimit
+from handmap_qp.service.decoding import decode_request, encode_reply
+from handmap_qp.service.logs import Throttle
 from handmap_qp.service.metrics import Metrics
+from handmap_qp.service.opening import HandCache
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Sessions
 from handmap_qp.service.states import Caller

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from handmap_qp.client.messages import Open
 from handmap_qp.errors import (
     HandError,
     HandmapError,
@@ -17,18 +18,10 @@ from handmap_qp.errors import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import IK_NAMES, Choice, known_options
-from handmap_qp.service.messages import Open, field_of_option
 
 _LONGEST_MESSAGE = 400
-_FIELDS = {
-    "human_q": "q",
-    "wrist_pose": "wrist",
-    "wrist": "wrist",
-    "points": "points",
-    "landmarks": "landmarks",
-    "values": "values",
-    "robot_q": "robot_q",
-    "robot_wrist": "robot_wrist",
+_FIELDS = {"human_q": "q", "wrist_pose": "wrist"} | {
+    name: name for name in ("wrist", "points", "landmarks", "values", "robot_q", "robot_wrist")
 }
 """Fields of requests by the arguments of the library that take them."""
 _CHOICES = {"method": "preset", "preset": "preset", "human_points": "human_points"}
@@ -50,12 +43,18 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
         own = _field_of_argument(error.argument)
         message = message.removeprefix(f"{error.argument}: ") if own else message
     elif isinstance(error, InvalidOptionsError):
-        own = _field_of_option(error.option)
+        own = _field_of_own_option(error.option)
         message = message.removeprefix(f"{error.option}: ") if own else message
     elif isinstance(error, HandError):
         # Clients must not learn the server's paths.
         message = f"{error.key}: {error.problem}" if error.key else error.problem
     return RefusedError("invalid", " ".join(message.split())[:_LONGEST_MESSAGE], field=own or field)
+
+
+def field_of_option(request: Open, option: str) -> str:
+    """Return the field in which a request gives options of the method, by the name it used."""
+    former = (name for name in ("mapping", "teleoperation") if getattr(request, name))
+    return f"{next(former, 'options')}.{option:.64}"
 
 
 def with_field_errors(field: str, make: Callable[[], _T]) -> _T:
@@ -96,7 +95,7 @@ def with_option_errors(request: Open, robot: Hand, choice: Choice, make: Callabl
         raise
 
 
-def _field_of_option(option: str) -> str:
+def _field_of_own_option(option: str) -> str:
     """Return the field of a request for an option of the library; empty if there is none."""
     places = known_options().get(option)
     if places is None:

@@ -11,13 +11,13 @@ from typing import Literal
 
 import numpy as np
 
+from handmap_qp.client.messages import Pose
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.gate import Gate, Motion
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.service.convert import to_matrix
-from handmap_qp.service.messages import Pose
+from handmap_qp.service.samples import to_matrix
 
 START_TOLERANCE = 0.1
 """Distance outside its limits that a client may report for a robot's joint [rad].

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import json
-import types
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_args
 
+import docstring_parser
 import msgspec
 
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.options import Options, options_of
-from handmap_qp.service import messages
-from handmap_qp.service.caps import Caps
-from handmap_qp.service.choosing import MOST_ITERATIONS, SOLVERS
-from handmap_qp.service.messages import (
+from handmap_qp.client.messages import (
     PROTOCOL,
     About,
     AnyReply,
@@ -25,6 +19,11 @@ from handmap_qp.service.messages import (
     Reply,
     Request,
 )
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.decoding import LARGEST, LATEST
+from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.stream.guard import RULES
 
 FLAGS = {
@@ -77,8 +76,8 @@ in right-handed worlds.
   `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.
 
 A message is at most {Caps().message_size} bytes long; a longer one ends its connection.
-Coordinates [m] and angles [rad] are within {messages.LARGEST:g} of 0, time stamps [s] within
-{messages.LATEST:g}.
+Coordinates [m] and angles [rad] are within {LARGEST:g} of 0, time stamps [s] within
+{LATEST:g}.
 
 If a request arrives again byte by byte, the server repeats its answer without carrying it out
 again. A request with a session's public `name` in place of its secret is carried out each time."""
@@ -101,10 +100,7 @@ def schema_text() -> str:
         *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
         "### Presets",
         "\n".join(map(_preset_line, PRESETS)),
-        *map(
-            _options_table,
-            dict.fromkeys([*(type(preset.method) for preset in PRESETS.values()), IkOptions]),
-        ),
+        *map(_table, dict.fromkeys([*(type(each.method) for each in PRESETS.values()), IkOptions])),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Rules for landmarks",
@@ -119,54 +115,58 @@ def schema_text() -> str:
 
 def json_schema() -> str:
     """Return all messages as JSON schema (2020-12)."""
-    (requests, replies), components = msgspec.json.schema_components(
-        [AnyRequest, AnyReply], ref_template="#/$defs/{name}"
-    )
-    return json.dumps(
-        {
-            "title": f"handmap protocol {PROTOCOL}",
-            "anyOf": [requests, replies],
-            "$defs": components,
-        },
-        indent=2,
-    )
+    either, components = _components(AnyRequest, AnyReply)
+    title = f"handmap protocol {PROTOCOL}"
+    return json.dumps({"title": title, "anyOf": either, "$defs": components}, indent=2)
 
 
-_HEAD = ["| field | type | default | |", "|---|---|---|---|"]
+def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the JSON schemas of types, and those of the structs that they refer to.
+
+    Fields are described in the docstring of their class, or of a base, under `Attributes`.
+    """
+    schemas, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
+    structs = [*get_args(AnyRequest), *get_args(AnyReply), Request, About, Detail, Lengths, Pose]
+    for kind in structs:
+        for base in reversed(kind.__mro__) if kind.__name__ in components else ():
+            doc = docstring_parser.parse(base.__doc__ or "")
+            schema = components[kind.__name__]
+            for item in doc.params:
+                if item.arg_name in schema["properties"]:
+                    text = " ".join((item.description or "").split())
+                    schema["properties"][item.arg_name]["description"] = text
+            text = f"{doc.short_description} {doc.long_description or ''}"
+            schema["description"] = " ".join(text.split())
+    return list(schemas), components
 
 
 def _table(kind: type[msgspec.Struct]) -> str:
-    """Describe a message or value with its fields."""
+    """Describe a message, value or options with its fields."""
     tag = kind.__struct_config__.tag
-    parts = [f"### `{tag or kind.__name__}`", " ".join((kind.__doc__ or "").split()), _rows(kind)]
-    return "\n\n".join(part for part in parts if part)
+    about = _components(kind)[1][kind.__name__].get("description", "").partition("\n")[0]
+    return "\n\n".join(filter(None, (f"### `{tag or kind.__name__}`", about, _rows(kind))))
 
 
 def _rows(kind: type[msgspec.Struct]) -> str:
     """Describe the fields that a struct adds to its base; empty if there are none."""
-    hints = get_type_hints(kind, dict(vars(messages)), include_extras=True)
-    base = next(
-        (base for base in (Request, Reply) if issubclass(kind, base) and kind is not base), None
-    )
-    inherited = () if base is None else base.__struct_fields__
+    inherited = {"type"}
+    for base in (Request, Reply):
+        if issubclass(kind, base) and kind is not base:
+            inherited |= set(base.__struct_fields__)
     rows = []
-    for item in msgspec.structs.fields(kind):
-        if item.name not in inherited:
-            default = "" if item.required else f"`{json.dumps(_default(item))}`"
-            hint = hints[item.name]
-            rows.append(f"| `{item.name}` | {_type(hint)} | {default} | {_description(hint)} |")
-    return "\n".join([*_HEAD, *rows]) if rows else ""
-
-
-def _options_table(kind: type[Options]) -> str:
-    """Describe options as their class does, except those that the service restricts."""
-    about = (kind.__doc__ or "").partition("\n")[0]
-    rows = [
-        f"| `{option.name}` | {_type(option.type)} | `{json.dumps(option.default)}` "
-        f"| {_NARROWED.get(option.name, option.about)} |"
-        for option in options_of(kind)
-    ]
-    return "\n".join([f"### `{kind.__name__}`", "", about, "", *_HEAD, *rows])
+    for name, field in _components(kind)[1][kind.__name__]["properties"].items():
+        if name not in inherited:
+            default = field.get("default")
+            value = json.dumps(round(default, 4) if isinstance(default, float) else default)
+            texts = [
+                part["description"]
+                for part in (field, *field.get("anyOf", ()))
+                if "description" in part
+            ]
+            about = _NARROWED.get(name, texts[0] if texts else "")
+            given = f"`{value}`" if "default" in field else ""
+            rows.append(f"| `{name}` | {_type(field)} | {given} | {about} |")
+    return "\n".join(["| field | type | default | |", "|---|---|---|---|", *rows]) if rows else ""
 
 
 def _preset_line(name: str) -> str:
@@ -183,57 +183,33 @@ def _preset_line(name: str) -> str:
     return f"- `{name}` (`{kind}`): {preset.purpose}. Weakness: {preset.weakness}.{differs}"
 
 
-def _default(item: msgspec.structs.FieldInfo) -> Any:
-    value = item.default if item.default is not msgspec.NODEFAULT else item.default_factory()
-    return round(value, 4) if isinstance(value, float) else value
+_NAMES = {"string": "text", "object": "map", None: "any"}
+_BOUNDS = {
+    "minimum": "at least",
+    "exclusiveMinimum": "above",
+    "maximum": "at most",
+    "maxLength": "at most",
+    "maxItems": "at most",
+}
 
 
-def _description(hint: Any) -> str:
-    metas = [meta for meta in getattr(hint, "__metadata__", ()) if isinstance(meta, msgspec.Meta)]
-    return next((meta.description for meta in reversed(metas) if meta.description), "") or ""
-
-
-def _type(hint: Any) -> str:
-    """Name a type independently of Python."""
-    origin, inner = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _type(inner[0]) + _bounds(inner[1:])
-    if origin is Literal:
-        return " or ".join(f"`{value}`" for value in inner)
-    if origin in (Union, types.UnionType):
-        return " or ".join("null" if part is type(None) else _type(part) for part in inner)
-    if origin is tuple:
-        return (
-            f"[{_type(inner[0])}, ...]"
-            if inner[1:] == (...,)
-            else f"{len(inner)} x {_type(inner[0])}"
-        )
-    if origin is dict:
-        return "map"
-    names = {
-        "str": "text",
-        "float": "number",
-        "int": "integer",
-        "bool": "boolean",
-        "Any": "any",
-        "NoneType": "null",
-    }
-    return names.get(getattr(hint, "__name__", str(hint)), f"`{getattr(hint, '__name__', hint)}`")
-
-
-def _bounds(metas: tuple[Any, ...]) -> str:
-    signs = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-    found = []
-    for meta in metas:
-        if isinstance(meta, msgspec.Meta):
-            # 2^53 is only the limit of integers in JSON.
-            found += [
-                f"{sign} {getattr(meta, key):g}"
-                for key, sign in signs.items()
-                if getattr(meta, key) not in (None, 2**53)
-            ]
-            if meta.max_length is not None:
-                found.append(f"at most {meta.max_length}")
-            if meta.title is not None:
-                found.append(meta.title)
-    return f" ({', '.join(found)})" if found else ""
+def _type(schema: dict[str, Any]) -> str:
+    """Name the type of a JSON schema."""
+    if "$ref" in schema:
+        return f"`{schema['$ref'].rpartition('/')[2]}`"
+    if "anyOf" in schema:
+        return " or ".join(map(_type, schema["anyOf"]))
+    if "enum" in schema:
+        return " or ".join(f"`{value}`" for value in schema["enum"])
+    if "prefixItems" in schema:
+        return f"{len(schema['prefixItems'])} x {_type(schema['prefixItems'][0])}"
+    kind = schema.get("type")
+    name = f"[{_type(schema['items'])}, ...]" if kind == "array" else _NAMES.get(kind, kind)
+    # 2^53 is only the limit of integers in JSON.
+    bounds = [
+        f"{sign} {schema[key]:g}"
+        for key, sign in _BOUNDS.items()
+        if schema.get(key) not in (None, 2**53)
+    ]
+    bounds += [schema["title"]] if "title" in schema and kind == "string" else []
+    return f"{name} ({', '.join(bounds)})" if bounds else name

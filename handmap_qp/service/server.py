@@ -25,17 +25,17 @@ import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 
 from handmap_qp.addresses import check_port, is_loopback
+from handmap_qp.client.messages import TOPIC_END
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.connection_gate import ConnectionGate, cost_of
 from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.handshakes import report_handshakes
 from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
 from handmap_qp.service.logs import Throttle, report
-from handmap_qp.service.messages import TOPIC_END
 from handmap_qp.service.metrics import Metrics, serve_metrics
+from handmap_qp.service.opening import HandCache
 from handmap_qp.service.states import Caller
 from handmap_qp.service.store import PostureStore
 from handmap_qp.service.websocket import WebSettings, WebSocketTransport

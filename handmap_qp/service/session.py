@@ -19,22 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError, RefusedError
-from handmap_qp.hands.hand import LONGEST_STOP
-from handmap_qp.human.contact_gap import ContactGapMeter
-from handmap_qp.ik.gate import Motion
-from handmap_qp.mapping.step import MapStep
-from handmap_qp.service.calibration import Calibration
-from handmap_qp.service.choosing import read_choice, with_changes
-from handmap_qp.service.convert import (
-    joints_where,
-    to_detail,
-    to_lengths,
-    to_pose,
-    to_row,
-)
-from handmap_qp.service.inputs import MappedSample, SampleForm, map_sample
-from handmap_qp.service.messages import (
+from handmap_qp.client.messages import (
     About,
     Command,
     Configure,
@@ -44,9 +29,22 @@ from handmap_qp.service.messages import (
     State,
     Step,
 )
-from handmap_qp.service.opening import Hands
+from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.human.contact_gap import ContactGapMeter
+from handmap_qp.ik.gate import Motion
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.service.opening import Calibration, Hands, read_choice, with_changes
 from handmap_qp.service.refusals import refused, with_option_errors
 from handmap_qp.service.safety import CommandedRobot, StepClock, start_angles, start_wrist
+from handmap_qp.service.samples import (
+    MappedSample,
+    SampleForm,
+    to_detail,
+    to_lengths,
+    to_pose,
+    to_row,
+)
 from handmap_qp.service.states import Event, MapperState, SessionState, next_state
 from handmap_qp.service.store import Record
 from handmap_qp.service.watchdog import Watchdog
@@ -98,7 +96,7 @@ class Session:
         self.counts: Counter[str] = Counter()
         self.last_request = now
         self._hands = hands
-        self._form = SampleForm.of(request)
+        self._form = SampleForm(request)
         # The request and the choice change with `configure`.
         self._wanted, self._choice = request, hands.choice
         self._calibration = calibration if hands.needs_measuring else None
@@ -227,7 +225,7 @@ class Session:
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
             arrival = now if self.request.time_from == "server" else None
-            mapped = map_sample(self._hands, sample, self._form, self._dt, arrival)
+            mapped = self._form.map(self._hands, sample, self._dt, arrival)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error
@@ -500,10 +498,10 @@ class Session:
         return {
             "point_error": to_row(step.point_error),
             "residual": float(np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))),
-            "at_limit": joints_where(self.robot, step.at_bound),
+            "at_limit": tuple(np.array(self.robot.joint_names)[step.at_bound].tolist()),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": to_detail(*mapped) if self._has_detail else None,
+            "detail": to_detail(mapped) if self._has_detail else None,
             **_trust(step),
         }
 

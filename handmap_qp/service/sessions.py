@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from logging import INFO
 from typing import TypeVar
 
+from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.service.audit import AuditLog
-from handmap_qp.service.calibration import Calibration
 from handmap_qp.service.caps import Bucket, Caps
-from handmap_qp.service.hand_cache import HandCache
+from handmap_qp.service.decoding import encode_reply
 from handmap_qp.service.logs import report
-from handmap_qp.service.messages import Error, Open, encode_reply
 from handmap_qp.service.metrics import Metrics
-from handmap_qp.service.opening import Hands, prepare_hands
+from handmap_qp.service.opening import Calibration, HandCache, Hands, prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.service.states import LEASE, Caller, refusal
 from handmap_qp.service.store import PostureStore, Record

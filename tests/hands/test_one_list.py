@@ -17,8 +17,7 @@ from handmap_qp.cli import COMMANDS, main, parse
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import library
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, list_hands, missing_hands
-from handmap_qp.service.hand_cache import HandCache
-from handmap_qp.service.opening import prepare_hands
+from handmap_qp.service.opening import HandCache, prepare_hands
 from handmap_qp.service.server import Server
 from handmap_qp.viewer.hand_model import LinkTree
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import asyncio
 import inspect
+import shutil
 import signal
 import socket
 import subprocess
@@ -34,16 +35,25 @@ from service_tools import (
 from strategies import motion_of, rotations, translations
 
 import handmap_qp.client
-from handmap_qp.client import AsyncClient, Client, Pose, ServiceError, ServiceTimeoutError
+from handmap_qp.client import (
+    AsyncClient,
+    Changes,
+    Choices,
+    Client,
+    Human,
+    Pose,
+    ServiceError,
+    ServiceTimeoutError,
+    messages,
+)
+from handmap_qp.client.messages import Request
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.service import messages
-from handmap_qp.service.messages import Request
 from handmap_qp.service.server import Server
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-FILE = Path(handmap_qp.client.__file__)
+FOLDER = Path(handmap_qp.client.__file__).parent
 WRIST = np.eye(4)
 
 
@@ -54,14 +64,13 @@ def server() -> Iterator[Server]:
 
 
 def test_it_needs_numpy_msgspec_and_zmq_and_nothing_else() -> None:
-    tree = ast.parse(FILE.read_text(encoding="utf-8"))
-    imported = {
-        alias.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Import)
-        for alias in node.names
-    }
-    imported |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    imported: set[str] = set()
+    for file in FOLDER.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                imported.add(node.module or "")
     assert {name.split(".")[0] for name in imported} - set(sys.stdlib_module_names) == {
         "numpy",
         "msgspec",
@@ -70,7 +79,7 @@ def test_it_needs_numpy_msgspec_and_zmq_and_nothing_else() -> None:
 
 
 def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> None:
-    (tmp_path / "copied.py").write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
+    shutil.copytree(FOLDER, tmp_path / "copied")
     code = (
         "import sys; sys.modules['handmap_qp'] = None; sys.path.insert(0, '.')\n"
         f"import copied; client = copied.Client({address_of(server)!r}, timeout={PATIENCE})\n"
@@ -263,20 +272,21 @@ def test_both_clients_have_the_same_documented_methods_and_signatures() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "request_type"),
-    [
-        ("open", messages.Open),
-        ("step", messages.Step),
-        ("send", messages.Sample),
-        ("reset", messages.Reset),
-        ("configure", messages.Configure),
-    ],
+    ("arguments", "request_type"),
+    [(Choices, messages.Open), (Human, messages.Step), (Changes, messages.Configure)],
 )
-def test_parameters_are_the_fields_of_the_request(name: str, request_type: type[Request]) -> None:
-    parameters = inspect.signature(getattr(Client, name)).parameters.keys() - {"self"}
+def test_arguments_are_the_fields_of_the_request(
+    arguments: type, request_type: type[Request]
+) -> None:
     fields = set(request_type.__struct_fields__) - set(Request.__struct_fields__)
-    # `watch` chooses the session of requests that others may send too.
-    assert parameters == (fields if name == "open" else fields - {"name"})
+    # `robot` is positional, and `watch` chooses the session of requests that others may send too.
+    positional = {"robot"} if request_type is messages.Open else {"name"}
+    assert arguments.__annotations__.keys() == fields - positional
+
+
+def test_an_argument_that_does_not_exist_is_rejected_before_sending() -> None:
+    with Client() as client, pytest.raises(TypeError, match="no argument 'wirst'"):
+        client.step(q=human_q(), wirst=WRIST)
 
 
 def test_every_argument_of_open_reaches_the_server(server: Server) -> None:

@@ -237,10 +237,10 @@ def test_a_command_of_an_earlier_sample_does_not_undo_a_release(server: Server) 
         tracker.release()
         # The stream may deliver the earlier command after the answer to the release.
         payload = b"lab\0" + msgspec.msgpack.encode(earlier)
-        tracker._read(payload, "stream")
+        tracker._read_streamed(payload)
         assert tracker._reopen_request()["is_released"]
         after = msgspec.structs.replace(earlier, seq=earlier.seq + 2)
-        tracker._read(b"lab\0" + msgspec.msgpack.encode(after), "stream")
+        tracker._read_streamed(b"lab\0" + msgspec.msgpack.encode(after))
         assert not tracker._reopen_request()["is_released"]
 
 
@@ -296,12 +296,13 @@ def test_a_client_restores_its_running_session_with_its_secret(server: Server) -
         before = tracker.step(q=human_q(), wrist=WRIST)
         payload = tracker._reopen_request()
         assert payload["session"] == tracker._addressee["session"]
-        tracker._reopen(clock.monotonic() + PATIENCE)
+        tracker._run(tracker._reopen(clock.monotonic() + PATIENCE))
         after = tracker.step(q=human_q(), wrist=WRIST)
         assert (after.epoch, tracker.reopened) == (before.epoch, 1)
         # Neither a repetition with an older number nor another name is its session.
         for request in (payload | {"seq": 1}, payload | {"seq": 10**6, "name": "other"}):
-            reply = tracker._ask(request | {"protocol": 2}, clock.monotonic() + PATIENCE)
+            steps = tracker._ask(request | {"protocol": 2}, clock.monotonic() + PATIENCE)
+            reply = tracker._run(steps)
             assert isinstance(reply, Error)
             assert (reply.code, reply.field) == ("invalid", "session")
 

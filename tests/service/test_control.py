@@ -17,10 +17,7 @@ import numpy as np
 import pytest
 from service_tools import CACHE, Sampler, human_q, opening, run_now
 
-from handmap_qp.service import sessions
-from handmap_qp.service.caps import Caps
-from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.messages import (
+from handmap_qp.client.messages import (
     PROTOCOL,
     Clear,
     Close,
@@ -30,6 +27,9 @@ from handmap_qp.service.messages import (
     Status,
     Stop,
 )
+from handmap_qp.service import sessions
+from handmap_qp.service.caps import Caps
+from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from service_tools import CACHE, PERIOD, SECRET, Sampler, human_q, make_session, opening, streamed
 
+from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import JsonLines, log
-from handmap_qp.service.messages import PROTOCOL, Command, Request, Status
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Entry

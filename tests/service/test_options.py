@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from service_tools import Sampler, change, human_q, make_session
 
 from handmap_qp import IkOptions, MappingOptions
+from handmap_qp.client.messages import Pose
 from handmap_qp.errors import RefusedError
 from handmap_qp.ik import solvers
 from handmap_qp.options import options_of
-from handmap_qp.service.messages import Pose
 
 PERIOD = 1.0 / 60.0
 

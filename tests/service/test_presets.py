@@ -25,15 +25,15 @@ from service_tools import (
 )
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, Recording, read_recording
+from handmap_qp.client.messages import About, Lengths
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.landmarks import TIPS, measure_hand
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.offline.poses import find_poses
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
-from handmap_qp.service.calibration import CALIBRATION_SAMPLES
-from handmap_qp.service.convert import to_lengths, to_points, to_pose
-from handmap_qp.service.messages import About, Lengths
+from handmap_qp.service.opening import CALIBRATION_SAMPLES
+from handmap_qp.service.samples import to_lengths, to_pose
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 
@@ -48,6 +48,10 @@ def opened(choices: dict[str, Any]) -> Session:
     """Open a session with the server's choice of preset, unless one is given."""
     asked: dict[str, Any] = {"preset": None} | choices
     return make_session(**asked)
+
+
+def to_points(values: np.ndarray) -> tuple[tuple[float, float, float], ...]:
+    return tuple((x, y, z) for x, y, z in values.tolist())
 
 
 def about(session: Session) -> About:
@@ -310,7 +314,7 @@ def test_landmarks_are_mapped_as_they_come(
             np.testing.assert_allclose(command.q, step.command.q, atol=1e-9)
         assert command.detail is not None
         assert command.detail.human_q is None
-        assert command.detail.landmarks == message.landmarks
+        np.testing.assert_array_equal(command.detail.landmarks, message.landmarks)
         measured = {tuple(point) for point in recording.landmarks[i].tolist()}
         assert {tuple(point) for point in command.detail.human_points} <= measured
         expected = to_pose(step.human_wrist if wrist is None else wrist)

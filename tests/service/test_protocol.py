@@ -23,8 +23,7 @@ from service_tools import (
 )
 
 from handmap_qp import client as present
-from handmap_qp.client import ServiceError
-from handmap_qp.service import messages
+from handmap_qp.client import ServiceError, messages
 from handmap_qp.service.keys import make_keys
 from handmap_qp.service.states import LEASE
 

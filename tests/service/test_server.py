@@ -32,10 +32,10 @@ from service_tools import (
 )
 
 from handmap_qp.client import ServiceError
+from handmap_qp.client.messages import PROTOCOL, Request, Status
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import Caps
 from handmap_qp.service.logs import JsonLines
-from handmap_qp.service.messages import PROTOCOL, Request, Status
 from handmap_qp.service.server import Server, Settings
 from handmap_qp.service.states import LEASE
 from handmap_qp.service.websocket import WebSettings

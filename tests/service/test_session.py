@@ -23,8 +23,8 @@ from service_tools import (
     speeds,
 )
 
+from handmap_qp.client.messages import Configure, Pose
 from handmap_qp.errors import InvalidInputError, RefusedError
-from handmap_qp.service.messages import Configure, Pose
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 

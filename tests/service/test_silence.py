@@ -18,8 +18,8 @@ from service_tools import (
     speeds,
 )
 
+from handmap_qp.client.messages import Pose
 from handmap_qp.hands.hand import LONGEST_STOP
-from handmap_qp.service.messages import Pose
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
 from handmap_qp.service.watchdog import HEARTBEAT

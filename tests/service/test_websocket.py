@@ -25,9 +25,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.protocol import Protocol
 from websockets.typing import Origin, Subprotocol
 
+from handmap_qp.client.messages import PROTOCOL, Close, Status, Stop, Subscribe
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.caps import MOST_SESSIONS, Caps
-from handmap_qp.service.messages import PROTOCOL, Close, Status, Stop, Subscribe
 from handmap_qp.service.server import Server
 from handmap_qp.service.websocket import WebSettings, _Outbox
 

@@ -22,11 +22,11 @@ from service_tools import address_of, client_of, connected, human_q, in_loop, lo
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.client import Client, Command
+from handmap_qp.client.messages import About
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 from handmap_qp.service.keys import make_keys
-from handmap_qp.service.messages import About
 from handmap_qp.service.server import Server
 from handmap_qp.viewer.live import LiveViewer
 from handmap_qp.viewer.remote import ServiceSession

@@ -1,0 +1,719 @@
+"""Client of the mapping service (`handmap serve`).
+
+This folder needs numpy, msgspec and pyzmq, and nothing else: copy it to where you need it.
+
+    with Client() as client:
+        client.open("allegro_right", preset="teleoperation")
+        command = client.step(q=human_q, wrist=wrist_pose)    # wait for the answer to each sample
+        client.send(q=human_q, wrist=wrist_pose)              # or send without waiting,
+        command = client.latest(timeout=0.1)                  # and read the newest command
+
+In another process, such as the robot's driver, call `watch` with the name of the session and then
+`latest`. `AsyncClient` has the same methods as coroutines. A call raises `ServiceTimeoutError` if
+no answer arrives in time, and `ServiceError` if the server refuses the request. If the server was
+restarted, the client reopens its session where the robot is. Units are SI and radians; `messages`
+describes all fields. Use one client per thread or per event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import time as clock
+from collections.abc import Generator
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import zmq
+import zmq.asyncio
+import zmq.auth
+
+from . import messages
+from .messages import PROTOCOL, PROTOCOLS, TOPIC_END, Done, Error, Opened, Pose, Reply
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+OLDEST_PROTOCOL = min(PROTOCOLS)
+ADDRESS = "tcp://127.0.0.1:5570"
+KeyFiles = tuple[Path | str, Path | str]
+Request = dict[str, Any]
+Use = Literal["requests", "samples", "stream"]
+R = TypeVar("R", bound=Reply)
+T = TypeVar("T")
+
+
+class Command(messages.Command, frozen=True):
+    """A command for the robot's driver; its `detail` is a dict, as the server sent it."""
+
+    detail: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
+
+
+class State(messages.State, frozen=True):
+    """The state of a session or of the server; its `about` is a dict, as the server sent it."""
+
+    about: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
+
+
+class Changes(TypedDict, total=False):
+    """Options to change, as the fields of `messages.Configure`."""
+
+    preset: str | None
+    options: dict[str, Any] | None
+    mapping: dict[str, Any] | None
+    teleoperation: dict[str, Any] | None
+    ik: dict[str, Any] | None
+    has_detail: bool | None
+
+
+class Choices(Changes, total=False):
+    """What a session is opened with, as the fields of `messages.Open`."""
+
+    name: str | None
+    input: Literal["q", "landmarks", "points"] | None
+    layout: str | None
+    side: Literal["right", "left"] | None
+    hand_length: float | None
+    lengths: dict[str, Any] | None
+    contact_gap: float | None
+    human_points: str | None
+    robot_points: str | None
+    mount: Literal["floating", "fixed"] | None
+    robot_q: npt.ArrayLike | None
+    robot_wrist: Pose | npt.ArrayLike | None
+    restore: bool | None
+    is_released: bool | None
+    max_dt: float | None
+    time_from: Literal["server", "client"] | None
+    watchdog: float | None
+    return_after: float | None
+    return_speed: float | None
+    resume: Literal["follow", "clutch"] | None
+    is_shared: bool | None
+
+
+class Human(TypedDict, total=False):
+    """One sample of the human hand, as the fields of `messages.Step`."""
+
+    q: npt.ArrayLike | None
+    wrist: Pose | npt.ArrayLike | None
+    landmarks: npt.ArrayLike | None
+    points: npt.ArrayLike | None
+    values: npt.ArrayLike | None
+    time: float | None
+    valid: bool | None
+    confidence: float | None
+
+
+class ServiceError(RuntimeError):
+    """The server refused a request; `error` has the reason and the field at fault."""
+
+    def __init__(self, error: Error) -> None:
+        super().__init__(": ".join(filter(None, (error.code, error.field, error.message))))
+        self.error = error
+
+
+class ServiceTimeoutError(TimeoutError):
+    """No answer arrived in time."""
+
+
+class _Io(NamedTuple):
+    """Send a payload, or receive a message if it is None, before a time [s, monotonic].
+
+    The result is the message, empty for a payload that was sent, or None if it was too late.
+    """
+
+    socket: Any
+    payload: bytes | None
+    until: float
+
+
+Steps = Generator[_Io, bytes | None, T]
+"""A call as steps of input and output, which end with its result."""
+
+
+def _plain(value: Any) -> Any:
+    """Convert an array, scalar or sequence of numpy's to lists and numbers."""
+    plain = np.asarray(value)
+    if plain.dtype == object:
+        raise ValueError(f"expected numbers, got {type(value).__name__}")
+    return plain.tolist()
+
+
+_ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+_DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
+_OPTIONS = ("options", "mapping", "teleoperation", "ik")
+_ENGAGING = ("clutch", "release", "reset", "stop", "clear")
+
+
+def _request(kind: str, allowed: type, given: Any, **fields: Any) -> Request:
+    """Return a request with the fields that are not None, with poses in any form as `Pose`.
+
+    Raises:
+        TypeError: If there is no such field.
+        ValueError: If a pose is not one.
+    """
+    if unknown := given.keys() - allowed.__annotations__.keys():
+        raise TypeError(f"{kind}() has no argument {sorted(unknown)[0]!r}")
+    request = {"type": kind, **fields}
+    for name, value in given.items():
+        if value is not None:
+            request[name] = Pose.of(value, name) if name.endswith("wrist") else value
+    return request
+
+
+class _Core:
+    """Calls as steps of input and output, written once for both clients."""
+
+    _context: type[zmq.Context[Any]] = zmq.Context
+    # Heartbeats detect a connection that died without notice.
+    _SOCKET_OPTIONS = (
+        (zmq.IPV6, 1),
+        (zmq.LINGER, 0),
+        (zmq.RECONNECT_IVL, 50),
+        (zmq.HEARTBEAT_IVL, 1000),
+        (zmq.HEARTBEAT_TIMEOUT, 3000),
+    )
+
+    def __init__(
+        self,
+        address: str = ADDRESS,
+        *,
+        timeout: float = 2.0,
+        attempts: int = 2,
+        keys: KeyFiles | None = None,
+    ) -> None:
+        if "://" not in address or not address.rpartition(":")[2].isdigit():
+            raise ValueError(f"expected an address such as {ADDRESS}, got {address!r}")
+        self.address, self.timeout, self.attempts = address, timeout, attempts
+        self.reopened = 0
+        self._keys = None if keys is None else _load_keys(keys)
+        self._seq, self._protocol = 0, PROTOCOL
+        self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget the session."""
+        self.opened: Opened | None = None
+        self._last_command: messages.Command | None = None
+        self._open_request: Request = {}  # as it must be repeated to reopen the session
+        self._addressee: Request = {"session": ""}  # or the public name of a watched session
+        self._stream_name, self._stream_port = "", 0
+        self._released_at = 0  # number of the last request that changed `is_released`
+
+    def _open(self, robot: str, choices: Choices) -> Steps[Opened]:
+        fields = {"session": secrets.token_urlsafe(24), "robot": robot}
+        return self._call(_request("open", Choices, choices, **fields), Opened)
+
+    def _sample(self, kind: str, human: Human) -> Request:
+        request = {"time": clock.monotonic()} | _request(kind, Human, human)
+        if "values" in request:
+            request["values"] = np.ravel(request["values"])
+        return request
+
+    def _stop(self, name: str | None, reason: str) -> Steps[Done]:
+        addressee = {} if name is None else {"session": "", "name": name}
+        return self._call({"type": "stop", "reason": reason} | addressee, Done)
+
+    def _send(self, sample: Request) -> Steps[None]:
+        if self.opened is None:
+            raise RuntimeError("open a session first")
+        # Only samples that could not be read, or that are of no session, are answered. The stream
+        # reports samples that the mapping rejected.
+        answer = yield _Io(self._socket("samples"), None, 0.0)
+        if answer is not None and isinstance(error := self._read(answer), Error):
+            if error.code != "no_session":
+                raise ServiceError(error)
+            yield from self._reopen(clock.monotonic() + self.timeout)
+        yield _Io(self._socket("samples"), _ENCODE(self._numbered(sample)), 0.0)
+
+    def _latest(self, timeout: float) -> Steps[Command | None]:
+        if not self._stream_port:
+            raise RuntimeError("open a session first, or watch one")
+        until = clock.monotonic() + timeout
+        # Another task may replace the stream by opening a session, or end it by closing.
+        while self._stream_port:
+            payload = yield _Io(self._socket("stream"), None, until)
+            if payload is not None:
+                reply = self._read_streamed(payload)
+                if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
+                    raise ServiceError(reply)
+                return reply if isinstance(reply, Command) else None
+            if clock.monotonic() >= until:
+                break
+        return None
+
+    def _watch(self, name: str) -> Steps[State]:
+        if self.opened is not None:
+            raise RuntimeError("this client has a session of its own; watch with another one")
+        state = yield from self._call({"type": "status", "name": name}, State)
+        self._addressee = {"name": name}
+        self._stream_name, self._stream_port = name, state.stream_port
+        self._socket("stream")
+        return state
+
+    def _close(self) -> Steps[None]:
+        try:
+            if self.opened is not None:
+                with suppress(ServiceError, ServiceTimeoutError):
+                    yield from self._call({"type": "close"}, Done)
+        finally:
+            self._forget()
+            for use in tuple(self._sockets):
+                self._drop(use)
+
+    def _call(self, request: Request, kind: type[R], deadline: float | None = None) -> Steps[R]:
+        """Send a request; if the server has lost the session, reopen it and send it again."""
+        until = clock.monotonic() + self.timeout if deadline is None else deadline
+        reply = yield from self._ask(numbered := self._numbered(request), until)
+        if self._speaks_older(reply):
+            reply = yield from self._ask(numbered := self._numbered(request), until)
+        is_lost = isinstance(reply, Error) and reply.code == "no_session"
+        if is_lost and self._open_request and request["type"] not in ("open", "close"):
+            yield from self._reopen(until)
+            reply = yield from self._ask(numbered := self._numbered(request), until)
+        if isinstance(reply, Error):
+            raise ServiceError(reply)
+        if not isinstance(reply, kind):
+            raise ServiceError(Error(code="protocol", message=f"unexpected {reply}"))
+        self._note(numbered, reply)
+        return reply
+
+    def _ask(self, request: Request, deadline: float) -> Steps[Reply]:
+        """Send a request and wait for its answer, each attempt on a new connection."""
+        payload = _ENCODE(request)
+        for left in range(self.attempts, 0, -1):
+            # Each attempt has an equal share of the time that is left.
+            now, socket = clock.monotonic(), self._socket("requests")
+            until = now + (deadline - now) / left
+            answer = yield _Io(socket, payload, until)
+            while answer is not None:
+                if (answer := (yield _Io(socket, None, until))) is None:
+                    break
+                reply = self._read(answer)
+                # An error with number 0 says that the server did not read the request. Other
+                # numbers are of requests that timed out before.
+                if reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error)):
+                    return reply
+            self._drop("requests")
+        raise ServiceTimeoutError(
+            f"{self.address}: no answer to {request['type']!r} within {self.timeout:g} s"
+        )
+
+    def _reopen(self, deadline: float) -> Steps[None]:
+        """Open the lost session again, where its robot is."""
+        if (payload := (yield _Io(self._socket("stream"), None, 0.0))) is not None:
+            self._read_streamed(payload)
+        last = self._last_command
+        yield from self._call(self._reopen_request(), Opened, deadline)
+        self._last_command, self.reopened = last, self.reopened + 1
+
+    def _reopen_request(self) -> Request:
+        """Return a request that opens the session again, at the robot's last known posture.
+
+        `restore` lets the server use its own record if it has one; it knows the owner's secret.
+        """
+        start: Request = {}
+        if self.opened is not None:
+            last = self._last_command
+            start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
+            if last is not None and self.opened.is_floating:
+                start["robot_wrist"] = last.wrist
+        return self._open_request | start
+
+    def _numbered(self, request: Request) -> Request:
+        """Add the next number and the session to a request."""
+        self._seq += 1
+        addressee = {} if request["type"] == "open" else self._addressee
+        return addressee | request | {"protocol": self._protocol, "seq": self._seq}
+
+    def _read(self, payload: bytes) -> Reply:
+        """Decode a reply, and remember the last command for `_reopen_request`."""
+        reply, last = _DECODE(payload), self._last_command
+        if isinstance(reply, Command) and (last is None or reply.seq >= last.seq):
+            self._last_command = reply
+            # Other clients may release a shared session too. A request of this client is newer than
+            # a command that answers an earlier sample.
+            if self._open_request and reply.seq > self._released_at:
+                self._open_request["is_released"] = "released" in reply.flags
+        return reply
+
+    def _read_streamed(self, payload: bytes) -> Reply:
+        return self._read(payload.split(TOPIC_END, 1)[1])
+
+    def _speaks_older(self, reply: Reply) -> bool:
+        """Return whether the server answers an older version only, and speak that from now on."""
+        if not (isinstance(reply, Error) and reply.code == "protocol"):
+            return False
+        # Servers of version 1 do not say which versions they answer.
+        theirs = reply.protocols or (OLDEST_PROTOCOL,)
+        common = {version for version in PROTOCOLS if version < self._protocol}.intersection(theirs)
+        self._protocol = max(common, default=self._protocol)
+        return bool(common)
+
+    def _note(self, request: Request, reply: Reply) -> None:
+        """Note what a request that was carried out means for the next reopening."""
+        wanted, kind = self._open_request, request["type"]
+        if isinstance(reply, Opened):
+            self._open_request, self.opened = request, reply
+            self._last_command, self._released_at = None, reply.seq
+            self._addressee = {"session": request["session"]}
+            self._stream_name, self._stream_port = reply.name, reply.stream_port
+            self._socket("stream")  # subscribe before the first command
+        elif wanted and kind in _ENGAGING and "name" not in request:
+            wanted["is_released"] = kind not in ("clutch", "reset")
+            self._released_at = reply.seq
+        elif wanted and kind == "configure":
+            for field in _OPTIONS:
+                # A preset replaces all options.
+                before = {} if "preset" in request else wanted.pop(field, {})
+                wanted.pop(field, None)
+                if changed := before | request.get(field, {}):
+                    wanted[field] = changed
+            wanted |= {key: request[key] for key in ("preset", "has_detail") if key in request}
+
+    def _socket(self, use: Use) -> Any:
+        """Return the socket for a use, connected when it is first needed for a session."""
+        address, kind, session = self.address, zmq.DEALER, ""
+        if use == "stream":
+            address = f"{address.rpartition(':')[0]}:{self._stream_port}"
+            kind, session = zmq.SUB, self._stream_name
+        elif use == "samples":
+            # Answers to samples before a reopening would reopen the session again.
+            session = f"{self._addressee.get('session', '')}{self.reopened}"
+        if use in self._sockets:
+            endpoint, socket = self._sockets[use]
+            if endpoint == (address, session):
+                return socket
+            self._drop(use)
+        socket = self._context.instance().socket(kind)
+        self._sockets[use] = (address, session), socket
+        # A request waits in the client until there is a connection. Of samples and commands, the
+        # socket keeps the newest one.
+        socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
+        for option, value in self._SOCKET_OPTIONS:
+            socket.setsockopt(option, value)
+        if self._keys is not None:
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
+        if use == "stream":
+            socket.setsockopt(zmq.SUBSCRIBE, session.encode() + TOPIC_END)
+        socket.connect(address)
+        return socket
+
+    def _drop(self, use: Use) -> None:
+        self._sockets.pop(use)[1].close(linger=0)
+
+
+def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:
+    """Return this client's public and secret key, and the server's public key."""
+    (public, secret), (server, _) = (zmq.auth.load_certificate(file) for file in files)
+    if secret is None:
+        raise ValueError(
+            f"{files}: expected NAME.key_secret and server.key; the first holds no secret key"
+        )
+    return public, secret, server
+
+
+def _wait(io: _Io) -> tuple[int, int]:
+    """Return the event to wait for, and the time left, at least 0 [ms]."""
+    milliseconds = max(0, math.ceil(1e3 * (io.until - clock.monotonic())))
+    return milliseconds, zmq.POLLIN if io.payload is None else zmq.POLLOUT
+
+
+def _transfer(io: _Io) -> Any:
+    """Send or receive at once; of an asyncio socket, return the future of it."""
+    if io.payload is None:
+        return io.socket.recv(zmq.NOBLOCK)
+    return io.socket.send(io.payload, zmq.NOBLOCK)
+
+
+class Client(_Core):
+    """Client that blocks until the answer arrives; also a context manager.
+
+    Every method that asks the server raises `ServiceError` if the server refuses, and
+    `ServiceTimeoutError` if no answer arrives in time. Arguments that are None are left to the
+    server.
+
+    Args:
+        address: Address of the server's requests, `tcp://HOST:PORT`.
+        timeout: Longest time of a call [s].
+        attempts: Number of connections that a call tries, one after the other, within `timeout`.
+        keys: Files of `handmap keys`: `NAME.key_secret` of this client, and `server.key`.
+
+    Attributes:
+        opened: The open session; None if there is none.
+        reopened: How often the client had to reopen its session.
+
+    Raises:
+        ValueError: If `address` or `keys` cannot be used.
+    """
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self, robot: str, **choices: Unpack[Choices]) -> Opened:
+        """Open a session: one human hand that leads one robot hand.
+
+        A session that was open before stays open if the server refuses.
+
+        Args:
+            robot: Name of a robot hand on the server.
+            **choices: Fields of `messages.Open`. Arrays may be of numpy, and a pose is (4, 4),
+                seven numbers x y z qx qy qz qw, or a `Pose`. `lengths` has `bases` (5, 3) and
+                `segments` (5, 3) [m], and `rolls` (5,) [rad]; with `contact_gap`, they are the
+                arguments of a person's file (`Person.session_fields`).
+
+        Returns:
+            The session, also kept as `opened`.
+        """
+        return self._run(self._open(robot, choices))
+
+    def step(self, **human: Unpack[Human]) -> Command:
+        """Map one sample and wait for its command.
+
+        Args:
+            **human: Fields of `messages.Step`: `q`, `landmarks`, `points` or `values`, as `open`
+                chose, and `wrist`, a pose as in `open`. `time` is the monotonic clock of this
+                machine if omitted [s].
+
+        Raises:
+            ValueError: If `wrist` is not a pose.
+        """
+        return self._run(self._call(self._sample("step", human), Command))
+
+    def send(self, **human: Unpack[Human]) -> None:
+        """Send a sample as in `step`, without waiting for its command.
+
+        Read the command with `latest`. If several samples wait, the server maps the newest.
+
+        Raises:
+            RuntimeError: If no session is open.
+            ServiceError: If the server refused an earlier sample.
+            ServiceTimeoutError: If a lost session cannot be reopened in time.
+            ValueError: If `wrist` is not a pose.
+        """
+        self._run(self._send(self._sample("sample", human)))
+
+    def latest(self, timeout: float = 0.0) -> Command | None:
+        """Return the newest command of the stream.
+
+        Args:
+            timeout: Longest time to wait for one [s].
+
+        Returns:
+            None if no command has arrived since the last call, nor arrives in time.
+
+        Raises:
+            RuntimeError: If this client neither opened nor watches a session.
+            ServiceError: If the server could not use a streamed sample.
+        """
+        return self._run(self._latest(timeout))
+
+    def watch(self, name: str) -> State:
+        """Watch another client's session; `latest` returns its commands.
+
+        If the session is shared, `release`, `clutch` and `configure` act on it.
+
+        Raises:
+            RuntimeError: If this client has a session of its own.
+        """
+        return self._run(self._watch(name))
+
+    def clutch(self) -> None:
+        """Engage, or engage again: the next sample is the reference.
+
+        The robot continues from where it is. With the presets `teleoperation` and `object`, its
+        fingers then go to the human's posture.
+        """
+        self._run(self._call({"type": "clutch"}, Done))
+
+    def release(self) -> None:
+        """Disengage: the robot holds its posture until `clutch`."""
+        self._run(self._call({"type": "release"}, Done))
+
+    def stop(self, name: str | None = None, *, reason: str = "") -> None:
+        """Stop the robot: it brakes and holds, whatever comes, until `clear`.
+
+        Args:
+            name: Public name of a session; the client's own or the watched one if omitted, and all
+                sessions of the server if the client has none.
+            reason: Reason for the server's log.
+        """
+        self._run(self._stop(name, reason))
+
+    def clear(self, stop: int) -> None:
+        """Clear an emergency stop on purpose; the robot is then released, and `clutch` engages it.
+
+        Args:
+            stop: Its number, `status().stop`.
+        """
+        self._run(self._call({"type": "clear", "stop": stop}, Done))
+
+    def reset(
+        self,
+        *,
+        robot_q: npt.ArrayLike | None = None,
+        robot_wrist: Pose | npt.ArrayLike | None = None,
+    ) -> None:
+        """Start again, with the next sample as the reference.
+
+        Without arguments, the robot goes to rest within its speed limits.
+
+        Args:
+            robot_q: Joint angles where the robot is now [rad], shape (n,).
+            robot_wrist: Pose of its wrist, as in `open`.
+        """
+        start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
+        self._run(self._call(_request("reset", Choices, start), Done))
+
+    def configure(self, **changes: Unpack[Changes]) -> None:
+        """Change options; options that are not named, and the reference, stay as they are.
+
+        Args:
+            **changes: Fields of `messages.Configure`. With another `preset`, options that are not
+                named are the preset's own.
+        """
+        self._run(self._call(_request("configure", Changes, changes), Done))
+
+    def status(self) -> State:
+        """Return the state of the session; of the server if no session is open."""
+        return self._run(self._call({"type": "status"}, State))
+
+    def close(self) -> None:
+        """End the session if the server can be reached, and close the sockets."""
+        self._run(self._close())
+
+    def _run(self, steps: Steps[T]) -> T:
+        result: bytes | None = None
+        try:
+            while True:
+                io = steps.send(result)
+                result = None
+                if io.socket.poll(*_wait(io)):
+                    result = _transfer(io) or b""
+        except StopIteration as end:
+            return end.value
+        finally:
+            steps.close()
+
+
+class AsyncClient(_Core):
+    """Client for asyncio: `Client` with coroutines.
+
+    Calls of several tasks take turns. Arguments, attributes and errors are those of `Client`.
+    """
+
+    _context = zmq.asyncio.Context
+
+    def __init__(
+        self,
+        address: str = ADDRESS,
+        *,
+        timeout: float = 2.0,
+        attempts: int = 2,
+        keys: KeyFiles | None = None,
+    ) -> None:
+        super().__init__(address, timeout=timeout, attempts=attempts, keys=keys)
+        # Calls of several tasks take turns. One task may wait for the stream meanwhile.
+        self._turn, self._stream_turn = asyncio.Lock(), asyncio.Lock()
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def open(self, robot: str, **choices: Unpack[Choices]) -> Opened:
+        """Open a session; see `Client.open`."""
+        return await self._run(self._open(robot, choices))
+
+    async def step(self, **human: Unpack[Human]) -> Command:
+        """Map one sample and wait for its command; see `Client.step`."""
+        return await self._run(self._call(self._sample("step", human), Command))
+
+    async def send(self, **human: Unpack[Human]) -> None:
+        """Send a sample without waiting for its command; see `Client.send`."""
+        await self._run(self._send(self._sample("sample", human)))
+
+    async def latest(self, timeout: float = 0.0) -> Command | None:
+        """Return the newest command of the stream; see `Client.latest`."""
+        return await self._run(self._latest(timeout), self._stream_turn)
+
+    async def watch(self, name: str) -> State:
+        """Watch another client's session; see `Client.watch`."""
+        return await self._run(self._watch(name))
+
+    async def clutch(self) -> None:
+        """Engage, or engage again; see `Client.clutch`."""
+        await self._run(self._call({"type": "clutch"}, Done))
+
+    async def release(self) -> None:
+        """Disengage; see `Client.release`."""
+        await self._run(self._call({"type": "release"}, Done))
+
+    async def stop(self, name: str | None = None, *, reason: str = "") -> None:
+        """Stop the robot; see `Client.stop`."""
+        await self._run(self._stop(name, reason))
+
+    async def clear(self, stop: int) -> None:
+        """Clear an emergency stop; see `Client.clear`."""
+        await self._run(self._call({"type": "clear", "stop": stop}, Done))
+
+    async def reset(
+        self,
+        *,
+        robot_q: npt.ArrayLike | None = None,
+        robot_wrist: Pose | npt.ArrayLike | None = None,
+    ) -> None:
+        """Start again, with the next sample as the reference; see `Client.reset`."""
+        start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
+        await self._run(self._call(_request("reset", Choices, start), Done))
+
+    async def configure(self, **changes: Unpack[Changes]) -> None:
+        """Change options; see `Client.configure`."""
+        await self._run(self._call(_request("configure", Changes, changes), Done))
+
+    async def status(self) -> State:
+        """Return the state of the session or the server; see `Client.status`."""
+        return await self._run(self._call({"type": "status"}, State))
+
+    async def close(self) -> None:
+        """End the session and close the sockets; see `Client.close`."""
+        await self._run(self._close())
+
+    async def _run(self, steps: Steps[T], turn: asyncio.Lock | None = None) -> T:
+        result: bytes | None = None
+        async with turn or self._turn:
+            try:
+                while True:
+                    io = steps.send(result)
+                    result = None
+                    # Another task may take the message between the event and the transfer.
+                    with suppress(zmq.Again):
+                        if await self._is_ready(io):
+                            result = await _transfer(io) or b""
+            except StopIteration as end:
+                return end.value
+            finally:
+                steps.close()
+
+    async def _is_ready(self, io: _Io) -> bool:
+        """Return whether the event comes in time; False if another task closes the socket."""
+        milliseconds, event = _wait(io)
+        if int(io.socket.EVENTS) & event:
+            return True
+        # Closing the socket cancels this future. `wait` keeps that apart from a cancelled task.
+        polled = asyncio.ensure_future(io.socket.poll(milliseconds, event))
+        try:
+            await asyncio.wait([polled])
+            return not (polled.cancelled() or io.socket.closed) and bool(polled.result())
+        finally:
+            polled.cancel()

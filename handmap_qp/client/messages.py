@@ -1,0 +1,608 @@
+"""The messages of the mapping service as types, which server and client share.
+
+They travel as msgpack (ZeroMQ, WebSocket binary) or JSON (WebSocket text). `type` is the name of
+the class in lower case. Requests with unknown fields are refused; replies may get further fields.
+SI and radians; poses are of the wrist frame. `handmap serve --schema` prints these descriptions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+PROTOCOL = 2
+"""Version of the messages."""
+PROTOCOLS = (1, 2)
+"""Versions that the server answers. Version 2 adds `stop` and `clear`."""
+TOPIC_END = b"\0"
+"""Separator between a session's name and the message in its stream."""
+
+Vector = tuple[float, float, float]
+Names = tuple[str, ...]
+Numbers = Annotated[tuple[float, ...], Meta(max_length=256)]
+Points = Annotated[tuple[Vector, ...], Meta(max_length=256)]
+Values = Annotated[tuple[float, ...], Meta(max_length=1024)]
+Preset = Annotated[str, Meta(max_length=64)]
+Length = Annotated[float, Meta(gt=0, le=1)]
+Gap = Annotated[float, Meta(ge=0, le=0.04)]
+Duration = Annotated[float, Meta(ge=0, le=3600)]
+Matrix = tuple[tuple[float, ...], ...]
+NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
+Name = Annotated[str, Meta(title=NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
+
+
+class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A rigid pose in a right-handed world.
+
+    Attributes:
+        position: Origin [m].
+        quat_xyzw: Unit quaternion, scalar last.
+    """
+
+    position: Vector
+    quat_xyzw: tuple[float, float, float, float]
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Return the pose as a homogeneous matrix, shape (4, 4)."""
+        norm = math.hypot(*self.quat_xyzw)
+        x, y, z, w = (part / norm for part in self.quat_xyzw)
+        matrix = np.eye(4)
+        matrix[:3, :3] = (
+            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+            (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+            (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+        )
+        matrix[:3, 3] = self.position
+        return matrix
+
+    @classmethod
+    def from_matrix(cls, matrix: np.ndarray) -> Pose:
+        """Convert a rigid transformation, shape (4, 4), which is not checked."""
+        (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
+        # Each row is the quaternion times four times one of its parts. That of the largest part,
+        # which is never small, is taken (Shepperd 1978).
+        rows = (
+            (1.0 + a - e - i, b + d, c + g, h - f),
+            (b + d, 1.0 - a + e - i, f + h, c - g),
+            (c + g, f + h, 1.0 - a - e + i, d - b),
+            (h - f, c - g, d - b, 1.0 + a + e + i),
+        )
+        row = max(enumerate(rows), key=lambda part: part[1][part[0]])[1]
+        norm = math.hypot(*row)
+        return cls((x, y, z), (row[0] / norm, row[1] / norm, row[2] / norm, row[3] / norm))
+
+    @classmethod
+    def of(cls, pose: Pose | npt.ArrayLike, name: str = "pose") -> Pose:
+        """Convert a homogeneous matrix, or seven numbers.
+
+        Args:
+            pose: Shape (4, 4), or shape (7,): x y z qx qy qz qw.
+            name: Name of the argument, for the error message.
+
+        Raises:
+            ValueError: If it is not a rigid pose.
+        """
+        if isinstance(pose, Pose):
+            return pose
+        try:
+            values = np.asarray(pose, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name}: expected numbers, got {type(pose).__name__}") from error
+        if values.shape == (7,):
+            return cls(tuple(values[:3].tolist()), tuple(values[3:].tolist()))
+        if values.shape != (4, 4):
+            raise ValueError(
+                f"{name}: expected shape (4, 4), or 7 numbers, got shape {values.shape}"
+            )
+        R = values[:3, :3]
+        # Many trackers send zeros when tracking is lost. `not a <= b` also rejects NaN.
+        if not (
+            np.abs(R.T @ R - np.eye(3)).max() <= 1e-3
+            and np.linalg.det(R) > 0.0
+            and (values[3] == (0, 0, 0, 1)).all()
+        ):
+            raise ValueError(
+                f"{name}: expected a rotation and a translation, got {values.tolist()}"
+            )
+        return cls.from_matrix(values)
+
+
+class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A measured hand of a person: rows thumb, index, middle, ring, little.
+
+    Lengths are those of a right hand; mirror a left one in x = 0.
+
+    Attributes:
+        bases: First joint of each finger in the palm frame [m].
+        segments: Bone lengths outwards from there [m].
+        rolls: Turn of each finger's joint axes about the palm's y axis [rad].
+    """
+
+    bases: tuple[Vector, Vector, Vector, Vector, Vector]
+    segments: tuple[Vector, Vector, Vector, Vector, Vector]
+    rolls: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Request(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="type",
+    tag=str.lower,
+):
+    """A request of a client.
+
+    Attributes:
+        protocol: Version of the messages.
+        seq: Number of the request, increasing; the answer has it too.
+        session: Secret of the session: 16 to 64 random characters that its client chose.
+    """
+
+    protocol: int
+    seq: Annotated[int, Meta(ge=1, le=2**53)]
+    session: Annotated[str, Meta(max_length=64)] = ""
+
+
+def _rename_options(request: Open | Configure) -> None:
+    """Take options by the names that they had before methods could be added."""
+    if request.mapping or request.teleoperation:
+        if isinstance(request, Open) and request.preset is None:
+            preset = "paper" if request.mapping else "teleoperation"
+            msgspec.structs.force_setattr(request, "preset", preset)
+        options = request.mapping | request.teleoperation | request.options
+        msgspec.structs.force_setattr(request, "options", options)
+
+
+class Open(Request, frozen=True):
+    """Open a session: one human hand that leads one robot hand. The answer is `opened`.
+
+    Attributes:
+        robot: Name of a robot hand on the server.
+        name: Public name of the session and its stream; the server makes one if omitted.
+        input: What samples hold.
+        layout: Layout of the numbers in `values`, such as webxr25 (`handmap layouts` lists them);
+            only with input=landmarks, whose 21 landmarks it replaces.
+        side: The human hand.
+        hand_length: From wrist crease to middle fingertip [m].
+        lengths: The measured hand. With neither, the first landmarks measure it.
+        contact_gap: Distance of thumb and finger landmarks where the skin touches [m]. Without it,
+            and without the option of teleoperation, touches measure it during the session.
+        human_points: Set of reference points on the human hand.
+        robot_points: Set of reference points on the robot hand.
+        mount: Mount of the robot's wrist, in place of the hand's own.
+        preset: What the mapping is for; see the list. If omitted: teleoperation if the robot's
+            fingers have partners, else object, or fixed_wrist if its wrist is fixed; another one if
+            `options` has what this one does not have.
+        options: Options of the preset's method; others are the preset's.
+        mapping: Former name of `options`; without `preset`, for the preset paper.
+        teleoperation: Former name of `options` for the preset teleoperation.
+        ik: Fields of IkOptions; others are the preset's. The solver must be daqp.
+        robot_q: Joint angles where the robot is now [rad]; at rest if omitted.
+        robot_wrist: Pose of its wrist; at the palm of the first sample if omitted.
+        restore: Continue where the last session of this name left the robot: its owner in the same
+            epoch, without keys others too, in a new one, when the owner is silent for 2 s.
+        is_released: Start released: the robot holds still until `clutch`.
+        max_dt: Longest time that one command may account for [s]; about two samples.
+        time_from: Clock for speed limits; `client` needs --simulated-time.
+        watchdog: Time without a sample after which the robot holds [s].
+        return_after: Time of a hold after which the robot returns to rest [s]; null for never.
+        return_speed: Share of its speed limits that it returns at.
+        resume: After a hold: follow the human, or take a new reference.
+        has_detail: Whether commands carry every stage of the mapping.
+        is_shared: Whether others may release, clutch, configure and clear it by its name.
+    """
+
+    robot: Annotated[str, Meta(max_length=64)]
+    name: Name | None = None
+    input: Literal["q", "landmarks", "points"] = "q"
+    layout: Name | None = None
+    side: Literal["right", "left"] = "right"
+    hand_length: Length | None = None
+    lengths: Lengths | None = None
+    contact_gap: Gap | None = None
+    human_points: Name | None = None
+    robot_points: Name | None = None
+    mount: Literal["floating", "fixed"] | None = None
+    preset: Preset | None = None
+    options: dict[str, Any] = {}
+    mapping: dict[str, Any] = {}
+    teleoperation: dict[str, Any] = {}
+    ik: dict[str, Any] = {}
+    robot_q: Numbers | None = None
+    robot_wrist: Pose | None = None
+    restore: bool = False
+    is_released: bool = False
+    max_dt: Annotated[float, Meta(ge=0.0001, le=1)] = 1 / 30
+    time_from: Literal["server", "client"] = "server"
+    watchdog: Annotated[float, Meta(ge=0.01, le=10)] = 0.25
+    return_after: Duration | None = None
+    return_speed: Annotated[float, Meta(gt=0, le=1)] = 0.1
+    resume: Literal["follow", "clutch"] = "follow"
+    has_detail: bool = False
+    is_shared: bool = False
+
+    def __post_init__(self) -> None:
+        """Take options by their former names."""
+        _rename_options(self)
+
+
+class Step(Request, frozen=True):
+    """One sample of the human hand: `q`, `landmarks` or `points`, as `open` chose.
+
+    The answer is `command`.
+
+    Attributes:
+        time: Time stamp of any clock of the client [s].
+        q: Joint angles in the order of `human_joint_names` [rad].
+        landmarks: 21 landmarks in MediaPipe's order [m]; may be omitted if `valid` is false.
+        points: Reference points in the order of `human_point_names` [m].
+        values: Numbers of the session's `layout`, row by row, in its axes and unit.
+        wrist: The human's wrist: required with `q`; optional with `landmarks`, whose palm gives it
+            otherwise; with `points`, required by teleoperation and rigid_from=wrist. With `values`,
+            in the axes and unit of the layout.
+        valid: Whether the tracker saw the hand; only with `landmarks`. If not, it holds.
+        confidence: The tracker's own confidence; 0 counts as not seen.
+    """
+
+    time: float
+    q: Numbers | None = None
+    landmarks: Points | None = None
+    points: Points | None = None
+    values: Values | None = None
+    wrist: Pose | None = None
+    valid: bool = True
+    confidence: Annotated[float, Meta(ge=0, le=1)] = 1.0
+
+
+class Sample(Step, frozen=True):
+    """A sample without an answer: its command is in the stream.
+
+    If several samples wait, the newest is mapped.
+    """
+
+
+class Named(Request, frozen=True, kw_only=True):
+    """A request that clients other than the session's own may send too.
+
+    It is idempotent, because such requests have no protection against repetition.
+
+    Attributes:
+        name: Public name of a session, in place of the secret.
+    """
+
+    name: Name | None = None
+
+
+class Clutch(Named, frozen=True):
+    """Engage, or engage again: the next sample is the reference.
+
+    The robot continues from where it is. With the presets teleoperation and object only the palm
+    has a reference: the fingers go to the human's posture within their speed limits.
+    """
+
+
+class Release(Named, frozen=True):
+    """Disengage: the robot holds its posture until `clutch`."""
+
+
+class Stop(Named, frozen=True):
+    """Emergency stop: the robot brakes and holds its posture, whatever comes, until `clear`.
+
+    Every client that is admitted may stop every session by its name. Without name and session, all
+    sessions are stopped. The stop outlives the client, the session and, with `--state`, the server.
+    The session's owner and supervisors may clear it, and everyone if the session is shared.
+
+    Attributes:
+        reason: Reason for the log.
+    """
+
+    reason: Annotated[str, Meta(max_length=200)] = ""
+
+
+class Clear(Named, frozen=True):
+    """Clear an emergency stop on purpose. The robot is then released: `clutch` engages it.
+
+    Attributes:
+        stop: Number of the stop, as `status` reports it.
+    """
+
+    stop: Annotated[int, Meta(ge=1)]
+
+
+class Configure(Named, frozen=True):
+    """Change options: the reference stays, and the robot continues from where it is.
+
+    Attributes:
+        preset: Another preset, with its own options where none are given here. `max_acceleration`
+            and `avoids_self_collision` stay.
+        options: Options of the preset's method; without `preset`, others stay as they are.
+        mapping: Former name of `options`.
+        teleoperation: Former name of `options`.
+        ik: Fields of IkOptions; without `preset`, others stay as they are.
+        has_detail: Whether commands carry every stage of the mapping.
+    """
+
+    preset: Preset | None = None
+    options: dict[str, Any] = {}
+    mapping: dict[str, Any] = {}
+    teleoperation: dict[str, Any] = {}
+    ik: dict[str, Any] = {}
+    has_detail: bool | None = None
+
+    def __post_init__(self) -> None:
+        """Take options by their former names."""
+        _rename_options(self)
+
+
+class Reset(Request, frozen=True):
+    """Start again: the next sample is the reference.
+
+    Attributes:
+        robot_q: Joint angles where the robot is now [rad]. Without them, it stays where it is.
+        robot_wrist: Pose of its wrist. Without both, the robot moves to rest within its speed
+            limits.
+    """
+
+    robot_q: Numbers | None = None
+    robot_wrist: Pose | None = None
+
+
+class Status(Named, frozen=True):
+    """Ask for the state of a session; of the server without one. The answer is `state`."""
+
+
+class Close(Request, frozen=True):
+    """End the session."""
+
+
+class Subscribe(Request, frozen=True):
+    """Subscribe to the stream of a session (WebSocket only).
+
+    Attributes:
+        name: Public name of a session.
+    """
+
+    name: Name
+
+
+class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
+    """A reply of the server. Clients ignore fields that they do not know.
+
+    Attributes:
+        seq: Number of the request that it answers.
+    """
+
+    seq: int = 0
+
+
+class Opened(Reply, frozen=True):
+    """The session is open.
+
+    Attributes:
+        name: Public name of the session and its stream.
+        joint_names: The robot's joints as its URDF names them, in the order of every robot q.
+        lower: Their lower limits [rad].
+        upper: Their upper limits [rad].
+        speed: Their speed limits [rad/s].
+        q: Assumed posture of the robot [rad]; compare it with the real one before you engage.
+        human_joint_names: Order of a sample's `q`.
+        human_point_names: Order of a sample's `points`.
+        is_floating: Whether the robot's wrist is free to move.
+        stream_port: Port of the stream of commands (ZeroMQ PUB); 0 on WebSocket.
+        stop_time: Longest time in which the robot stops, whatever limits are configured [s].
+        stop_distance: How far each joint moves at most meanwhile [rad].
+    """
+
+    name: str
+    joint_names: Names
+    lower: Numbers
+    upper: Numbers
+    speed: Numbers
+    q: Numbers
+    human_joint_names: Names
+    human_point_names: Names
+    is_floating: bool
+    stream_port: int = 0
+    stop_time: float = 0.0
+    stop_distance: Numbers = ()
+
+
+class Detail(msgspec.Struct, frozen=True, kw_only=True):
+    """Every stage of a step. Matrices are row by row.
+
+    Attributes:
+        human_points: In the human's world [m].
+        human_q: Joint angles [rad]; null if the sample had none.
+        human_wrist: In the human's world, given or fitted to landmarks; null if not known.
+        landmarks: As in the sample; null if it had none.
+        motion: T (eqs. 5-6), 4x4: from the reference; in teleoperation and with reference=rest,
+            from the human's rest posture with the palm of the reference.
+        motion_rigid: T_rb (eq. 2), 4x4; in teleoperation the motion of the palm.
+        motion_deformation: T_def (eq. 2), 4x4; in teleoperation all the rest of T.
+        stretches: Of T, before clamping.
+        pivot: Image of the human's pivot under T, about which it deforms [m].
+        targets: Targets of the robot points that the method moves (eq. 7) [m].
+        points: The same points after the step [m].
+    """
+
+    human_points: Points
+    human_q: Numbers | None
+    human_wrist: Pose | None
+    landmarks: Points | None
+    motion: Matrix
+    motion_rigid: Matrix
+    motion_deformation: Matrix
+    stretches: Numbers
+    pivot: Vector
+    targets: Points
+    points: Points
+
+
+class Command(Reply, frozen=True):
+    """A command for the robot's driver.
+
+    Attributes:
+        name: Public name of the session.
+        time: Time stamp of the sample that it answers [s].
+        server_time: Time of the command on the server's monotonic clock [s].
+        joint_names: As the URDF names them, in the order of `q`.
+        q: Joint angles [rad].
+        wrist: The wrist frame in the robot's world; null before it is known.
+        status: converged, limited, unreachable, unsettled, failed, released, held, gliding, hold,
+            returning, stopped or calibrating.
+        flags: Conditions that a driver should know; see the list.
+        point_error: Distance of each robot point that the method moves from its target [m].
+        residual: Residual of T: RMS over the human points that it is estimated from [m].
+        at_limit: Joints at a position or speed limit.
+        out_of_range: Human joints outside their limits, within the tolerance.
+        epoch: Commands are continuous within an epoch; if it changes, the robot state was
+            re-initialised.
+        dt: Time granted to the speed limits [s].
+        solve_time: Time spent on the mapping [s].
+        detail: Every stage of the mapping, if `has_detail` is set.
+        rule: What is wrong with the sample: one of the rules in the list; empty if nothing.
+        consistency: RMS difference of bones and palm from the person's [m]; null if not measured.
+        confidence: Confidence of the sample, as the client sent it.
+    """
+
+    name: str
+    time: float
+    server_time: float
+    joint_names: Names
+    q: Numbers
+    wrist: Pose | None
+    status: str
+    flags: Names = ()
+    point_error: Numbers = ()
+    residual: float = 0.0
+    at_limit: Names = ()
+    out_of_range: Names = ()
+    epoch: int = 0
+    dt: float = 0.0
+    solve_time: float = 0.0
+    detail: Detail | None = None
+    rule: str = ""
+    consistency: float | None = None
+    confidence: float = 1.0
+
+
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """The hands and options of a session, for clients that watch it.
+
+    Attributes:
+        robot: Name of the robot hand.
+        side: The human hand.
+        input: Kind of the samples.
+        layout: Layout of the samples' values; null for none.
+        lengths: The measured human hand; null for the model's own.
+        human_points: Set of reference points on the human hand; null for the default one.
+        robot_points: Set of reference points on the robot hand; null for the default one.
+        mount: Mount of the robot's wrist; null for the hand's own.
+        preset: The preset in force.
+        options: All options of its method; in JSON, null stands for infinity.
+        mapping: Former name of `options`, empty in teleoperation.
+        teleoperation: Former name of `options`, empty in other presets.
+        ik: All of IkOptions.
+        has_detail: Whether commands carry every stage of the mapping.
+        is_shared: Whether others may release, clutch, configure and clear the session.
+    """
+
+    robot: str
+    side: str
+    input: str
+    layout: str | None = None
+    lengths: Lengths | None
+    human_points: str | None
+    robot_points: str | None
+    mount: str | None
+    preset: str
+    options: dict[str, Any]
+    mapping: dict[str, Any] = {}
+    teleoperation: dict[str, Any] = {}
+    ik: dict[str, Any]
+    has_detail: bool
+    is_shared: bool
+
+    def __post_init__(self) -> None:
+        """Give options their former names too."""
+        former = "teleoperation" if self.preset == "teleoperation" else "mapping"
+        msgspec.structs.force_setattr(self, former, self.options)
+
+
+class State(Reply, frozen=True):
+    """The state of a session or of the server.
+
+    Attributes:
+        version: Version of the package on the server.
+        uptime: Time since the session was opened, or the server started [s].
+        names: The session's name, or those of all open sessions.
+        mode: waiting, following, released, hold, returning, stopped, calibrating; of the server:
+            serving.
+        counts: Numbers of samples answered, replaced by newer ones, refused, and so on.
+        robots: Robot hands that clients may open; only of the server.
+        missing: Robot hands that are not installed, and what installs each; only of the server.
+        is_released: Whether the robot is released, also while the watchdog holds it.
+        stop: Number of the emergency stop in force, which `clear` takes; 0 for none.
+        protocols: Versions of the messages that the server answers.
+        q: Joint angles of the last command [rad].
+        stream_port: Port of the streams (ZeroMQ PUB).
+        about: Hands and options of the session.
+    """
+
+    version: str
+    uptime: float
+    names: Names
+    mode: str = "serving"
+    counts: dict[str, int] = {}
+    robots: Names = ()
+    missing: dict[str, str] = {}
+    is_released: bool = False
+    stop: int = 0
+    protocols: tuple[int, ...] = PROTOCOLS
+    q: Numbers = ()
+    stream_port: int = 0
+    about: About | None = None
+
+
+class Done(Reply, frozen=True):
+    """The server carried the request out."""
+
+
+class Error(Reply, frozen=True):
+    """The server refused the request; the session is unchanged.
+
+    Attributes:
+        code: One word; see the list.
+        message: What was expected, and what was received.
+        field: The field at fault, such as `q[3]` or `mapping.ridge`; empty if there is none.
+        protocols: With the code `protocol`: the versions that the server answers.
+    """
+
+    code: str
+    message: str
+    field: str = ""
+    protocols: tuple[int, ...] = ()
+
+
+AnyReply = Opened | Command | State | Done | Error
+AnyRequest = (
+    Open
+    | Step
+    | Sample
+    | Clutch
+    | Release
+    | Stop
+    | Clear
+    | Configure
+    | Reset
+    | Status
+    | Close
+    | Subscribe
+)
