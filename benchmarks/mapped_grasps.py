@@ -12,8 +12,8 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.offline.comparison import ComparedMethod
 from handmap_qp.offline.takes import prepare_take
 from handmap_qp.se3 import affine
-from handmap_qp.simulation.commands import between_poses
-from handmap_qp.simulation.mapped import map_commands
+from handmap_qp.simulation.commands import map_commands
+from handmap_qp.simulation.simulator import poses_between
 
 # Samples per second of a mapped grasp [1/s], and time for which the human is still first [s].
 _RATE, _SETTLING = 60.0, 1.0
@@ -86,7 +86,7 @@ def _resampled(motion: HandMotion, places: np.ndarray) -> tuple[np.ndarray, np.n
     shares = places - before
     q = motion.q[before] + shares[:, None] * (motion.q[before + 1] - motion.q[before])
     wrist = [
-        between_poses(motion.wrist[i], motion.wrist[i + 1], float(share))
+        poses_between(motion.wrist[i], motion.wrist[i + 1], np.array([share]))[0]
         for i, share in zip(before, shares, strict=True)
     ]
     return q, np.array(wrist)

@@ -6,8 +6,8 @@ and mapping: whether an object is lost, the largest slip at a contact, the sum o
 the end against the prediction of the statics, and how much the two objects' displacements and
 rotations differ. With --summary, one row for each mapping.
 
-Mappings are the inverse kinematics of `handmap simulate --fingers` (`pseudoinverse` is eq. (8)), or
-of `handmap compare`, for a robot with the human's fingers; see `map_grasp`.
+Mappings are the inverse kinematics of `handmap_qp.experiments.followers` (`pseudoinverse` is eq.
+(8)), or of `handmap compare`, for a robot with the human's fingers; see `map_grasp`.
 
     python benchmarks/simulated_arc.py --gammas -0.3 0.3
     python benchmarks/simulated_arc.py --grasps 5 --gammas -1 -0.6 -0.3 0.3 0.6 1 --summary
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from arc import ArcOptions, ArcOutcome, carry, planned_scene, soft_synergy
 from mapped_grasps import map_grasp, with_equal_palms
 
 from handmap_qp.experiments.section_four import (
@@ -35,19 +36,11 @@ from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Box
 from handmap_qp.grasp.statics import Stiffness, quasistatic
 from handmap_qp.hands.library import load_hand
-from handmap_qp.simulation.actuators import ActuatorKind, PositionActuators, TorqueActuators
-from handmap_qp.simulation.arc import (
-    ArcOptions,
-    ArcOutcome,
-    carry,
-    planned_scene,
-    soft_synergy,
-)
-from handmap_qp.simulation.mapped import chosen_methods
+from handmap_qp.simulation.commands import chosen_methods
 from handmap_qp.simulation.physics import Physics
 from handmap_qp.tables import print_rows, progress
 
-CUBE, MASS, PHYSICS = Box((0.05, 0.05, 0.05)), 0.1, Physics()
+CUBE, MASS = Box((0.05, 0.05, 0.05)), 0.1
 FINGERS = get_args(FingerMode)
 # Stiffness of contacts in the prediction by statics, far above the fingers' [N/m].
 _RIGID = 1e5
@@ -106,24 +99,24 @@ def simulate(
     rank: int,
     setting: Setting,
     mappings: dict[str, Any],
-    kind: ActuatorKind,
+    physics: Physics,
     options: ArcOptions,
 ) -> list[Case]:
     """Simulate the human once, and the robot with every mapping."""
-    of_human = of_robot = PositionActuators()
-    if kind == "torque":
-        of_human, of_robot = soft_synergy(setting.synergy, PHYSICS), TorqueActuators()
+    soft = soft_synergy(setting.synergy, physics) if physics.actuators == "torque" else None
     cases, human = [], None
     for name, method in mappings.items():
         fingers = name if name in FINGERS else "frozen"
         run = run_experiment(scene, replace(setting, fingers=fingers))
         if method is not None:
             run = run._replace(robot=map_grasp(method, scene, run.human, options.duration))
-        human = human or carry(scene.human, run.human, MASS, PHYSICS, options, of_human)
-        robot = carry(scene.robot, run.robot, MASS, PHYSICS, options, of_robot)
+        human = human or carry(scene.human, run.human, MASS, physics, options, soft)
+        robot = carry(scene.robot, run.robot, MASS, physics, options)
         hands = ((human, scene.human, run.human), (robot, scene.robot, run.robot))
         wanted = [
-            predicted_force(grasp, motion, float(carried.episode.force[0]), carried.stiffness)
+            predicted_force(
+                grasp, motion, float(carried.episode.at.normal_force[0]), carried.stiffness
+            )
             for carried, grasp, motion in hands
         ]
         outcome = ArcOutcome(run, human, robot)
@@ -143,7 +136,7 @@ def row(case: Case) -> dict[str, Any]:
     }
     hands = (("human", outcome.human), ("robot", outcome.robot))
     for (name, carried), wanted in zip(hands, case.wanted, strict=True):
-        force = carried.episode.force
+        force = carried.episode.at.normal_force
         found[f"{name} slip mm"] = "lost" if carried.is_lost else f"{1e3 * carried.slip.max():.1f}"
         found[f"{name} force N"] = f"{force[0]:.1f} -> {force[-1]:.1f} ({wanted:.1f})"
     found["differs mm"] = "-" if case.is_lost else f"{1e3 * outcome.translation_gap:.1f}"
@@ -156,7 +149,7 @@ def summary(name: str, cases: list[Case], frozen: dict[tuple, Case]) -> dict[str
     robots = [case.outcome.robot for case in cases]
     held = [robot for robot in robots if not robot.is_lost]
     errors = [
-        abs(case.outcome.robot.episode.force[-1] - case.wanted[1])
+        abs(case.outcome.robot.episode.at.normal_force[-1] - case.wanted[1])
         for case in cases
         if not case.outcome.robot.is_lost
     ]
@@ -183,7 +176,7 @@ def human_summary(cases: list[Case]) -> dict[str, Any]:
     """Describe the human's own object over all motions."""
     motions = {_key(case): case for case in cases}.values()
     held = [case for case in motions if not case.outcome.human.is_lost]
-    errors = [abs(case.outcome.human.episode.force[-1] - case.wanted[0]) for case in held]
+    errors = [abs(case.outcome.human.episode.at.normal_force[-1] - case.wanted[0]) for case in held]
     return {
         "motions": len(motions),
         "lost": len(motions) - len(held),
@@ -210,7 +203,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, nargs="+", default=[50], help="steps of the mapping")
     parser.add_argument("--mappings", nargs="+", default=["pseudoinverse", "qp", "frozen"])
     parser.add_argument("--peers", type=Path, help="folder of outside methods, benchmarks/peers")
-    parser.add_argument("--actuators", choices=get_args(ActuatorKind), default="position")
+    parser.add_argument("--actuators", choices=["position", "torque"], default="position")
     parser.add_argument("--squeeze", type=float, default=4.0, help="force at every contact [N]")
     parser.add_argument("--robot", default="three_finger")
     parser.add_argument("--summary", action="store_true", help="one row for each mapping")
@@ -226,6 +219,7 @@ def main() -> None:
         for steps in arguments.steps
     ]
     options = ArcOptions(normal_force=arguments.squeeze)
+    physics = Physics(actuators=arguments.actuators)
     cases: list[Case] = []
     with progress("carrying", arguments.grasps * len(settings)) as advance:
         for rank in range(arguments.grasps):
@@ -233,7 +227,7 @@ def main() -> None:
             # Mappings of a whole hand turn the robot's palm as the human's.
             scene = with_equal_palms(scene) if others else scene
             for setting in settings:
-                cases += simulate(scene, rank, setting, mappings, arguments.actuators, options)
+                cases += simulate(scene, rank, setting, mappings, physics, options)
                 advance(len(cases) // len(mappings))
     title = f"A 50 mm cube of 100 g on the arc, human and {robot.name}, {arguments.actuators}"
     if not arguments.summary:

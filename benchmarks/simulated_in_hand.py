@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arc import ArcOptions, Carried, carry, planned_scene
 from mapped_grasps import map_grasp, with_equal_palms
 from scipy.spatial.transform import Rotation
 
@@ -29,8 +30,7 @@ from handmap_qp.experiments.section_four import HandMotion, Scene
 from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.library import load_hand
 from handmap_qp.se3 import affine, transform_points
-from handmap_qp.simulation.arc import ArcOptions, Carried, carry, planned_scene
-from handmap_qp.simulation.mapped import chosen_methods
+from handmap_qp.simulation.commands import chosen_methods
 from handmap_qp.simulation.physics import Physics
 from handmap_qp.tables import print_rows, progress
 

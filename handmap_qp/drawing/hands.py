@@ -23,7 +23,6 @@ from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
-from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,10 +83,7 @@ class HandShape:
         poses = self.hand.link_poses([shape.link for shape in self.links], q, wrist_pose)
         placed = []
         for shape, pose in zip(self.links, poses, strict=True):
-            vertices, colours, normals = shape.triangles
-            placed.append(
-                Triangles(transform_points(pose, vertices), colours, normals @ pose[:3, :3].T)
-            )
+            placed.append(shape.triangles.moved(pose))
         return merged(placed)
 
 
@@ -127,17 +123,29 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
                 palette[material.name] = material.color
             if visual.geometry is None:
                 continue
-            solid = _solid(trimesh, visual.geometry, hand.spec)
-            if solid is None:
+            found = _solid(trimesh, visual.geometry, hand.spec)
+            if found is None:
                 missing.append(visual.geometry.mesh.filename if visual.geometry.mesh else link.name)
                 continue
             tint = colour or _colour(material, palette)
-            parts.append(
-                _triangles(*solid, np.eye(4) if visual.origin is None else visual.origin, tint)
-            )
+            part = solid(*found, tint)
+            parts.append(part if visual.origin is None else part.moved(visual.origin))
         if parts:
             links.append(LinkShape(link.name, merged(parts)))
     return HandShape(hand, tuple(links), tuple(missing))
+
+
+def solid(vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, float]) -> Triangles:
+    """Return a mesh of one colour, with normals that are smooth except at edges.
+
+    Args:
+        vertices: Its vertices [m], shape (v, 3).
+        faces: Indices of the corners of each triangle, shape (n, 3).
+        colour: Red, green and blue in 0..1.
+    """
+    corners = np.asarray(vertices)[faces]
+    normals = _corner_normals(corners, np.asarray(faces))
+    return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
 
 
 def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]) -> Triangles:
@@ -339,14 +347,6 @@ def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
         [np.bincount(cell_of, weights=vertices[:, axis]) / counts for axis in range(3)]
     )
     return means, coarse
-
-
-def _triangles(
-    vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, colour: tuple[float, float, float]
-) -> Triangles:
-    """Return a solid in link coordinates, with normals that are smooth except at edges."""
-    corners = transform_points(origin, vertices)[faces]
-    return Triangles(corners, np.tile(colour, (len(faces), 1)), _corner_normals(corners, faces))
 
 
 def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:

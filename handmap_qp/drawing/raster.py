@@ -49,6 +49,11 @@ class Triangles(NamedTuple):
     colours: np.ndarray
     normals: np.ndarray
 
+    def moved(self, pose: np.ndarray) -> Triangles:
+        """Return them moved by a pose, shape (4, 4)."""
+        vertices = transform_points(pose, self.vertices)
+        return Triangles(vertices, self.colours, self.normals @ pose[:3, :3].T)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:

@@ -9,10 +9,11 @@ import numpy as np
 from handmap_qp.client.messages import Detail, Lengths, Open, Pose, Step
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.opening import Hands
-from handmap_qp.trackers.layout import Layout, layout_names, load_layout
-from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.trackers.layouts import layout_names, load_layout
+from handmap_qp.trackers.layouts.base import Layout
 
 _FIELDS = ("q", "landmarks", "points", "values")
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import quat_wxyz_from_rotation
-from handmap_qp.simulation.episode import Episode
-from handmap_qp.simulation.shapes import surface, turn_up
+from handmap_qp.simulation.physics import surface, turn_up
+from handmap_qp.simulation.simulator import Episode
 from handmap_qp.viewer.figure import HandFigure
 from handmap_qp.viewer.scene import set_up_stage
 from handmap_qp.viewer.serving import serving
@@ -40,7 +40,7 @@ def write_page(
     episodes: Mapping[str, Episode],
     up: np.ndarray,
     title: str,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> None:
     """Write one HTML file that plays simulations in real time.
 
@@ -57,24 +57,20 @@ def write_page(
     """
     with serving() as server:
         set_up_stage(server, floor=-_MARGIN)
-        turn = _TO_Y @ turn_up(up)
-        places = _side_by_side(episodes, turn)
-        actors = [
-            _Actor(server, name, episode, turn, place)
-            for (name, episode), place in zip(episodes.items(), places, strict=True)
-        ]
-        _frame_camera(server, actors)
-        last = max(float(actor.time[-1]) for actor in actors)
+        turn, actors, edge = _TO_Y @ turn_up(up), [], 0.0
+        for name, episode in episodes.items():
+            actors.append(_Actor(server, name, episode, turn, edge))
+            edge = actors[-1].corners[1, 0] + _GAP + _MARGIN
+        _frame_camera(server, np.concatenate([actor.corners for actor in actors]))
         for actor in actors:
             actor.draw(0.0)
         serializer = server.get_scene_serializer()
-        instants = np.arange(1.0 / _RATE, last, 1.0 / _RATE)
-        for count, instant in enumerate(instants, start=1):
+        last = max(float(actor.time[-1]) for actor in actors)
+        for count, instant in enumerate(np.arange(1.0 / _RATE, last, 1.0 / _RATE), start=1):
             serializer.insert_sleep(1.0 / _RATE)
             for actor in actors:
                 actor.draw(float(instant))
-            if progress is not None:
-                progress(count)
+            progress(count)
         page = serializer.as_html()
     page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     with replaced_file(path, "--html") as file:
@@ -89,7 +85,11 @@ class _Actor:
         name: Name to show.
         episode: What happened.
         turn: Rotation from the world to the scene, shape (3, 3).
-        place: Where the world's origin is in the scene [m], shape (3,).
+        edge: Where its box begins, along the row [m].
+
+    Attributes:
+        corners: Lowest and highest corner of its box in the scene [m], shape (2, 3).
+        time: Instants since the start [s], shape (T,).
     """
 
     def __init__(
@@ -98,14 +98,17 @@ class _Actor:
         name: str,
         episode: Episode,
         turn: np.ndarray,
-        place: np.ndarray,
+        edge: float,
     ) -> None:
-        self.episode, self.time = episode, episode.time - episode.time[0]
+        self.episode, self.time = episode, episode.at.time - episode.at.time[0]
         node = name.replace(" ", "_")
         self._hand, self._name = HandFigure(server, node, episode.hand), name
         self._hand.turn(turn)
         box = travel(episode, turn)
-        middle, self.corners = box.mean(axis=0), box + place
+        low, middle = box[0], box.mean(axis=0)
+        # Hands stand in a row, on one floor.
+        place = np.array([edge - low[0], -low[1], -middle[2]])
+        self.corners = box + place
         self._hand.anchor, self._hand.extent = middle + place, box - middle
         self._hand.place(middle, low=float(self.corners[0, 1]) - 0.6 * _MARGIN)
         mesh = surface(episode.body.shape)
@@ -119,15 +122,14 @@ class _Actor:
 
     def draw(self, instant: float) -> None:
         """Show the sample that is nearest to an instant since the start [s]."""
-        episode = self.episode
-        i = int(np.argmin(np.abs(self.time - instant)))
-        self._hand.show(episode.q[i], episode.wrist[i])
-        pose = episode.object_pose[i]
+        at, i = self.episode.at, int(np.argmin(np.abs(self.time - instant)))
+        self._hand.show(at.q[i], at.wrist[i])
+        pose = at.object_pose[i]
         self._object.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
         self._object.position = pose[:3, 3]
         self._hand.name(
-            f"{self._name} · {self.time[i]:.2f} s · {episode.force[i]:.1f} N · "
-            f"{int(episode.touching[i])} links touch"
+            f"{self._name} · {self.time[i]:.2f} s · {at.normal_force[i]:.1f} N · "
+            f"{int(at.links_touching[i])} links touch"
         )
 
 
@@ -143,29 +145,15 @@ def travel(episode: Episode, turn: np.ndarray) -> np.ndarray:
     Returns:
         Lowest and highest corner [m], shape (2, 3).
     """
-    hand = episode.hand
-    shown = np.linspace(0, len(episode.time) - 1, 12).round().astype(int)
-    points = [
-        hand.points(episode.q[i], episode.wrist[i] if hand.is_floating else None) for i in shown
-    ]
-    every = np.concatenate([*points, episode.wrist[:, :3, 3], episode.object_pose[:1, :3, 3]])
-    turned = every @ turn.T
-    return np.array([turned.min(axis=0), turned.max(axis=0)])
+    hand, at = episode.hand, episode.at
+    shown = np.linspace(0, len(at.time) - 1, 12).round().astype(int)
+    points = [hand.points(at.q[i], at.wrist[i] if hand.is_floating else None) for i in shown]
+    every = np.concatenate([*points, at.wrist[:, :3, 3], at.object_pose[:1, :3, 3]]) @ turn.T
+    return np.array([every.min(axis=0), every.max(axis=0)])
 
 
-def _side_by_side(episodes: Mapping[str, Episode], turn: np.ndarray) -> list[np.ndarray]:
-    """Return where each world's origin goes, so that hands stand in a row on one floor."""
-    places, edge = [], 0.0
-    for episode in episodes.values():
-        low, high = travel(episode, turn)
-        places.append(np.array([edge - low[0], -low[1], -0.5 * (low[2] + high[2])]))
-        edge += high[0] - low[0] + _GAP + _MARGIN
-    return places
-
-
-def _frame_camera(server: viser.ViserServer, actors: list[_Actor]) -> None:
-    """Point the camera at everything that moves."""
-    corners = np.concatenate([actor.corners for actor in actors])
+def _frame_camera(server: viser.ViserServer, corners: np.ndarray) -> None:
+    """Point the camera at everything that moves, whose corners are of shape (n, 3)."""
     low, high = corners.min(axis=0) - _MARGIN, corners.max(axis=0) + _MARGIN
     middle = 0.5 * (low + high)
     radius = 0.5 * max(high[0] - low[0], high[1] - low[1])

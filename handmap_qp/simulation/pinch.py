@@ -7,33 +7,122 @@ while ago. From then until the human opens his hand, the object must stay betwee
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.grasp.checks import positive_number
 from handmap_qp.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.se3 import affine
-from handmap_qp.simulation.actuators import Actuators
-from handmap_qp.simulation.commands import Commands
-from handmap_qp.simulation.episode import Episode, Recorder
-from handmap_qp.simulation.meeting import Closing, Meeting
-from handmap_qp.simulation.pads import PadFinder
+from handmap_qp.hands.fingers import THUMB, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.pads import Pad, find_pads
+from handmap_qp.se3 import affine, inverse_pose
+from handmap_qp.simulation.commands import Commands, PinchWindow
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
-from handmap_qp.simulation.pinch_window import PinchWindow
-from handmap_qp.simulation.simulator import Simulator
-
-# The stand lets go this long after the pads should have met the object, at the latest [s].
-_LATEST = 0.3
-# Force of thumb and of another finger at which the stand lets go [N].
-_PRESSED = 0.2
-# The object is lost farther than this, and half its size, from the middle between the pads [m].
-_LOST = 0.02
+from handmap_qp.simulation.simulator import Episode, Instant, Simulator, poses_between
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
+
+_INDEX = "index"
+# Force of thumb and of another finger at which the stand lets go [N].
+_PRESSED = 0.2
+# The stand lets go this long after the pads should have met the object, at the latest [s].
+_LATEST = 0.3
+# The object is lost farther than this, and half its size, from the middle between the pads [m].
+_LOST = 0.02
+# The robot's pads meet this long after the human's, at the latest [s]; filters make some late.
+_LAG = 1.0
+# Instants between two samples at which the closing is looked at.
+_PARTS = 4
+# The object of that simulation, far from the hand.
+_NOTHING, _FAR = Body(Sphere(0.01), 0.01), affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
+# Step of the numerical Jacobian [rad].
+_STEP = 1e-6
+
+
+class Pads:
+    """The pads of a hand's thumb and index finger.
+
+    Args:
+        hand: The hand.
+
+    Raises:
+        InvalidInputError: If the hand has no index finger, or no thumb.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        chains = find_fingers(hand)
+        if not {THUMB, _INDEX} <= chains.keys():
+            raise InvalidInputError(
+                argument="robot",
+                expected=f"a hand with {THUMB} and {_INDEX}",
+                got=f"{hand.name} with {', '.join(chains)}",
+            )
+        self.hand = hand
+        found = find_pads(hand, {name: chains[name] for name in (THUMB, _INDEX)})
+        self.thumb, self.finger = found[THUMB], found[_INDEX]
+        self._data = hand.model.createData()
+
+    def places(self, q: np.ndarray, wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the middles of both pads in the world [m], shape (3,) each."""
+        vector = self.hand.configuration_vector(q, wrist if self.hand.is_floating else None)
+        pin.forwardKinematics(self.hand.model, self._data, vector)
+        return self._place(self.thumb), self._place(self.finger)
+
+    def gap(self, q: np.ndarray, wrist: np.ndarray) -> float:
+        """Return the distance between the pads' surfaces [m]."""
+        one, other = self.places(q, wrist)
+        return float(np.linalg.norm(other - one)) - self.thumb.radius - self.finger.radius
+
+    def middle(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+        """Return the point midway between the pads' surfaces [m], shape (3,)."""
+        one, other = self.places(q, wrist)
+        distance = max(float(np.linalg.norm(other - one)), 1e-6)
+        share = 0.5 + 0.5 * (self.thumb.radius - self.finger.radius) / distance
+        return one + np.clip(share, 0.0, 1.0) * (other - one)
+
+    def is_pinched(self, simulator: Simulator) -> bool:
+        """Return whether the thumb and another link press on the object."""
+        contacts = simulator.contacts()
+        is_thumb = np.array([self._is_of_thumb(joint) for joint in contacts.joints], dtype=bool)
+        pressing = contacts.normal_forces
+        return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
+
+    def squeezed(self, simulator: Simulator, command: np.ndarray, force: float) -> np.ndarray:
+        """Return a command that presses the pads together with a wanted force.
+
+        With the row `r = d(gap)/dq`, springs of stiffness k at `command` press with
+        `f = -r k (command - q) / (r r)`. The result is `command + (f - f_0) r / k`. All other
+        directions of the command stay.
+
+        Args:
+            simulator: The simulation.
+            command: Mapped command [rad], shape (n,).
+            force: The force, f_0 [N].
+        """
+        q, wrist, stiffness = simulator.q, simulator.wrist, simulator.physics.joint_stiffness
+        gap = self.gap(q, wrist)
+        steps = q + _STEP * np.eye(len(q))
+        row = np.array([(self.gap(step, wrist) - gap) / _STEP for step in steps])
+        if row @ row < 1e-9:
+            return command
+        pressing = -stiffness * (row @ (command - q)) / (row @ row)
+        return command + (pressing - force) / stiffness * row
+
+    def _place(self, pad: Pad) -> np.ndarray:
+        return self._data.oMi[pad.joint].act(pad.offset)
+
+    def _is_of_thumb(self, joint: str) -> bool:
+        """Return whether a joint is on the way from the palm to the thumb's tip."""
+        model = self.hand.model
+        way = list(model.supports[self.thumb.joint])[2:]
+        return model.existJointName(joint) and model.getJointId(joint) in way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +151,13 @@ class PinchTrial:
     @property
     def size(self) -> float:
         """Width of the object along the pinch, about [m]."""
-        shape = self.shape
-        if isinstance(shape, Box):
-            return shape.size[0]
-        if isinstance(shape, Sphere | Cylinder):
-            return 2.0 * shape.radius
-        return float(np.ptp(shape.points[:, 0]))
+        match self.shape:
+            case Box(size=(width, *_)):
+                return width
+            case Sphere(radius=radius) | Cylinder(radius=radius):
+                return 2.0 * radius
+            case MeshShape(points=points):
+                return float(np.ptp(points[:, 0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,19 +183,18 @@ class PinchOutcome:
     episode: Episode
 
 
-class Regulator(Protocol):
-    """Changes the mapped command while the pads press on the object."""
+class Meeting(NamedTuple):
+    """The robot when its pads are as near as an object is wide.
 
-    def command(
-        self,
-        pads: PadFinder,
-        q: np.ndarray,
-        command: np.ndarray,
-        wrist: np.ndarray,
-        stiffness: float,
-    ) -> np.ndarray:
-        """Return the command for the joints [rad], shape (n,)."""
-        ...
+    Attributes:
+        time: The instant [s].
+        q: Joint angles [rad], shape (n,).
+        wrist: Wrist pose, shape (4, 4).
+    """
+
+    time: float
+    q: np.ndarray
+    wrist: np.ndarray
 
 
 class PinchScene:
@@ -114,114 +203,144 @@ class PinchScene:
     Args:
         commands: Commands of the mapping for the whole recording.
         window: When the human pinches.
-        physics: Stiffness, gravity and time steps.
-        actuators: What moves the joints; servos if omitted.
+        physics: Actuators, gravity and time steps; the friction is that of each trial.
 
     Raises:
-        InvalidInputError: If the hand has no thumb, or no such finger.
+        InvalidInputError: If the hand has no thumb, or no index finger.
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(
-        self,
-        commands: Commands,
-        window: PinchWindow,
-        physics: Physics,
-        actuators: Actuators | None = None,
-    ) -> None:
+    def __init__(self, commands: Commands, window: PinchWindow, physics: Physics) -> None:
         self.commands, self.window, self.physics = commands, window, physics
-        self.actuators = actuators
-        self.pads = PadFinder(commands.hand, window.finger)
+        self.pads = Pads(commands.hand)
 
-    @cached_property
-    def closing(self) -> Closing:
-        """The robot's own motion without an object."""
-        return Closing(self.pads, self.commands, self.window, self.physics, self.actuators)
-
-    def run(self, trial: PinchTrial, regulator: Regulator | None = None) -> PinchOutcome:
+    def run(self, trial: PinchTrial, grip: float | None = None) -> PinchOutcome:
         """Simulate one trial.
 
         Args:
             trial: The object and its place; the friction is the trial's.
-            regulator: Squeeze term; position control alone if omitted.
+            grip: Force [N] that a squeeze term keeps while the pads press; none if omitted.
 
         Returns:
             What became of the object.
-        """
-        commands, window, pads = self.commands, self.window, self.pads
-        met = self.closing.meeting(trial.size)
-        simulator = self._start(trial, met)
-        recorder = Recorder(simulator)
-        released: int | None = None
-        distances: list[float] = []
-        for i in range(window.start + 1, window.end + 1):
-            self._follow(simulator, i, regulator)
-            recorder.sample()
-            is_late = commands.time[i] >= met.time + _LATEST
-            if released is None and (is_late or pads.is_pinched(simulator, _PRESSED)):
-                simulator.set_stand(holds=False)
-                released = i
-            if released is not None:
-                between = simulator.object_pose[:3, 3] - pads.middle(simulator.q, simulator.wrist)
-                distances.append(float(np.linalg.norm(between)))
-        if released is None:
-            return _outcome(recorder.episode(), np.full(1, np.inf), commands.time[-1:], trial)
-        time = commands.time[released : window.end + 1]
-        return _outcome(recorder.episode(), np.array(distances), time, trial)
 
-    def _start(self, trial: PinchTrial, met: Meeting) -> Simulator:
-        """Put the object on its stand, and the hand where the recording starts."""
-        commands, start = self.commands, self.window.start
-        physics = replace(self.physics, friction=trial.friction)
-        simulator = Simulator(commands.hand, Body(trial.shape, trial.mass), physics, self.actuators)
-        place = self.pads.middle(met.q, met.wrist) + np.array(trial.offset)
-        simulator.reset(
-            commands.q[start],
-            commands.wrist[start] if commands.hand.is_floating else None,
-            affine(_upright(self.pads, met, physics, trial.yaw), place),
+        Raises:
+            InvalidInputError: If the force is not positive.
+        """
+        if grip is not None:
+            positive_number(grip, "grip")
+        commands, window, pads = self.commands, self.window, self.pads
+        met = self.meeting(trial.size)
+        place = pads.middle(met.q, met.wrist) + np.array(trial.offset)
+        simulator = self._start(
+            Body(trial.shape, trial.mass),
+            self.physics.replaced(friction=trial.friction),
+            affine(self._upright(met, trial.yaw), place),
         )
+        instants, distances = [], []
+        for i in range(window.start + 1, window.end + 1):
+            goal, wrist = commands.at(i)
+            if grip is not None and pads.is_pinched(simulator):
+                goal = pads.squeezed(simulator, goal, grip)
+            simulator.follow(goal, wrist, commands.time[i] - commands.time[i - 1])
+            instants.append(simulator.instant())
+            is_late = commands.time[i] >= met.time + _LATEST
+            if not distances and (is_late or pads.is_pinched(simulator)):
+                simulator.set_stand(holds=False)
+            elif not distances:
+                continue
+            between = simulator.object_pose[:3, 3] - pads.middle(simulator.q, simulator.wrist)
+            distances.append(float(np.linalg.norm(between)))
+        episode = Episode.of(simulator, instants)
+        # Pads that never pressed had no object to lose.
+        distances = distances or [np.inf]
+        time = commands.time[: window.end + 1][-len(distances) :]
+        return _outcome(episode, np.array(distances), time, trial.size)
+
+    def meeting(self, size: float) -> Meeting:
+        """Return the first instant at which the pads are as near as an object is wide.
+
+        Actuators lag behind their commands by some 50 ms, so the pads meet later and, as the wrist
+        moves meanwhile, elsewhere than commanded.
+
+        Args:
+            size: Width of the object [m].
+
+        Returns:
+            The instant, or that of the smallest gap if the pads do not come near enough.
+        """
+        instants, gaps = self._closing
+        near = np.flatnonzero(gaps <= size)
+        if not len(near):
+            return instants[int(np.argmin(gaps))]
+        if near[0] == 0:
+            return instants[0]
+        before, at = instants[near[0] - 1 : near[0] + 1]
+        wide, narrow = gaps[near[0] - 1 : near[0] + 1]
+        share = float((wide - size) / (wide - narrow))
+        return Meeting(
+            before.time + share * (at.time - before.time),
+            before.q + share * (at.q - before.q),
+            poses_between(before.wrist, at.wrist, np.array([share]))[0],
+        )
+
+    @cached_property
+    def _closing(self) -> tuple[list[Meeting], np.ndarray]:
+        """The robot's own motion while the human's pinch closes, and its gaps [m], shape (k,)."""
+        commands, window, shares = self.commands, self.window, np.arange(1, _PARTS + 1) / _PARTS
+        simulator = self._start(_NOTHING, self.physics, _FAR)
+        last = np.searchsorted(commands.time, commands.time[window.closed] + _LAG)
+        instants = []
+        for i in range(window.start + 1, min(int(last), window.end)):
+            (q, wrist), (start, _) = commands.at(i), commands.at(i - 1)
+            places = poses_between(commands.wrist[i - 1], commands.wrist[i], shares)
+            before, step = commands.time[i - 1], commands.time[i] - commands.time[i - 1]
+            for share, place in zip(shares, places, strict=True):
+                goal = start + share * (q - start)
+                simulator.follow(goal, None if wrist is None else place, step / _PARTS)
+                now = float(before + share * step)
+                instants.append(Meeting(now, simulator.q, simulator.wrist))
+        return instants, np.array([self.pads.gap(at.q, at.wrist) for at in instants])
+
+    def _start(self, body: Body, physics: Physics, place: np.ndarray) -> Simulator:
+        """Put an object on its stand, and the hand where the recording starts."""
+        simulator = Simulator(self.commands.hand, body, physics)
+        simulator.reset(*self.commands.at(self.window.start), place)
         simulator.set_stand(holds=True)
         return simulator
 
-    def _follow(self, simulator: Simulator, i: int, regulator: Regulator | None) -> None:
-        """Simulate up to sample i."""
-        commands, pads = self.commands, self.pads
-        goal = commands.q[i]
-        if regulator is not None and pads.is_pinched(simulator, _PRESSED):
-            stiffness = self.physics.joint_stiffness
-            goal = regulator.command(pads, simulator.q, goal, simulator.wrist, stiffness)
-        step = float(commands.time[i] - commands.time[i - 1])
-        simulator.follow(goal, commands.wrist[i] if commands.hand.is_floating else None, step)
+    def _upright(self, met: Meeting, yaw: float) -> np.ndarray:
+        """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
+        up = -np.array(self.physics.gravity)
+        up = up / np.linalg.norm(up) if up.any() else np.array([0.0, 0.0, 1.0])
+        thumb, finger = self.pads.places(met.q, met.wrist)
+        across = finger - thumb
+        across -= (across @ up) * up
+        if np.linalg.norm(across) < 1e-6:
+            across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        x = across / np.linalg.norm(across)
+        axes = np.column_stack([x, np.cross(up, x), up])
+        return Rotation.from_rotvec(yaw * up).as_matrix() @ axes
 
 
 def _outcome(
-    episode: Episode, distances: np.ndarray, time: np.ndarray, trial: PinchTrial
+    episode: Episode, distances: np.ndarray, time: np.ndarray, size: float
 ) -> PinchOutcome:
-    lost = np.flatnonzero(distances > _LOST + trial.size / 2.0)
+    """Judge the instants at the end, for which there are distances from the pads' middle."""
+    lost = np.flatnonzero(distances > _LOST + size / 2.0)
     last = int(lost[0]) if len(lost) else len(distances) - 1
-    first = len(episode.time) - len(distances)
-    poses = episode.object_in_wrist[first : first + last + 1]
+    first = len(episode.at.time) - len(distances)
+    kept = Instant(*(column[first : first + last + 1] for column in episode.at))
+    poses = np.array(
+        [inverse_pose(w) @ o for w, o in zip(kept.wrist, kept.object_pose, strict=True)]
+    )
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
-        is_held=len(lost) == 0 and bool(episode.touching[-1] >= 2),
-        held_time=float(time[min(last, len(time) - 1)] - time[0]),
+        is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
+        held_time=float(time[last] - time[0]),
         pinch_time=float(time[-1] - time[0]),
         slip=float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max()),
         rotation=float(turn),
-        force=float(episode.force[first : first + last + 1].mean()),
+        force=float(kept.normal_force.mean()),
         episode=episode,
     )
-
-
-def _upright(pads: PadFinder, met: Meeting, physics: Physics, yaw: float) -> np.ndarray:
-    """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
-    up = -np.array(physics.gravity)
-    up = up / np.linalg.norm(up) if up.any() else np.array([0.0, 0.0, 1.0])
-    thumb, finger = pads.places(met.q, met.wrist)
-    across = finger - thumb
-    across -= (across @ up) * up
-    if np.linalg.norm(across) < 1e-6:
-        across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    x = across / np.linalg.norm(across)
-    axes = np.column_stack([x, np.cross(up, x), up])
-    return Rotation.from_rotvec(yaw * up).as_matrix() @ axes

@@ -1,20 +1,21 @@
-"""Step a hand and an object in time: `Simulator`, and what it measures: `Contacts`."""
+"""Step a hand and an object in time: `Simulator`, `Contacts`, `Episode`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.grasp.checks import finite_array
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine, check_pose, inverse_pose
-from handmap_qp.simulation.actuators import Actuators, PositionActuators
 from handmap_qp.simulation.model import MOCAP, OBJECT, build_model
 from handmap_qp.simulation.physics import Body, Physics
 
@@ -39,6 +40,67 @@ class Contacts(NamedTuple):
     forces: np.ndarray
     joints: tuple[str, ...]
 
+    @property
+    def normal_forces(self) -> np.ndarray:
+        """Shares of the forces along the normals [N], shape (n,)."""
+        return np.einsum("ci,ci->c", self.forces, self.normals)
+
+
+class Instant(NamedTuple):
+    """One instant of a simulation, or many as columns with a leading axis.
+
+    Attributes:
+        time: Simulated time [s].
+        q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
+        command: Commanded joint angles [rad], shape (n,).
+        wrist: Pose of the wrist, shape (4, 4).
+        object_pose: Pose of the object, shape (4, 4).
+        normal_force: Sum of the normal forces of the hand on the object [N].
+        friction_use: Sum of the tangential forces' lengths over what friction allows; NaN without
+            contact.
+        links_touching: Number of joints whose links touch the object.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    command: np.ndarray
+    wrist: np.ndarray
+    object_pose: np.ndarray
+    normal_force: np.ndarray
+    friction_use: np.ndarray
+    links_touching: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """A simulation of T instants.
+
+    Attributes:
+        hand: The hand.
+        body: The object.
+        at: All instants, each field of T rows.
+    """
+
+    hand: Hand
+    body: Body
+    at: Instant
+
+    @classmethod
+    def of(cls, simulator: Simulator, instants: Sequence[Instant]) -> Episode:
+        """Return what happened in a simulation, instant after instant."""
+        columns = (np.array(column) for column in zip(*instants, strict=True))
+        return cls(simulator.hand, simulator.body, Instant(*columns))
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Plain arrays by name, as written to a file."""
+        return {
+            **self.at._asdict(),
+            "joint_names": np.array(self.hand.joint_names),
+            "robot": np.array(self.hand.name),
+            "object_mass": np.array(self.body.mass),
+        }
+
 
 class Simulator:
     """A hand that holds, or is to hold, an object.
@@ -46,8 +108,9 @@ class Simulator:
     Args:
         hand: The hand; floating, or on an arm, or fixed to the world.
         body: The object.
-        physics: Contacts, stiffness and time steps; the usual ones if omitted.
-        actuators: What moves the joints; servos if omitted.
+        physics: Contacts, actuators and time steps; the usual ones if omitted.
+        compliance: Compliance in series with that of the joints [rad/(N m)], shape (n, n), as of
+            soft synergies; for motors (`Physics.actuators`).
 
     Attributes:
         hand: The hand.
@@ -65,14 +128,13 @@ class Simulator:
         hand: Hand,
         body: Body,
         physics: Physics | None = None,
-        actuators: Actuators | None = None,
+        compliance: np.ndarray | None = None,
     ) -> None:
         self.hand, self.body = hand, body
         self.physics = physics or Physics()
-        self.parts = build_model(hand, body, self.physics, actuators or PositionActuators())
+        self.parts = build_model(hand, body, self.physics, compliance)
         self.data = mujoco.MjData(self.parts.model)
         self._target: tuple[np.ndarray, np.ndarray | None] | None = None
-        self._geom_joint = self._joints_of_geoms()
 
     @property
     def time(self) -> float:
@@ -89,8 +151,7 @@ class Simulator:
         """Pose of the wrist in the world, shape (4, 4)."""
         if not self.hand.is_floating:
             return self.hand.frame_pose("wrist", self.q)
-        base = self._pose_at(self.parts.base_q)
-        return base @ self._base_to_wrist
+        return self._pose_at(self.parts.base_q) @ self._base_to_wrist
 
     @property
     def object_pose(self) -> np.ndarray:
@@ -98,15 +159,30 @@ class Simulator:
         return self._pose_at(self.parts.object_q)
 
     @property
-    def command(self) -> np.ndarray:
-        """Commanded joint angles [rad], shape (n,)."""
+    def target(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Commanded joint angles [rad], shape (n,), and wrist pose, None if it does not float."""
         assert self._target is not None, "reset first"
-        return self._target[0].copy()
+        return self._target
 
-    @property
-    def stiffness(self) -> np.ndarray:
-        """Stiffness K of the actuators, torque per displacement [N m/rad], shape (n, n)."""
-        return self.parts.drive.stiffness
+    def instant(self) -> Instant:
+        """Return what is now."""
+        contacts = self.contacts()
+        pressing = contacts.normal_forces
+        sliding = contacts.forces - pressing[:, None] * contacts.normals
+        allowed, used = (
+            self.physics.friction * pressing.sum(),
+            np.linalg.norm(sliding, axis=1).sum(),
+        )
+        return Instant(
+            time=np.array(self.time),
+            q=self.q,
+            command=self.target[0],
+            wrist=self.wrist,
+            object_pose=self.object_pose,
+            normal_force=pressing.sum(),
+            friction_use=np.array(used / allowed if allowed > 0.0 else np.nan),
+            links_touching=np.array(len(set(contacts.joints))),
+        )
 
     def reset(
         self, q: npt.ArrayLike, wrist: npt.ArrayLike | None, object_pose: npt.ArrayLike
@@ -128,22 +204,19 @@ class Simulator:
             raise InvalidInputError(
                 argument="wrist", expected="a pose for a floating hand, else None", value=wrist
             )
-        mujoco.mj_resetData(self.parts.model, self.data)
-        self.set_gravity(1.0)
+        parts, data = self.parts, self.data
+        mujoco.mj_resetData(parts.model, data)
         self.set_stand(holds=False)
-        for address, value in zip(self.parts.all_q, self.hand.all_joints(angles), strict=True):
-            if address >= 0:
-                self.data.qpos[address] = value
-        self._set_pose(self.parts.object_q, pose)
-        self._control(angles)
+        is_there = parts.all_q >= 0
+        data.qpos[parts.all_q[is_there]] = self.hand.all_joints(angles)[is_there]
+        data.qpos[parts.object_q : parts.object_q + 7] = _sevens(pose[None])[0]
         if place is not None:
-            base = place @ inverse_pose(self._base_to_wrist)
-            self._set_pose(self.parts.base_q, base)
-            values = self.data.qpos[self.parts.base_q : self.parts.base_q + 7]
-            self.data.mocap_pos[self._mocap] = values[:3]
-            self.data.mocap_quat[self._mocap] = values[3:]
+            (base,) = _sevens(place[None] @ inverse_pose(self._base_to_wrist))
+            data.qpos[parts.base_q : parts.base_q + 7] = base
+            self._lead_base(base)
+        self._control(angles)
         self._target = (angles, place)
-        mujoco.mj_forward(self.parts.model, self.data)
+        mujoco.mj_forward(parts.model, data)
 
     def set_stand(self, holds: bool) -> None:
         """Let a stand carry the object, or let go.
@@ -159,10 +232,6 @@ class Simulator:
         model.dof_frictionloss[first : first + 3] = friction
         model.dof_frictionloss[first + 3 : first + 6] = _STAND_LEVER * friction
 
-    def set_gravity(self, share: float) -> None:
-        """Set gravity to a share of its full value."""
-        self.parts.model.opt.gravity[:] = share * np.array(self.physics.gravity)
-
     def follow(self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float) -> None:
         """Move the command in a straight line to a posture, and simulate meanwhile.
 
@@ -172,108 +241,88 @@ class Simulator:
                 float.
             duration: Time that it takes [s], rounded to whole steps of the simulation.
         """
-        assert self._target is not None, "reset first"
-        goal = np.asarray(q, dtype=float)
-        start, start_wrist = self._target
+        goal = np.array(q, dtype=float)
+        start, start_wrist = self.target
         steps = max(1, round(duration / self.physics.time_step))
-        places = self._places_between(start_wrist, wrist, steps)
-        data, model, mocap = self.data, self.parts.model, self._mocap
-        for k in range(steps):
-            self._control(start + (k + 1) / steps * (goal - start))
-            if places is not None:
-                data.mocap_pos[mocap], data.mocap_quat[mocap] = places[0][k], places[1][k]
-            mujoco.mj_step(model, data)
-        self._target = (goal.copy(), None if wrist is None else wrist.copy())
+        shares = np.arange(1, steps + 1) / steps
+        bases = None
+        if wrist is not None and start_wrist is not None:
+            places = poses_between(start_wrist, wrist, shares)
+            bases = _sevens(places @ inverse_pose(self._base_to_wrist))
+        for k, share in enumerate(shares):
+            self._control(start + share * (goal - start))
+            if bases is not None:
+                self._lead_base(bases[k])
+            mujoco.mj_step(self.parts.model, self.data)
+        self._target = (goal, None if wrist is None else wrist.copy())
         # Contacts and velocities of the state after the last step.
         mujoco.mj_forward(self.parts.model, self.data)
 
     def hold(self, duration: float) -> None:
         """Keep the last command, and simulate."""
-        assert self._target is not None, "reset first"
-        self.follow(*self._target, duration)
+        self.follow(*self.target, duration)
+
+    def contacts(self) -> Contacts:
+        """Return the contacts between the hand and the object."""
+        model, rows = self.parts.model, []
+        held = model.geom(OBJECT).id
+        wrench = np.zeros(6)
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            if held not in contact.geom or contact.efc_address < 0:
+                continue
+            # The frame's x axis points from the first geom to the second, on which the force acts.
+            one, other = contact.geom
+            sign, link = (1.0, one) if other == held else (-1.0, other)
+            mujoco.mj_contactForce(model, self.data, index, wrench)
+            frame = sign * contact.frame.reshape(3, 3)
+            body = model.body(model.geom_bodyid[link]).name
+            joint = body.removesuffix("_body") if body.endswith("_body") else ""
+            rows.append((contact.pos.copy(), frame[0], frame.T @ wrench[:3], joint))
+        points, normals, forces, joints = zip(*rows, strict=True) if rows else ((), (), (), ())
+        vectors = (np.reshape(column, (-1, 3)) for column in (points, normals, forces))
+        return Contacts(*vectors, joints=joints)
 
     def _control(self, command: np.ndarray) -> None:
         """Tell the actuators a command [rad], shape (n,)."""
         data, parts = self.data, self.parts
-        q, velocity = data.qpos[parts.joint_q], data.qvel[parts.joint_v]
-        data.ctrl[:] = parts.drive.controls(command, q, velocity)
+        data.ctrl[:] = parts.controls(command, data.qpos[parts.joint_q], data.qvel[parts.joint_v])
 
-    def contacts(self) -> Contacts:
-        """Return the contacts between the hand and the object."""
-        points, normals, forces, joints = [], [], [], []
-        held = self.parts.model.geom(OBJECT).id
-        wrench = np.zeros(6)
-        for index in range(self.data.ncon):
-            contact = self.data.contact[index]
-            if held not in contact.geom:
-                continue
-            other = int(contact.geom[0] if contact.geom[1] == held else contact.geom[1])
-            if other not in self._geom_joint or contact.efc_address < 0:
-                continue
-            mujoco.mj_contactForce(self.parts.model, self.data, index, wrench)
-            frame = contact.frame.reshape(3, 3)
-            # The frame's x axis points from the first geom to the second, on which the force acts.
-            sign = 1.0 if contact.geom[1] == held else -1.0
-            points.append(contact.pos.copy())
-            normals.append(sign * frame[0])
-            forces.append(sign * (frame.T @ wrench[:3]))
-            joints.append(self._geom_joint[other])
-        shape = (-1, 3)
-        return Contacts(
-            np.array(points).reshape(shape),
-            np.array(normals).reshape(shape),
-            np.array(forces).reshape(shape),
-            tuple(joints),
-        )
+    def _lead_base(self, base: np.ndarray) -> None:
+        """Move the body that leads the floating base."""
+        mocap = self.parts.model.body(MOCAP).mocapid[0]
+        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base[:3], base[3:]
 
     @cached_property
     def _base_to_wrist(self) -> np.ndarray:
-        """Return the wrist's pose in the floating base, shape (4, 4)."""
-        vector = self.hand.configuration_vector(self.hand.rest, np.eye(4))
-        return inverse_pose(_pose_of_seven(vector[:7]))
-
-    @cached_property
-    def _mocap(self) -> int:
-        """Return the index of the body that leads the base; -1 on a hand that does not float."""
-        return int(self.parts.model.body(MOCAP).mocapid[0]) if self.hand.is_floating else -1
-
-    def _places_between(
-        self, start: np.ndarray | None, end: np.ndarray | None, steps: int
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return positions and quaternions (wxyz) of the base on the way to a wrist pose.
-
-        Shapes are (steps, 3) and (steps, 4); the start is not among them.
-        """
-        if start is None or end is None:
-            return None
-        shares = np.arange(1, steps + 1) / steps
-        ends = Rotation.from_matrix([start[:3, :3], end[:3, :3]])
-        wrist_to_base = inverse_pose(self._base_to_wrist)
-        turns = Slerp([0.0, 1.0], ends)(shares)
-        places = start[:3, 3] + shares[:, None] * (end[:3, 3] - start[:3, 3])
-        places = places + turns.apply(wrist_to_base[:3, 3])
-        quats = (turns * Rotation.from_matrix(wrist_to_base[:3, :3])).as_quat()
-        return places, quats[:, [3, 0, 1, 2]]
+        """The wrist's pose in the floating base, shape (4, 4)."""
+        base = self.hand.configuration_vector(self.hand.rest, np.eye(4))[:7]
+        return inverse_pose(affine(Rotation.from_quat(base[3:]).as_matrix(), base[:3]))
 
     def _pose_at(self, address: int) -> np.ndarray:
-        values = self.data.qpos[address : address + 7]
-        w, x, y, z = values[3:]
-        return affine(Rotation.from_quat([x, y, z, w]).as_matrix(), values[:3].copy())
-
-    def _set_pose(self, address: int, pose: np.ndarray) -> None:
-        # A copy, because SciPy before 1.17 takes no read-only array.
-        x, y, z, w = Rotation.from_matrix(np.array(pose[:3, :3])).as_quat()
-        self.data.qpos[address : address + 7] = (*pose[:3, 3], w, x, y, z)
-
-    def _joints_of_geoms(self) -> dict[int, str]:
-        """Return the joint that carries each geom of the hand."""
-        model, names = self.parts.model, {}
-        for geom in range(model.ngeom):
-            body = model.body(model.geom_bodyid[geom]).name
-            if body != OBJECT:
-                names[geom] = body.removesuffix("_body") if body.endswith("_body") else ""
-        return names
+        values = self.data.qpos[address : address + 7].copy()
+        return affine(Rotation.from_quat(values[[4, 5, 6, 3]]).as_matrix(), values[:3])
 
 
-def _pose_of_seven(values: np.ndarray) -> np.ndarray:
-    return affine(Rotation.from_quat(values[3:7]).as_matrix(), values[:3].copy())
+def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return poses at shares of the way: positions in a line, rotations about one axis.
+
+    Args:
+        start: Pose at share 0, shape (4, 4).
+        end: Pose at share 1, shape (4, 4).
+        shares: Between 0 and 1, shape (k,).
+
+    Returns:
+        Poses, shape (k, 4, 4).
+    """
+    turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
+    poses = np.tile(start, (len(shares), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(shares, turn)).as_matrix() @ start[:3, :3]
+    poses[:, :3, 3] += np.outer(shares, end[:3, 3] - start[:3, 3])
+    return poses
+
+
+def _sevens(poses: np.ndarray) -> np.ndarray:
+    """Return poses (k, 4, 4) as positions and quaternions wxyz, as MuJoCo has them, (k, 7)."""
+    quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    return np.hstack([poses[:, :3, 3], quats[:, [3, 0, 1, 2]]])

@@ -9,26 +9,23 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import affine
-from handmap_qp.simulation.pads import PadFinder
+from handmap_qp.simulation.pinch import Pads
 from handmap_qp.simulation.simulator import Simulator
 
 # Longest wait for a command before the robot is simulated further with the last one [s].
 _WAIT = 0.02
 # The simulation never runs ahead of the clock, and skips more than this [s].
 _LONGEST = 0.1
-# Force of thumb and of another link at which the stand lets go [N].
-_PRESSED = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(NamedTuple):
     """What the stand-in does, once a second.
 
     Attributes:
@@ -66,9 +63,8 @@ class StandIn:
     """
 
     def __init__(self, simulator: Simulator, client: Client, session: str) -> None:
-        self.simulator = simulator
-        self._pads = PadFinder(simulator.hand, "index")
-        self._client = client
+        self.simulator, self._client = simulator, client
+        self._pads = Pads(simulator.hand)
         client.watch(session)
         self._goal: tuple[np.ndarray, np.ndarray | None] | None = None
         self._epoch, self._count = 0, 0
@@ -84,64 +80,51 @@ class StandIn:
         Raises:
             InvalidInputError: If the session drives a robot with other joints.
         """
-        start = last = clock.monotonic()
-        told = start
-        while (now := clock.monotonic()) - start < duration:
+        start = last = told = clock.monotonic()
+        while clock.monotonic() - start < duration:
             command = self._client.latest(_WAIT)
             if command is not None:
                 self._accept(command)
+            now = clock.monotonic()
             if self._goal is None:
+                last = told = now
+            elif now - last >= self.simulator.physics.time_step:
+                self._advance(self._goal, min(now - last, _LONGEST))
                 last = now
-                continue
-            self._advance(min(clock.monotonic() - last, _LONGEST))
-            last = clock.monotonic()
-            if last - told >= 1.0:
-                report(self._report())
-                told = last
+                if now - told >= 1.0:
+                    report(self._report(self._goal))
+                    told = now
 
     def _accept(self, command: Command) -> None:
         """Take a command as the goal; start at the first one, and again in a new epoch."""
         hand = self.simulator.hand
-        index = {name: i for i, name in enumerate(command.joint_names)}
-        if missing := [name for name in hand.joint_names if name not in index]:
+        angles = dict(zip(command.joint_names, command.q, strict=True))
+        if missing := [name for name in hand.joint_names if name not in angles]:
             raise InvalidInputError(
                 argument="--robot",
                 expected=f"the robot of the session, with {', '.join(command.joint_names[:4])}",
                 got=f"{hand.name}, with {missing[0]}",
             )
-        q = np.array([command.q[index[name]] for name in hand.joint_names])
-        wrist = None
-        if hand.is_floating:
-            wrist = np.eye(4) if command.wrist is None else command.wrist.matrix
+        q = np.array([angles[name] for name in hand.joint_names])
+        pose = np.eye(4) if command.wrist is None else command.wrist.matrix
+        wrist = pose if hand.is_floating else None
         if self._goal is None or command.epoch != self._epoch:
-            place = self._pads.middle(q, np.eye(4) if wrist is None else wrist)
-            self.simulator.reset(q, wrist, affine(np.eye(3), place))
+            place = affine(np.eye(3), self._pads.middle(q, pose))
+            self.simulator.reset(q, wrist, place)
             self.simulator.set_stand(holds=True)
             self._is_standing = True
         self._goal, self._epoch = (q, wrist), command.epoch
         self._count += 1
 
-    def _advance(self, duration: float) -> None:
+    def _advance(self, goal: tuple[np.ndarray, np.ndarray | None], duration: float) -> None:
         """Simulate towards the goal, and let the object go once it is pinched."""
-        assert self._goal is not None
-        if duration < self.simulator.physics.time_step:
-            return
-        self.simulator.follow(*self._goal, duration)
-        if self._is_standing and self._pads.is_pinched(self.simulator, _PRESSED):
+        self.simulator.follow(*goal, duration)
+        if self._is_standing and self._pads.is_pinched(self.simulator):
             self.simulator.set_stand(holds=False)
             self._is_standing = False
 
-    def _report(self) -> Report:
-        assert self._goal is not None
-        contacts = self.simulator.contacts()
-        normal = np.einsum("ci,ci->c", contacts.forces, contacts.normals)
-        wrist = self._goal[1]
-        error = 0.0 if wrist is None else np.linalg.norm((self.simulator.wrist - wrist)[:3, 3])
-        return Report(
-            self.simulator.time,
-            self._count,
-            self._epoch,
-            float(error),
-            float(normal.sum()),
-            len(set(contacts.joints)),
-        )
+    def _report(self, goal: tuple[np.ndarray, np.ndarray | None]) -> Report:
+        now, wrist = self.simulator.instant(), goal[1]
+        error = 0.0 if wrist is None else float(np.linalg.norm((now.wrist - wrist)[:3, 3]))
+        pressing, touching = float(now.normal_force), int(now.links_touching)
+        return Report(float(now.time), self._count, self._epoch, error, pressing, touching)

@@ -1,17 +1,17 @@
-"""Many pinches with random objects: `random_trials`, `run_trials`, `success_rate`."""
+"""Many pinches with random objects, and rows about them: `random_trials`, `success_rate`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from handmap_qp.grasp.checks import whole_number
-from handmap_qp.simulation.pinch import PinchOutcome, PinchScene, PinchTrial, Regulator
-from handmap_qp.simulation.shapes import KINDS, named_shape
+from handmap_qp.simulation.physics import KINDS, named_shape
+from handmap_qp.simulation.pinch import PinchOutcome, PinchTrial
 
 Objects = Literal["nominal", "varied"]
 """One object at random places, or random objects at random places."""
@@ -40,40 +40,18 @@ def random_trials(
     random = np.random.default_rng(whole_number(seed, "seed", least=0))
     trials = []
     for _ in range(whole_number(count, "trials", least=1)):
-        x, y, z = random.normal(0.0, _PLACE, 3)
-        yaw = random.uniform(-_YAW, _YAW)
-        place: dict[str, Any] = {"offset": (float(x), float(y), float(z)), "yaw": float(yaw)}
+        x, y, z = random.normal(0.0, _PLACE, 3).tolist()
+        trial = replace(fixed, offset=(x, y, z), yaw=float(random.uniform(-_YAW, _YAW)))
         if objects == "varied":
             kind = str(random.choice(KINDS))
-            place |= {
-                "shape": named_shape(kind, float(random.uniform(*_SIZES))),
-                "mass": float(np.exp(random.uniform(*np.log(_MASSES)))),
-                "friction": float(random.uniform(*_FRICTIONS)),
-            }
-        trials.append(replace(fixed, **place))
+            trial = replace(
+                trial,
+                shape=named_shape(kind, float(random.uniform(*_SIZES))),
+                mass=float(np.exp(random.uniform(*np.log(_MASSES)))),
+                friction=float(random.uniform(*_FRICTIONS)),
+            )
+        trials.append(trial)
     return trials
-
-
-def run_trials(
-    scene: PinchScene,
-    trials: Sequence[PinchTrial],
-    progress: Callable[[int], None] | None = None,
-    regulator: Regulator | None = None,
-) -> list[PinchOutcome]:
-    """Simulate trials one after the other.
-
-    Args:
-        scene: The robot with the commands of one mapping.
-        trials: Objects and places.
-        progress: Called after each trial with the number of trials done.
-        regulator: Squeeze term; position control alone if omitted.
-    """
-    outcomes = []
-    for trial in trials:
-        outcomes.append(scene.run(trial, regulator))
-        if progress is not None:
-            progress(len(outcomes))
-    return outcomes
 
 
 def success_rate(held: int, count: int) -> tuple[float, float, float]:
@@ -97,16 +75,19 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
     held = [outcome for outcome in outcomes if outcome.is_held]
     rate, low, high = success_rate(len(held), len(outcomes))
     shares = [min(1.0, o.held_time / max(o.pinch_time, 1e-9)) for o in outcomes]
-    kept = [1e3 * outcome.slip for outcome in held]
     return {
         "mapping": name,
         "trials": len(outcomes),
         "held %": round(100.0 * rate, 1),
         "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
         "time held %": round(100.0 * float(np.mean(shares)), 1),
-        "slip mm": round(float(np.median(kept)), 1) if kept else "-",
-        "force N": round(float(np.median([o.force for o in held])), 1) if held else "-",
+        "slip mm": _median([1e3 * outcome.slip for outcome in held]),
+        "force N": _median([outcome.force for outcome in held]),
     }
+
+
+def _median(values: list[float]) -> float | str:
+    return round(float(np.median(values)), 1) if values else "-"
 
 
 def describe_trial(trial: PinchTrial) -> dict[str, Any]:

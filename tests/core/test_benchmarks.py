@@ -21,7 +21,6 @@ from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.offline.compared_methods import own_method
-from handmap_qp.simulation.arc import planned_scene
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 SCRIPTS = sorted(FOLDER.glob("bench_*.py"))
@@ -160,7 +159,9 @@ def test_a_mapped_grasp_starts_as_planned_and_does_what_the_human_does(
     """The human bends his index finger and moves his wrist, which does not turn."""
     grasps = benchmark("mapped_grasps")
     scene = grasps.with_equal_palms(
-        planned_scene(load_hand("allegro_right"), Box((0.05, 0.05, 0.05)), samples=4)
+        benchmark("arc").planned_scene(
+            load_hand("allegro_right"), Box((0.05, 0.05, 0.05)), samples=4
+        )
     )
     palms = [
         (grasp.wrist_pose @ grasp.hand.wrist_to_palm)[:3, :3]

@@ -41,12 +41,11 @@ from handmap_qp.client import (
     Choices,
     Client,
     Human,
-    Pose,
     ServiceError,
     ServiceTimeoutError,
     messages,
 )
-from handmap_qp.client.messages import Request
+from handmap_qp.client.messages import Pose, Request
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.service.server import Server
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from service_tools import address_of, connected, human_q, serving
 
-from handmap_qp.client import AsyncClient, Client, Pose, ServiceError
+from handmap_qp.client import AsyncClient, Client, ServiceError
+from handmap_qp.client.messages import Pose
 from handmap_qp.service.keys import make_keys
 from handmap_qp.service.server import Server
 

@@ -30,7 +30,8 @@ from service_tools import (
     skip,
 )
 
-from handmap_qp.client import AsyncClient, Client, Command, Error, ServiceError
+from handmap_qp.client import AsyncClient, Client, Command, ServiceError
+from handmap_qp.client.messages import Error
 from handmap_qp.service.server import Server
 from handmap_qp.service.states import LEASE
 

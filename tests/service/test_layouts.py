@@ -7,7 +7,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from handmap_qp.trackers.layout import Layout, load_layout
 from layout_cases import wrist_beside
 from service_tools import (
     CACHE,
@@ -30,6 +29,8 @@ from handmap_qp.service.decoding import decode_request
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.samples import to_matrix, to_pose
 from handmap_qp.service.session import Session
+from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.base import Layout
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -18,7 +18,8 @@ from service_tools import address_of, client_of, human_q, serving
 
 import handmap_qp.client
 import handmap_qp.service
-from handmap_qp.client import Client, Command, Pose
+from handmap_qp.client import Client, Command
+from handmap_qp.client.messages import Pose
 from handmap_qp.se3 import pose_from_xyz_quat
 
 rosbags = pytest.importorskip("rosbags.typesys")

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 import mujoco
 import numpy as np
 import pytest
+from arc import holding_forces, squeeze, take_hold
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulation_cases import CUBE, cube_grasp
 
-from handmap_qp import InvalidInputError, load_hand
+from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.grasp.contacts import Contact, Grasp
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.grasp.statics import quasistatic
 from handmap_qp.se3 import affine
-from handmap_qp.simulation.actuators import Actuators, PositionActuators, TorqueActuators
-from handmap_qp.simulation.arc import take_hold
 from handmap_qp.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.simulation.squeeze import holding_forces, squeeze
 
 MASS = 0.1
 WEIGHT = np.array([0.0, 0.0, -9.81 * MASS, 0.0, 0.0, 0.0])
@@ -29,9 +29,12 @@ FAR = affine(np.eye(3), np.array([0.0, 0.0, 2.0]))
 # Each soft synergy bends two fingers.
 SYNERGIES = np.zeros((8, 2))
 SYNERGIES[[0, 3], 0], SYNERGIES[[1, 6], 1] = (1.0, 0.6), (0.7, 0.8)
-SOFT = TorqueActuators(SYNERGIES, 2.0)
+SOFT = SYNERGIES @ SYNERGIES.T / 2.0
+SERVOS, MOTORS = Physics(), Physics(actuators="torque")
 KINDS = pytest.mark.parametrize(
-    "actuators", [PositionActuators(), TorqueActuators(), SOFT], ids=["servos", "motors", "soft"]
+    ("physics", "compliance"),
+    [(SERVOS, None), (MOTORS, None), (MOTORS, SOFT)],
+    ids=["servos", "motors", "soft"],
 )
 
 
@@ -49,14 +52,14 @@ def torques_of(simulator: Simulator) -> np.ndarray:
 
 
 def held(
-    physics: Physics, normal_force: float = 6.0, actuators: Actuators | None = None
+    physics: Physics, normal_force: float = 6.0, compliance: np.ndarray | None = None
 ) -> tuple[Simulator, Grasp, np.ndarray]:
     """The cube in the hand, with its weight."""
     grasp = cube_grasp()
     load = MASS * np.array([*physics.gravity, 0.0, 0.0, 0.0])
     forces = holding_forces(grasp, load, normal_force)
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics, actuators)
-    offset = squeeze(grasp, forces, simulator.stiffness)
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics, compliance)
+    offset = squeeze(grasp, forces, simulator.parts.stiffness)
     take_hold(simulator, grasp, offset)
     return simulator, grasp, offset
 
@@ -118,7 +121,7 @@ def test_contact_forces_stay_in_their_friction_cones(friction: float, force: flo
     for _ in range(10):
         simulator.follow(grasp.q + offset, target, 0.02)
         contacts = simulator.contacts()
-        normal = np.einsum("ci,ci->c", contacts.forces, contacts.normals)
+        normal = contacts.normal_forces
         tangential = np.linalg.norm(contacts.forces - normal[:, None] * contacts.normals, axis=1)
         assert (normal >= -1e-9).all()
         assert (tangential <= friction * normal * (1.0 + 1e-6) + 1e-9).all()
@@ -152,16 +155,16 @@ def test_too_little_friction_drops_the_object_and_enough_holds_it() -> None:
 
 @KINDS
 def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
-    actuators: Actuators,
+    physics: Physics, compliance: np.ndarray | None
 ) -> None:
-    physics = Physics(gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=1.5)
+    physics = physics.replaced(gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=1.5)
     grasp = cube_grasp()
     forces = holding_forces(grasp, np.zeros(6), 6.0)
     np.testing.assert_allclose(grasp.matrix @ forces.ravel(), 0.0, atol=1e-9)
-    simulator, _, _ = held(physics, actuators=actuators)
+    simulator, _, _ = held(physics, compliance=compliance)
     found = simulator.contacts().forces
     assert len(found) == len(forces)
-    torques = simulator.stiffness @ (simulator.command - simulator.q)
+    torques = simulator.parts.stiffness @ (simulator.target[0] - simulator.q)
     np.testing.assert_allclose(torques_of(simulator), torques, atol=2e-3)
     nearest = [np.linalg.norm(found - force, axis=1).min() for force in forces]
     assert max(nearest) < 0.05 * np.linalg.norm(forces, axis=1).max()
@@ -170,7 +173,7 @@ def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
 def test_soft_synergies_are_springs_in_series() -> None:
     """Both equations of the model, solved for the torques by hand."""
     hand = cube_grasp().hand
-    drive = Simulator(hand, Body(CUBE), Physics(joint_stiffness=3.0), SOFT).parts.drive
+    drive = Simulator(hand, Body(CUBE), MOTORS, SOFT).parts
     q, reference = np.linspace(-0.2, 0.3, 8), np.array([0.4, -0.1])
     torques = drive.controls(SYNERGIES @ reference, q, np.zeros(8))
     synergy = reference - SYNERGIES.T @ torques / 2.0
@@ -178,26 +181,32 @@ def test_soft_synergies_are_springs_in_series() -> None:
     # Critical damping of every mode: D M^-1 D = 4 K for one inertia M.
     inertia = drive.damping @ np.linalg.inv(drive.stiffness) @ drive.damping / 4.0
     np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-9)
-    with pytest.raises(InvalidInputError, match="synergies"):
-        Simulator(hand, Body(CUBE), actuators=TorqueActuators(np.eye(3)))
-    with pytest.raises(InvalidInputError, match="synergy_stiffness"):
-        TorqueActuators(SYNERGIES, 0.0)
+    with pytest.raises(InvalidInputError, match="compliance"):
+        Simulator(hand, Body(CUBE), compliance=np.eye(3))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("actuators", "synergies", "stiffness"),
-    [(PositionActuators(), np.eye(8)[:, [0, 1, 3, 6]], np.inf), (SOFT, SYNERGIES, 2.0)],
+    ("kind", "compliance", "synergies", "stiffness"),
+    [("position", None, np.eye(8)[:, [0, 1, 3, 6]], np.inf), ("torque", SOFT, SYNERGIES, 2.0)],
     ids=["servos", "soft"],
 )
 def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
-    actuators: Actuators, synergies: np.ndarray, stiffness: float
+    kind: Literal["position", "torque"],
+    compliance: np.ndarray | None,
+    synergies: np.ndarray,
+    stiffness: float,
 ) -> None:
     """Eq. of the paper's [22] with rigid contacts, against MuJoCo's own dynamics."""
     physics = Physics(
-        gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=2.0, time_step=1e-3, contact_time=2e-3
+        actuators=kind,
+        gravity=(0.0, 0.0, 0.0),
+        torsion=0.0,
+        friction=2.0,
+        time_step=1e-3,
+        contact_time=2e-3,
     )
-    simulator, grasp, offset = held(physics, actuators=actuators)
+    simulator, grasp, offset = held(physics, compliance=compliance)
     simulator.hold(1.0)
     start, q, pose = simulator.contacts(), simulator.q, simulator.object_pose
     links = [name.replace("f", "finger", 1) for name in start.joints]
@@ -271,11 +280,11 @@ def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
 
 @KINDS
 def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
-    actuators: Actuators,
+    physics: Physics, compliance: np.ndarray | None
 ) -> None:
     grasp = cube_grasp()
     assert grasp.wrist_pose is not None
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS), actuators=actuators)
+    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics, compliance)
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
     np.testing.assert_allclose(simulator.wrist, grasp.wrist_pose, atol=1e-12)
     target = grasp.wrist_pose.copy()
@@ -286,7 +295,7 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
     np.testing.assert_allclose(simulator.q, grasp.q, atol=1e-3)
     # Motors carry the hand's own weight; beside servos, it is compensated.
     weight = np.abs(torques_of(simulator)).max()
-    assert weight > 0.015 if simulator.parts.drive.is_torque.any() else weight < 2e-3
+    assert weight > 0.015 if simulator.parts.is_torque.any() else weight < 2e-3
 
 
 def test_mimic_joints_follow_their_leaders() -> None:
@@ -318,9 +327,9 @@ def test_mimic_joints_follow_their_leaders() -> None:
     ids=str,
 )
 def test_impossible_physics_is_refused(change: dict) -> None:
-    with pytest.raises(InvalidInputError) as caught:
+    with pytest.raises(InvalidOptionsError) as caught:
         Physics(**change)
-    assert caught.value.argument == next(iter(change))
+    assert caught.value.option == next(iter(change))
 
 
 def test_impossible_bodies_and_starts_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""The arc, pinches, trials, films and the command."""
+"""Pinches, trials, films and the command."""
 
 from __future__ import annotations
 
@@ -10,26 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulation_cases import CUBE, cube_grasp
+from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, cli, load_hand
-from handmap_qp.experiments.section_four import HandMotion
 from handmap_qp.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.simulation.arc import ArcOptions, Carried, carry
-from handmap_qp.simulation.commands import Commands
-from handmap_qp.simulation.film import Stage, film, picture
-from handmap_qp.simulation.grip import GripForce
+from handmap_qp.simulation.commands import Commands, PinchWindow, find_pinch
 from handmap_qp.simulation.page import travel, write_page
-from handmap_qp.simulation.physics import Body, MeshShape, Physics
-from handmap_qp.simulation.pinch import PinchScene, PinchTrial
-from handmap_qp.simulation.pinch_window import PinchWindow, find_pinch
-from handmap_qp.simulation.shapes import parse_object, turn_up
-from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.simulation.trials import random_trials, success_rate
+from handmap_qp.simulation.physics import Body, MeshShape, Physics, parse_object, turn_up
+from handmap_qp.simulation.pictures import Stage, film, picture
+from handmap_qp.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
+from handmap_qp.simulation.simulator import Episode, Simulator
+from handmap_qp.simulation.trials import describe_trial, random_trials, success_rate
 
-WINDOW = PinchWindow("index", 0, 10, 60)
+UP = np.array([0.0, 0.0, 1.0])
+WINDOW = PinchWindow(0, 10, 60)
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +37,17 @@ def pinching() -> PinchScene:
     wrist = np.tile(np.eye(4), (61, 1, 1))
     wrist[:, :3, :3] = np.diag([1.0, -1.0, -1.0])
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
-    commands = Commands("closing", hand, time, q, wrist)
+    commands = Commands(hand, time, q, wrist)
     return PinchScene(commands, WINDOW, Physics(joint_stiffness=2000.0))
 
 
-def test_a_closing_gripper_lifts_the_object(pinching: PinchScene) -> None:
-    outcome = pinching.run(PinchTrial())
-    poses = outcome.episode.object_pose[:, :3, 3]
+@pytest.fixture(scope="module")
+def lifted(pinching: PinchScene) -> PinchOutcome:
+    return pinching.run(PinchTrial())
+
+
+def test_a_closing_gripper_lifts_the_object(lifted: PinchOutcome) -> None:
+    outcome, poses = lifted, lifted.episode.at.object_pose[:, :3, 3]
     assert outcome.is_held
     assert poses[-1, 2] - poses[0, 2] == pytest.approx(0.1, abs=0.005)
     assert outcome.held_time == pytest.approx(outcome.pinch_time)
@@ -55,14 +55,14 @@ def test_a_closing_gripper_lifts_the_object(pinching: PinchScene) -> None:
 
 def test_the_object_stands_where_the_robots_own_pads_meet(pinching: PinchScene) -> None:
     """The pads lag behind their commands, so these have gone further by then."""
-    met = pinching.closing.meeting(0.03)
+    met = pinching.meeting(0.03)
     assert pinching.pads.gap(met.q, met.wrist) == pytest.approx(0.03, abs=1e-4)
     commands = pinching.commands
     assert met.q[0] > np.interp(met.time, commands.time, commands.q[:, 0]) + 1e-4
     # Wider objects are met earlier.
-    assert pinching.closing.meeting(0.05).time < met.time
+    assert pinching.meeting(0.05).time < met.time
     # What is nearer than the pads can come is met at their nearest.
-    never = pinching.closing.meeting(-1.0)
+    never = pinching.meeting(-1.0)
     assert pinching.pads.gap(never.q, never.wrist) < 0.005
 
 
@@ -90,7 +90,7 @@ def test_trials_repeat_with_their_seed(pinching: PinchScene) -> None:
     assert all(0.02 <= trial.size <= 0.045 for trial in one)
     assert {trial.mass for trial in random_trials(5, 0, "nominal")} == {0.05}
     results = [pinching.run(one[0]) for _ in range(2)]
-    first, second = (result.episode.object_pose for result in results)
+    first, second = (result.episode.at.object_pose for result in results)
     np.testing.assert_array_equal(first, second)
 
 
@@ -125,65 +125,52 @@ def load_landmarks() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def carried() -> Carried:
-    """A cube, carried 100 mm by a wrist that does not turn."""
-    grasp = cube_grasp()
-    assert grasp.wrist_pose is not None
-    wrist = np.tile(grasp.wrist_pose, (11, 1, 1))
-    wrist[:, 0, 3] += np.linspace(0.0, 0.1, 11)
-    motion = HandMotion(np.tile(grasp.q, (11, 1)), wrist, np.zeros((11, 3, 3)))
-    return carry(grasp, motion, 0.1, Physics(), ArcOptions(duration=1.0))
-
-
-def test_a_carried_object_goes_where_the_wrist_goes(carried: Carried) -> None:
-    assert not carried.is_lost
-    np.testing.assert_allclose(carried.displacement, [0.1, 0.0, 0.0], atol=2e-3)
-    np.testing.assert_allclose(carried.rotation, np.eye(3), atol=0.03)
-    assert carried.slip.max() < 2e-3
-    assert (carried.episode.touching == 3).all()
+def episode(lifted: PinchOutcome) -> Episode:
+    return lifted.episode
 
 
 @pytest.mark.slow
-def test_pictures_and_films_show_the_object(carried: Carried, tmp_path: Path) -> None:
+def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) -> None:
     from PIL import Image
 
-    stage = Stage(carried.episode, np.array([0.0, 0.0, 1.0]))
+    stage = Stage(episode, UP)
     picture(stage, tmp_path / "strip.png", count=2)
     strip = np.asarray(Image.open(tmp_path / "strip.png").convert("RGB")).astype(int)
     assert strip.shape == (360, 960, 3)
     is_orange = (strip[..., 0] > strip[..., 2] + 60) & (strip[..., 1] > strip[..., 2])
     left, right = np.split(is_orange, 2, axis=1)
     assert min(left.sum(), right.sum()) > 300
-    assert abs(np.argwhere(left)[:, 1].mean() - np.argwhere(right)[:, 1].mean()) > 20
-    film(stage, tmp_path / "film.gif", rate=3.0)
-    duration = carried.episode.time[-1] - carried.episode.time[0]
+    # Upwards is towards the first row.
+    assert np.argwhere(left)[:, 0].mean() - np.argwhere(right)[:, 0].mean() > 20
+    film(stage, tmp_path / "film.gif", rate=2.0)
+    duration = episode.at.time[-1] - episode.at.time[0]
     with Image.open(tmp_path / "film.gif") as frames:
-        assert getattr(frames, "n_frames", 1) == int(np.ceil(3.0 * duration))
+        assert getattr(frames, "n_frames", 1) == int(np.ceil(2.0 * duration))
 
 
 @pytest.mark.slow
-def test_a_page_plays_both_hands_without_a_network(carried: Carried, tmp_path: Path) -> None:
+def test_a_page_plays_both_hands_without_a_network(episode: Episode, tmp_path: Path) -> None:
     page, counts = tmp_path / "run.html", []
-    episodes = {"robot": carried.episode, "again": carried.episode}
-    write_page(page, episodes, np.array([0.0, 0.0, 1.0]), "a <run>", counts.append)
+    episodes = {"robot": episode, "again": episode}
+    write_page(page, episodes, UP, "a <run>", counts.append)
     text = page.read_text(encoding="utf-8")
     assert "<title>a &lt;run&gt;</title>" in text
     assert "__VISER_EMBED_DATA__" in text
     assert 'src="http' not in text
-    duration = carried.episode.time[-1] - carried.episode.time[0]
+    duration = episode.at.time[-1] - episode.at.time[0]
     assert counts[-1] == pytest.approx(30.0 * duration, abs=1.0)
 
 
-def test_a_lost_object_does_not_widen_the_view(carried: Carried) -> None:
-    episode = carried.episode
+def test_a_lost_object_does_not_widen_the_view(episode: Episode) -> None:
     seen = travel(episode, np.eye(3))
     low, high = seen
     for i in (0, -1):
-        assert (low <= episode.wrist[i, :3, 3] + 1e-9).all()
-        assert (episode.wrist[i, :3, 3] <= high + 1e-9).all()
-    fallen = episode.object_pose.copy()
+        assert (low <= episode.at.wrist[i, :3, 3] + 1e-9).all()
+        assert (episode.at.wrist[i, :3, 3] <= high + 1e-9).all()
+    fallen = episode.at.object_pose.copy()
     fallen[-1, 2, 3] = -30.0
-    np.testing.assert_array_equal(travel(replace(episode, object_pose=fallen), np.eye(3)), seen)
+    lost = replace(episode, at=episode.at._replace(object_pose=fallen))
+    np.testing.assert_array_equal(travel(lost, np.eye(3)), seen)
     # Turned so that x is up, heights are along z.
     turned = travel(episode, turn_up(np.array([1.0, 0.0, 0.0])))
     np.testing.assert_allclose(np.ptp(turned[:, 2]), np.ptp(seen[:, 0]))
@@ -224,13 +211,17 @@ def test_other_words_are_no_objects(text: str) -> None:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--trials", "5"], "--trials"),
-        (["--out", "a.txt"], "--out"),
-        (["--html", "a.txt"], "--html"),
+        ([], "RECORDING: expected a recording"),
+        (["demo::right", "--serve", "lab"], "RECORDING"),
+        (["--serve", "lab", "--trials", "5"], "--trials"),
+        (["demo::right", "--trials", "5", "--mass", "0.2"], "--trials: draws object, mass"),
+        (["demo::right", "--trials", "5", "--out", "a.npz"], "--trials"),
+        (["demo::right", "--out", "a.txt"], "--out"),
+        (["demo::right", "--html", "a.txt"], "--html"),
         (["gone.npz"], "gone.npz"),
-        (["--object", "brick"], "--object"),
-        (["--robot", "gone"], "gone"),
-        (["--friction", "-1"], "friction"),
+        (["demo::right", "--object", "brick"], "--object"),
+        (["demo::right", "--robot", "gone"], "gone"),
+        (["demo::right", "--friction", "-1"], "friction"),
     ],
 )
 def test_wrong_arguments_are_one_line(
@@ -243,16 +234,22 @@ def test_wrong_arguments_are_one_line(
 
 
 @pytest.mark.slow
-def test_the_command_repeats_the_papers_experiment(
+def test_the_command_counts_every_trial_and_writes_a_simulation(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "arc.npz"
-    assert cli.main(["simulate", "--gamma", "0.2", "--json", "--out", str(out)]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["rows"]
-    assert row["robot lost"] == "no"
+    out = tmp_path / "pinch.npz"
+    words = ["simulate", "demo::right", "--robot", "panda_gripper", "--json"]
+    words += ["--methods", "fingertip-vectors"]
+    assert cli.main([*words, "--trials", "2"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [row["trials"] for row in found["rows"]] == [2]
+    drawn = [describe_trial(trial) for trial in random_trials(2, 0)]
+    assert [{k: v for k, v in trial.items() if k != "held"} for trial in found["trials"]] == drawn
+    assert cli.main([*words, "--out", str(out)]) == 0
     columns = np.load(out)
-    moved = columns["object_pose"][-1, :3, 3] - columns["object_pose"][0, :3, 3]
-    np.testing.assert_allclose(moved, [0.47, 0.0, 0.0], atol=0.03)
+    assert set(columns) >= {"time", "q", "command", "wrist", "object_pose", "normal_force"}
+    assert str(columns["robot"]) == "panda_gripper"
+    assert columns["q"].shape == (len(columns["time"]), len(columns["joint_names"]))
 
 
 def test_a_hand_without_shapes_cannot_touch() -> None:
@@ -264,15 +261,16 @@ def test_a_hand_without_shapes_cannot_touch() -> None:
 
 
 @pytest.mark.parametrize("force", [3.0, 8.0])
-def test_the_squeeze_term_keeps_the_wanted_force(pinching: PinchScene, force: float) -> None:
+def test_the_squeeze_term_keeps_the_wanted_force(
+    pinching: PinchScene, lifted: PinchOutcome, force: float
+) -> None:
     """Both pads press with it, whatever the command's overlap."""
-    outcome = pinching.run(PinchTrial(), GripForce(force))
+    outcome = pinching.run(PinchTrial(), force)
     assert outcome.is_held
-    assert outcome.episode.force[-10:].mean() == pytest.approx(2.0 * force, rel=0.1)
-    free = pinching.run(PinchTrial())
-    assert free.episode.force[-10:].mean() > 3.0 * force
+    assert outcome.episode.at.normal_force[-10:].mean() == pytest.approx(2.0 * force, rel=0.1)
+    assert lifted.episode.at.normal_force[-10:].mean() > 3.0 * force
 
 
-def test_a_squeeze_without_force_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match="force"):
-        GripForce(0.0)
+def test_a_squeeze_without_force_is_refused(pinching: PinchScene) -> None:
+    with pytest.raises(InvalidInputError, match="grip"):
+        pinching.run(PinchTrial(), 0.0)

@@ -1,4 +1,4 @@
-"""Section IV with gravity: two hands carry the same object along the arc (`carry_along_arc`).
+"""Section IV with gravity: two hands carry the same object along the arc (`carry`).
 
 Each hand closes on the object without gravity, presses with forces that the statics plan, and takes
 the weight. Then the human's wrist follows the paper's arc while a synergy is activated, and the
@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.experiments.section_four import HandMotion, Run, Scene, Setting, run_experiment
+from handmap_qp.experiments.section_four import HandMotion, Run, Scene
+from handmap_qp.grasp.checks import finite_array, positive_number
 from handmap_qp.grasp.contacts import Grasp
 from handmap_qp.grasp.objects import Shape
 from handmap_qp.grasp.planning import plan_grasps
@@ -23,21 +24,15 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.se3 import inverse_pose, transform_points
-from handmap_qp.simulation.actuators import (
-    ActuatorKind,
-    Actuators,
-    PositionActuators,
-    TorqueActuators,
-)
-from handmap_qp.simulation.episode import Episode, Recorder
-from handmap_qp.simulation.physics import Body, MeshShape, Physics
-from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.simulation.squeeze import holding_forces, squeeze
+from handmap_qp.simulation.physics import Body, Physics
+from handmap_qp.simulation.simulator import Episode, Simulator
 
 # Time to close, to rest, and to take the weight [s].
 _CLOSING, _RESTING, _LOADING = 0.2, 0.2, 0.3
 # An object that leaves its place in the hand by more than this is lost [m].
 LOST = 0.05
+# Share of the cost of tangential forces; they use up friction, normal forces do not.
+_TANGENTIAL = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +68,13 @@ class Carried:
     @property
     def displacement(self) -> np.ndarray:
         """Displacement of the object's centre [m], shape (3,)."""
-        poses = self.episode.object_pose
+        poses = self.episode.at.object_pose
         return poses[-1, :3, 3] - poses[0, :3, 3]
 
     @property
     def rotation(self) -> np.ndarray:
         """Rotation of the object from start to end, shape (3, 3)."""
-        poses = self.episode.object_pose
+        poses = self.episode.at.object_pose
         return poses[-1, :3, :3] @ poses[0, :3, :3].T
 
 
@@ -109,51 +104,66 @@ class ArcOutcome:
         return float(turn.magnitude())
 
 
-def carry_along_arc(
-    scene: Scene,
-    setting: Setting,
-    mass: float = 0.1,
-    physics: Physics | None = None,
-    options: ArcOptions | None = None,
-    actuators: ActuatorKind = "position",
-) -> ArcOutcome:
-    """Simulate both hands of Sec. IV.
+def soft_synergy(synergy: int, physics: Physics) -> np.ndarray:
+    """Return the compliance of Sec. IV: one soft synergy of the human in series with the joints.
 
-    Args:
-        scene: Both grasps; each knows its object's shape.
-        setting: Synergy, its activation, and the mapping.
-        mass: Mass of the object [kg].
-        physics: Contacts, actuators and time steps.
-        options: How the object is carried.
-        actuators: Kind of the fingers' actuators; see `soft_synergy`.
-
-    Returns:
-        The outcome for human and robot.
-
-    Raises:
-        InvalidInputError: If a grasp has fewer than three contacts, or no shape.
-    """
-    run = run_experiment(scene, setting)
-    physics = physics or Physics()
-    of_human = of_robot = PositionActuators()
-    if actuators == "torque":
-        of_human, of_robot = soft_synergy(setting.synergy, physics), TorqueActuators()
-    human = carry(scene.human, run.human, mass, physics, options, of_human)
-    robot = carry(scene.robot, run.robot, mass, physics, options, of_robot)
-    return ArcOutcome(run, human, robot)
-
-
-def soft_synergy(synergy: int, physics: Physics) -> TorqueActuators:
-    """Return the human's actuators of Sec. IV: one soft synergy in series with the joints.
-
-    As in the reference numbers, K_z in N m per unit is the number that K_q is in N m/rad.
+    With `tau = K_q (S z - q)` and `S^T tau = K_z (z_ref - z)`, the command `q_ref = S z_ref` gives
+    `tau = K (q_ref - q)`, `K = (K_q^-1 + S K_z^-1 S^T)^-1` (the paper's [22]). As in the reference
+    numbers, K_z in N m per unit is the number that K_q is in N m/rad.
 
     Args:
         synergy: Number of the activated synergy, from 1.
         physics: Stiffness of the joints.
+
+    Returns:
+        `S K_z^-1 S^T` [rad/(N m)], shape (n, n).
     """
     matrix = load_synergies().matrix[:, [synergy - 1]]
-    return TorqueActuators(matrix, physics.joint_stiffness)
+    return matrix @ matrix.T / physics.joint_stiffness
+
+
+def holding_forces(grasp: Grasp, load: npt.ArrayLike, normal_force: float) -> np.ndarray:
+    """Find contact forces that balance a load and press on the object.
+
+    The forces minimise `sum_c (f_n - f_0)^2 + 4 |f_t|^2` subject to `G f + w = 0`.
+
+    Args:
+        grasp: The grasp, with at least three contacts that are not on one line.
+        load: Wrench on the object about its centre, w, world axes [N, N m], shape (6,).
+        normal_force: Wanted normal force at every contact, f_0 [N].
+
+    Returns:
+        Forces of the hand on the object, world axes [N], shape (n_c, 3).
+
+    Raises:
+        InvalidInputError: If the grasp cannot balance every load.
+    """
+    wrench = finite_array(load, (6,), "load")
+    force = positive_number(normal_force, "normal_force")
+    G, normals = grasp.matrix, grasp.normals
+    count = len(normals)
+    if not _is_firm(grasp):
+        raise InvalidInputError(
+            argument="grasp", expected="three contacts that are not on one line", got=f"{count}"
+        )
+    weight = np.zeros((3 * count, 3 * count))
+    for c, normal in enumerate(normals):
+        along = np.outer(normal, normal)
+        weight[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = along + _TANGENTIAL * (np.eye(3) - along)
+    system = np.block([[weight, G.T], [G, np.zeros((6, 6))]])
+    right = np.concatenate([force * normals.ravel(), -wrench])
+    return np.linalg.solve(system, right)[: 3 * count].reshape(-1, 3)
+
+
+def squeeze(grasp: Grasp, forces: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    """Return the displacement of a command that makes contact forces, `K^-1 J^T f` [rad], (n,).
+
+    Args:
+        grasp: The grasp.
+        forces: Forces of the hand on the object [N], shape (n_c, 3).
+        stiffness: Stiffness of the actuators, K [N m/rad], shape (n, n).
+    """
+    return np.linalg.solve(stiffness, grasp.jacobian.T @ forces.ravel())
 
 
 def carry(
@@ -162,7 +172,7 @@ def carry(
     mass: float,
     physics: Physics | None = None,
     options: ArcOptions | None = None,
-    actuators: Actuators | None = None,
+    compliance: np.ndarray | None = None,
 ) -> Carried:
     """Simulate one hand that grasps an object, takes its weight, and follows a motion.
 
@@ -172,34 +182,34 @@ def carry(
         mass: Mass of the object [kg].
         physics: Contacts, actuators and time steps.
         options: How the object is carried.
-        actuators: What moves the joints; servos if omitted.
+        compliance: Compliance in series with that of the joints (`soft_synergy`).
 
     Returns:
         What the object did.
     """
     physics, options = physics or Physics(), options or ArcOptions()
     assert grasp.shape is not None
-    simulator = Simulator(grasp.hand, Body(grasp.shape, mass), physics, actuators)
+    simulator = Simulator(grasp.hand, Body(grasp.shape, mass), physics, compliance)
     weight = np.concatenate([mass * np.array(physics.gravity), np.zeros(3)])
     forces = holding_forces(grasp, weight, options.normal_force)
-    offset = squeeze(grasp, forces, simulator.stiffness)
+    offset = squeeze(grasp, forces, simulator.parts.stiffness)
     take_hold(simulator, grasp, offset)
-    recorder = Recorder(simulator)
-    recorder.sample()
+    instants = [simulator.instant()]
     start_q, start_wrist = simulator.q, simulator.wrist
     start_object = simulator.object_pose
     step = options.duration / (len(motion.q) - 1)
     for q, wrist in zip(motion.q[1:], motion.wrist[1:], strict=True):
         simulator.follow(q + offset, wrist, step)
-        recorder.sample()
+        instants.append(simulator.instant())
     simulator.hold(_RESTING)
-    recorder.sample()
-    episode = recorder.episode()
-    places = episode.object_in_wrist[:, :3, 3]
+    instants.append(simulator.instant())
+    episode = Episode.of(simulator, instants)
+    pairs = zip(episode.at.wrist, episode.at.object_pose, strict=True)
+    places = np.array([(inverse_pose(wrist) @ pose)[:3, 3] for wrist, pose in pairs])
     is_lost = bool(np.linalg.norm(places - places[0], axis=1).max() > LOST)
     slip = _slip(grasp, (start_q, start_wrist, start_object), simulator)
-    is_lost = is_lost or episode.touching[-1] == 0
-    return Carried(episode, slip, is_lost, simulator.stiffness)
+    is_lost = is_lost or episode.at.links_touching[-1] == 0
+    return Carried(episode, slip, is_lost, simulator.parts.stiffness)
 
 
 def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:
@@ -214,11 +224,12 @@ def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:
     if grasp.hand.is_floating and wrist is None:
         wrist = np.eye(4)
     simulator.reset(grasp.q, wrist, grasp.object_pose)
-    simulator.set_gravity(0.0)
+    gravity = simulator.parts.model.opt.gravity
+    gravity[:] = 0.0
     simulator.follow(grasp.q + offset, wrist, _CLOSING)
     simulator.hold(_RESTING)
     for share in np.linspace(0.1, 1.0, 10):
-        simulator.set_gravity(float(share))
+        gravity[:] = share * np.array(simulator.physics.gravity)
         simulator.hold(_LOADING / 10.0)
     simulator.hold(_RESTING)
 
@@ -245,7 +256,7 @@ def _slip(
 
 def planned_scene(
     robot: Hand,
-    shape: Shape | MeshShape,
+    shape: Shape,
     *,
     rank: int = 0,
     samples: int = 60,
@@ -266,13 +277,9 @@ def planned_scene(
         The scene, with the contacts as reference points.
 
     Raises:
-        InvalidInputError: If the wrist of the robot cannot move, the shape is a mesh, or fewer than
-            `rank + 1` grasps have three contacts.
+        InvalidInputError: If the wrist of the robot cannot move, or fewer than `rank + 1` grasps
+            have three contacts.
     """
-    if isinstance(shape, MeshShape):
-        raise InvalidInputError(
-            argument="--object", expected="a box, a sphere or a cylinder on the arc", got="a mesh"
-        )
     chosen = []
     for hand in (load_hand("human"), robot):
         planned = plan_grasps(hand, shape, samples=samples, seed=seed, progress=progress)
@@ -290,26 +297,3 @@ def planned_scene(
 def _is_firm(grasp: Grasp) -> bool:
     """Return whether a grasp can balance every load."""
     return len(grasp.contacts) >= 3 and np.linalg.matrix_rank(grasp.matrix, tol=1e-6) == 6
-
-
-def arc_row(outcome: ArcOutcome) -> dict[str, Any]:
-    """Describe both hands after the arc in a row of a table."""
-    setting = outcome.run.setting
-    row: dict[str, Any] = {
-        "synergy": setting.synergy,
-        "gamma": setting.gamma,
-        "fingers": setting.fingers,
-    }
-    for name, carried in (("human", outcome.human), ("robot", outcome.robot)):
-        force = carried.episode.force
-        row |= {
-            f"{name} lost": "yes" if carried.is_lost else "no",
-            f"{name} slip mm": round(1e3 * float(carried.slip.max()), 1),
-            f"{name} force N": f"{force[0]:.1f} to {force[-1]:.1f}",
-        }
-    is_any_lost = outcome.human.is_lost or outcome.robot.is_lost
-    row["translation differs mm"] = "-" if is_any_lost else round(1e3 * outcome.translation_gap, 1)
-    row["rotation differs deg"] = (
-        "-" if is_any_lost else round(float(np.degrees(outcome.rotation_gap)), 1)
-    )
-    return row
