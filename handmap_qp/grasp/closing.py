@@ -150,9 +150,11 @@ class HandCloser:
                 key="urdf",
                 value=hand.spec.urdf,
             )
-        self._parts = list(self._geometry.geometryObjects)
-        self.links = tuple(hand.model.frames[part.parentFrame].name for part in self._parts)
-        self._carries = _carried_parts(hand, [part.parentJoint for part in self._parts])
+        # Adding the object below moves the parts in memory, so keep no reference to one.
+        parts = self._geometry.geometryObjects
+        self.links = tuple(hand.model.frames[part.parentFrame].name for part in parts)
+        self._parents = [part.parentJoint for part in parts]
+        self._carries = _carried_parts(hand, self._parents)
         held = self._geometry.addGeometryObject(
             pin.GeometryObject("object", 0, pin.SE3(self._object_pose), solid)
         )
@@ -264,7 +266,7 @@ class HandCloser:
             points.append(point)
             x, y, z = transform_points(inverse_pose(pose), point)
             a, b, c = np.array(result.normal) @ pose[:3, :3]
-            finger = fingers.get(self._parts[part].parentJoint)
+            finger = fingers.get(self._parents[part])
             contacts.append(Contact(name, (x, y, z), (a, b, c), finger))
         return tuple(contacts)
 
