@@ -30,7 +30,7 @@ from handmap_qp.offline.compared_methods import own_method
 from handmap_qp.offline.comparison import Run, compare_methods
 from handmap_qp.offline.metrics import METRICS, Metric
 from handmap_qp.offline.takes import Take, prepare_take
-from handmap_qp.onboarding.gestures import measure_pinches
+from handmap_qp.onboarding.measure import measure_pinches
 from handmap_qp.trackers.recording import Recording, read_recording
 
 _SHOWN = (
