@@ -15,10 +15,10 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any, NamedTuple, NoReturn, Protocol
+from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
 
 from handmap_qp.errors import (
     DiskFullError,
@@ -182,13 +182,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     try:
         parse(words).run()
+    except SystemExit as end:
+        if end.code != 2:  # after which tyro has said what is wrong
+            raise
+        return 2
     except HandmapError as error:
-        name = command_name(words)
-        code = 1 if isinstance(error, DiskFullError) else 2
-        if name is not None and isinstance(error, InvalidInputError | InvalidOptionsError):
-            error = in_words_of_the_command_line(error, _help_page(name), words)
+        if isinstance(error, InvalidInputError | InvalidOptionsError):
+            error = in_words_of_the_command_line(error, words)
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
-        return code
+        return 1 if isinstance(error, DiskFullError) else 2
     except ImportError as error:
         if not (library := _missing_library(error)):
             raise
@@ -203,6 +205,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("handmap: interrupted, nothing was written", file=sys.stderr)
         return 130
     return 0
+
+
+def in_words_of_the_command_line(
+    error: InvalidInputError | InvalidOptionsError, words: Sequence[str]
+) -> InvalidInputError | InvalidOptionsError:
+    """Name an option as it was given: `--ik.damping` in place of `damping`.
+
+    Args:
+        error: An error of the library, which knows options by their Python names.
+        words: The words given to the command.
+    """
+    name = error.option if isinstance(error, InvalidOptionsError) else error.argument
+    options = {word.partition("=")[0] for word in words if word.startswith("--")}
+    given = [o for o in options if o[2:].replace("-", "_").rpartition(".")[2] == name]
+    if len(given) != 1:
+        return error
+    return InvalidOptionsError(
+        error.problem, option=given[0], expected=error.expected, got=error.got, advice=error.advice
+    )
 
 
 def _missing_library(error: ImportError) -> str:
@@ -227,42 +248,43 @@ def parse(arguments: Sequence[str]) -> Command:
         The command, ready to run.
 
     Raises:
-        InvalidInputError: If the words are not a valid command, in one line.
-        SystemExit: After printing the help, the version or the completions that were asked for.
+        HandmapError: If a type of this package does not take a value.
+        InvalidInputError: If there is no such command.
+        SystemExit: After printing the help, the version, the completions or tyro's message about
+            a mistake, which has the exit code 2.
     """
     words = list(arguments)
     name = command_name(words)
     if name is None:
         _answer_without_command(words)
-    words = words[len(name.split()) :]
-    parsed, page, box, error = _captured(lambda tyro: _read(tyro, name, words))
-    if error is not None:
-        raise error
-    if box is None:
-        return parsed
-    if box:
-        raise explained(box, _help_page(name), words, f"see handmap {name} --help")
-    _print_page(_wrapped(_without_types(page)))
-    raise SystemExit(0)
+    command = COMMANDS[name].load()
+    # Options of a method had the name of one in front, before methods could be added.
+    rest = [re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]]
+    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
+    page, message = _Page(sys.stdout), _Page(sys.stderr)
+    try:
+        with contextlib.redirect_stdout(page), contextlib.redirect_stderr(message):
+            return _tyro().cli(command, prog=f"handmap {name}", description=about, args=rest)
+    except SystemExit as end:
+        if (cause := _cause(end)) is not None:
+            raise cause from None
+        if end.code:
+            _print_page(_without_types(message.getvalue()), sys.stderr)
+        else:
+            _print_page(_wrapped(_without_types(page.getvalue())), sys.stdout)
+        raise
+
+
+def _tyro() -> Any:
+    """Import tyro, which takes longer than all commands without one."""
+    import tyro
+
+    return tyro
 
 
 def command_name(words: Sequence[str]) -> str | None:
     """Return the command that a line begins with; None if there is none."""
     return next((key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None)
-
-
-def _read(tyro: Any, name: str, words: Sequence[str]) -> Command:
-    """Let tyro read the arguments of a command."""
-    command = COMMANDS[name].load()
-    # Options of a method had the name of one in front, before methods could be added.
-    words = [re.sub(r"^--teleoperation\.", "--", word) for word in words]
-    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
-    return tyro.cli(command, prog=f"handmap {name}", description=about, args=words)
-
-
-def _help_page(name: str) -> str:
-    """Return the help page of a command."""
-    return _without_types(_captured(lambda tyro: _read(tyro, name, ["--help"])).page)
 
 
 def _answer_without_command(words: list[str]) -> NoReturn:
@@ -278,10 +300,10 @@ def _answer_without_command(words: list[str]) -> NoReturn:
 
             print(f"handmap {version('handmap-qp')}")
         case ["--help" | "-h"]:
-            _print_page(f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}")
+            print(f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}", end="")
         case [group] | [group, "--help" | "-h"] if group in _GROUPS:
             usage = f"usage: handmap {group} COMMAND ..."
-            _print_page(f"{usage}\n\n{_GROUPS[group]}\n\n{_list_of(f'{group} ')}")
+            print(f"{usage}\n\n{_GROUPS[group]}\n\n{_list_of(f'{group} ')}", end="")
         case ["--completion", shell]:
             _print_completion(shell)
         case ["--completion"]:
@@ -330,9 +352,11 @@ def _print_completion(shell: str) -> None:
     if shell not in ("bash", "zsh", "tcsh"):
         expected = "bash, zsh or tcsh"
         raise InvalidInputError(argument="--completion", expected=expected, value=shell)
-    words = ["--tyro-print-completion", shell]
-    script = _captured(lambda tyro: tyro.cli(_any_command(tyro), prog="handmap", args=words))
-    _print_page(re.sub(r"^COMPLETION_SPEC = .*", _on_one_line, script.page, flags=re.MULTILINE))
+    words, page = ["--tyro-print-completion", shell], _Page(sys.stdout)
+    with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
+        _tyro().cli(_any_command(), prog="handmap", args=words)
+    script = re.sub(r"^COMPLETION_SPEC = .*", _on_one_line, page.getvalue(), flags=re.MULTILINE)
+    _print_page(script, sys.stdout)
 
 
 def _on_one_line(spec: re.Match[str]) -> str:
@@ -341,8 +365,9 @@ def _on_one_line(spec: re.Match[str]) -> str:
     return text.replace("'None', ", "").replace(", 'None'", "")
 
 
-def _any_command(tyro: Any) -> Any:
+def _any_command() -> Any:
     """Return a type whose values are all commands."""
+    tyro = _tyro()
 
     def union(places: dict[str, _Place]) -> Any:
         return reduce(
@@ -364,31 +389,6 @@ def _any_command(tyro: Any) -> Any:
     return reduce(or_, groups, union(single))
 
 
-class _Captured(NamedTuple):
-    """What a call of tyro returned and printed."""
-
-    result: Any
-    page: str
-    """What it printed on stdout."""
-    box: str | None
-    """None if the call returned, else its message on stderr; empty if it ended without an error."""
-    error: HandmapError | None
-    """Why this package's own types did not take a value."""
-
-
-def _captured(call: Callable[[Any], Any]) -> _Captured:
-    """Call tyro with its output captured."""
-    import tyro
-
-    message, page = io.StringIO(), _Page()
-    try:
-        with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
-            return _Captured(call(tyro), page.getvalue(), None, None)
-    except SystemExit as end:
-        box = message.getvalue() if end.code else ""
-        return _Captured(None, page.getvalue(), box, _cause(end))
-
-
 def _cause(end: BaseException) -> HandmapError | None:
     """Return the error of this package that ended a call of tyro, if there is one."""
     error: BaseException | None = end
@@ -398,22 +398,22 @@ def _cause(end: BaseException) -> HandmapError | None:
 
 
 class _Page(io.StringIO):
-    """Collect what would be printed, in colour if stdout is a terminal."""
+    """Collect what would be printed, in colour if the stream is a terminal."""
 
     encoding = "utf-8"
 
-    def __init__(self) -> None:
+    def __init__(self, stream: TextIO) -> None:
         super().__init__()
-        self._is_terminal = sys.stdout.isatty()
+        self._stream = stream
 
     def isatty(self) -> bool:
-        """Return whether stdout is a terminal."""
-        return self._is_terminal
+        """Return whether the stream is a terminal."""
+        return self._stream.isatty()
 
 
-def _print_page(page: str) -> None:
-    encoding = sys.stdout.encoding or "utf-8"
-    print(page.encode(encoding, "replace").decode(encoding), end="")
+def _print_page(page: str, stream: TextIO) -> None:
+    encoding = stream.encoding or "utf-8"
+    print(page.encode(encoding, "replace").decode(encoding), end="", file=stream)
 
 
 def _without_types(page: str) -> str:
@@ -437,136 +437,6 @@ def _wrapped(page: str) -> str:
             block = textwrap.fill(" ".join(block.split()), width)
         blocks.append(block)
     return "\n\n".join(blocks).rstrip("\n") + "\n"
-
-
-# tyro's messages are boxes of several lines that repeat the help. They are taken apart here, and
-# completed from the command's help page. A message of a form that is not known stays as it is.
-
-_TYPES = {"INT": "a whole number", "FLOAT": "a number", "STR": "a value", "PATH": "a path"}
-_BORDER = " │╭╮╰╯─"
-_UNUSABLE = (
-    r"(?:Error parsing|invalid choice .* for argument|Missing value for argument)"
-    r" [('\"]*(--[\w.-]*\w|[A-Z]+\b)"
-)
-"""tyro's messages about the value of one option or positional argument."""
-
-
-def explained(box: str, page: str, words: Sequence[str], advice: str) -> InvalidInputError:
-    """Return the error that tyro's message stands for.
-
-    Args:
-        box: What tyro printed on stderr.
-        page: The command's help page.
-        words: The words given to the command.
-        advice: What to do where nothing better is known.
-    """
-    text = _message(box)
-    if text.startswith("Unrecognized"):
-        return _unknown(text.partition(":")[2].split(","), page, advice)
-    if text.startswith("Missing from") and (names := _missing(box)):
-        return InvalidInputError(problem=f"expected {' and '.join(names)}", advice=advice)
-    if found := re.match(_UNUSABLE, text):
-        return _unusable(found[1], page, words, advice)
-    return InvalidInputError(problem=f"{text} ({advice})")
-
-
-def options_of(page: str) -> set[str]:
-    """Return the options that a help page explains."""
-    return set(re.findall(r"(?<!\S)--[a-z][\w.-]*\w", page))
-
-
-def in_words_of_the_command_line(
-    error: InvalidInputError | InvalidOptionsError, page: str, words: Sequence[str]
-) -> InvalidInputError | InvalidOptionsError:
-    """Name an option as users write it: `--ik.damping` in place of `damping`.
-
-    Args:
-        error: An error of the library, which knows options by their Python names.
-        page: The help page of the command that ran into it.
-        words: The words given to the command; an option among them counts more than others.
-    """
-    name = error.option if isinstance(error, InvalidOptionsError) else error.argument
-    options = {o for o in options_of(page) if o[2:].replace("-", "_").rpartition(".")[2] == name}
-    options = options & {word.partition("=")[0] for word in words} or options
-    if len(options) != 1:
-        return error
-    return InvalidOptionsError(
-        error.problem,
-        option=options.pop(),
-        expected=error.expected,
-        got=error.got,
-        advice=error.advice,
-    )
-
-
-def _message(box: str) -> str:
-    """Return the message inside tyro's box, on one line."""
-    lines = [line.strip(_BORDER) for line in box.splitlines() if line.startswith("│")]
-    ends = [i for i, line in enumerate(lines) if not line]
-    text = " ".join(lines[: ends[0]] if ends else lines)
-    # tyro prefixes options of groups without a name.
-    return text.replace("__tyro-dummy-inner__.", "--")
-
-
-def _unknown(words: Sequence[str], page: str, advice: str) -> InvalidInputError:
-    """Name the first unknown option, or the first word too many."""
-    words = [word.strip() for word in words]
-    option = next((word for word in words if word.startswith("-")), None)
-    if option is None:
-        return InvalidInputError(problem=f"unexpected word {words[0]!r}", advice=advice)
-    option = option.partition("=")[0]
-    hint = did_you_mean(option, options_of(page))
-    return InvalidInputError(problem=f"no option {option}", advice=hint or advice)
-
-
-def _missing(box: str) -> list[str]:
-    """Return the arguments without a value, as the usage writes them."""
-    # Their explanations are indented further.
-    return [
-        line.strip(_BORDER)
-        for line in box.splitlines()
-        if re.match(r"│ {5}[^ ]", line) and "--help" not in line
-    ]
-
-
-def _unusable(option: str, page: str, words: Sequence[str], advice: str) -> InvalidInputError:
-    """Say which values an option takes, and what was given."""
-    metavar = _metavar(option, page)
-    given = _given(option, words, 99 if "[" in metavar else len(metavar.split()))
-    choices = _choices(metavar)
-    expected = f"one of {', '.join(choices)}" if choices else _TYPES.get(metavar, metavar)
-    hint = did_you_mean(given, choices) if choices else ""
-    got = repr(given) if given else "nothing"
-    return InvalidInputError(argument=option, expected=expected, got=got, advice=hint or advice)
-
-
-def _given(option: str, words: Sequence[str], count: int) -> str:
-    """Return the words that follow an option, at most so many."""
-    rest: list[str] = []
-    for i, word in enumerate(words):
-        name, is_joined, value = word.partition("=")
-        if name.replace("_", "-") != option.replace("_", "-"):
-            continue
-        rest = [value] if is_joined else []
-        for following in words[i + 1 :]:
-            if is_joined or following.startswith("--"):
-                break
-            rest.append(following)
-    return " ".join(rest[:count])
-
-
-def _metavar(option: str, page: str) -> str:
-    """Return what a help page writes behind an option."""
-    # Two spaces or the end of the line separate it from the explanation.
-    if found := re.search(rf"^│ +{re.escape(option)} (\S+(?: \S+)*)", page, re.MULTILINE):
-        return found[1].rstrip(_BORDER)
-    return "another value"
-
-
-def _choices(metavar: str) -> list[str]:
-    """Return the words of `{a,b}`."""
-    is_set = metavar.startswith("{") and metavar.endswith("}")
-    return metavar[1:-1].split(",") if is_set else []
 
 
 if __name__ == "__main__":

@@ -31,8 +31,8 @@ from handmap_qp.se3 import inverse_pose, transform_points
 _REST_SHARE, _REST_MOST = 0.4, 0.75
 # A middle joint's point is its link's origin if that is this near to the finger's plane [m].
 _OFF_AXIS = 0.0015
-# A joint this near to the palm is one of its wrist [m].
-_WRIST_REACH = 0.25
+WRIST_REACH = 0.25
+"""A joint this near to the palm is one of its wrist [m]."""
 # A joint that spreads fingers and has its zero within this share of its range from a limit rests
 # this share away from it.
 _AT_LIMIT, _SPREAD = 0.05, 0.3
@@ -323,7 +323,7 @@ def _wrist_note(robot: Robot, structure: Structure) -> list[str]:
         (joint, link)
         for joint, link in robot.chain(structure.palm, robot.root)
         if joint in robot.active
-        and np.linalg.norm(robot.pose_in(link, structure.palm)[:3, 3]) < _WRIST_REACH
+        and np.linalg.norm(robot.pose_in(link, structure.palm)[:3, 3]) < WRIST_REACH
     ]
     if not near:
         return []

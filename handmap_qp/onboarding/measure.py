@@ -1,17 +1,28 @@
-"""Measure a hand: reach of its fingers, size, self-collisions, and a standard motion."""
+"""Measure a hand: reach, size, fist, pinches, self-collisions, and a standard motion."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.errors import HandmapError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import (
+    THUMB,
+    Finger,
+    PalmKinematics,
+    Place,
+    find_fingers,
+    zero_posture,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.onboarding.anatomy import angle_between
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
@@ -27,10 +38,17 @@ _DIRECTIONS = np.array(
 )
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
+# The fingers' planes have a common normal if the mean of these unit vectors is this long.
+_COMMON = 0.8
+# Search for a pinch: iterations, damping [m/rad], and random starts.
+_ITERATIONS, _DAMPING, _STARTS = 40, 0.01, 6
+# Surfaces that come this near touch [m].
+_TOUCHING = 0.002
+# Radius of a pad without shapes [m].
+_RADIUS = 0.006
 
 
-@dataclass(frozen=True, slots=True)
-class FingerReach:
+class FingerReach(NamedTuple):
     """How one fingertip moves.
 
     Attributes:
@@ -51,8 +69,7 @@ class FingerReach:
     manipulability: float
 
 
-@dataclass(frozen=True, slots=True)
-class Size:
+class Size(NamedTuple):
     """Size of a hand.
 
     Attributes:
@@ -72,8 +89,7 @@ class Size:
         return self.length / HUMAN_LENGTH
 
 
-@dataclass(frozen=True, slots=True)
-class MotionPart:
+class MotionPart(NamedTuple):
     """How well a robot follows one part of the standard motion.
 
     Attributes:
@@ -89,6 +105,40 @@ class MotionPart:
     limited: tuple[str, ...]
 
 
+class Fist(NamedTuple):
+    """Where the fingertips go as the hand closes, in palm axes.
+
+    Attributes:
+        across_deg: Angle between the fingers' common axis of flexion and the palm's x axis, 0 in a
+            hand whose axes are right, 180 if the fingers close to the back [deg].
+        distal_deg: Angle between the mean direction of the stretched fingers and distal [deg].
+        fingers: Fingers that close.
+    """
+
+    across_deg: float
+    distal_deg: float
+    fingers: tuple[str, ...]
+
+
+class Pinch(NamedTuple):
+    """How near the thumb's pad comes to a finger's.
+
+    Attributes:
+        finger: The finger.
+        gap: Smallest distance between the surfaces of both pads [m]; 0 or less if they touch.
+        q: Joint angles there, shape (n,).
+    """
+
+    finger: str
+    gap: float
+    q: np.ndarray
+
+    @property
+    def touches(self) -> bool:
+        """Whether the pads touch."""
+        return self.gap < _TOUCHING
+
+
 def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     """Measure reach and manipulability of every reference point on a finger.
 
@@ -102,15 +152,9 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     arm = {hand.model.joints[joint].idx_v for joint in hand.model.supports[wrist]}
     fingers = np.array([v not in arm or wrist == 0 for v in hand.v_indices])
     generator = np.random.default_rng(0)
-    shares = np.vstack(
-        [
-            generator.random((_SAMPLES, len(hand.rest))),
-            generator.integers(0, 2, (_SAMPLES, len(hand.rest))),
-        ]
-    )
-    postures = np.where(
-        fingers, hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits), hand.rest
-    )
+    size = (_SAMPLES, len(hand.rest))
+    shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
+    postures = np.where(fingers, _across(hand, shares), hand.rest)
     places = np.array([hand.points(q) for q in postures])
     jacobian = hand.point_jacobian(hand.rest)[:, fingers]
     rows = []
@@ -120,17 +164,15 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
         motions = np.linalg.svd(jacobian[3 * i : 3 * i + 3], compute_uv=False)
         motions = motions[motions > _LEAST_MOTION]
         gaps = places[:, None, i] - places[None, :: max(1, len(places) // 100), i]
-        rows.append(
-            FingerReach(
-                point.name,
-                point.finger,
-                float(np.linalg.norm(gaps, axis=2).max()),
-                len(motions),
-                float(motions.min()) if len(motions) else 0.0,
-                float(np.prod(motions)) if len(motions) else 0.0,
-            )
-        )
+        span, count = float(np.linalg.norm(gaps, axis=2).max()), len(motions)
+        slowest, product = (float(motions.min()), float(np.prod(motions))) if count else (0.0, 0.0)
+        rows.append(FingerReach(point.name, point.finger, span, count, slowest, product))
     return tuple(rows)
+
+
+def _across(hand: Hand, shares: np.ndarray) -> np.ndarray:
+    """Return the postures at shares of the joints' ranges, shape (..., n)."""
+    return hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
 
 
 def measure_arm(hand: Hand) -> np.ndarray | None:
@@ -145,9 +187,7 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     """
     if hand.is_floating or not hand.has_moving_wrist:
         return None
-    generator = np.random.default_rng(0)
-    shares = generator.random((_ARM_SAMPLES, len(hand.rest)))
-    postures = hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
+    postures = _across(hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest))))
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
     moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
     lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
@@ -201,8 +241,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         pin.computeCollisions(model, data, geometry, results, vector, False)
         return np.array([result.isCollision() for result in results.collisionResults], dtype=bool)
 
-    shares = np.random.default_rng(0).random((8, len(q)))
-    others = hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
+    others = _across(hand, np.random.default_rng(0).random((8, len(q))))
     # Shapes that overlap in most postures overlap by design: ignore them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
@@ -232,38 +271,34 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
         mapper.map_step(human.rest, np.eye(4))
         # 0.75 s of motion, then 0.25 s to settle.
         shares = np.concatenate([0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)])
-        step = None
-        for share in shares:
-            step = mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
-        assert step is not None
-        worst = int(np.argmax(step.point_error))
-        q = step.command.q
-        at_limit = np.flatnonzero(hand.at_position_limit(q))
-        limited = tuple(hand.joint_names[i] for i in at_limit)
-        parts.append(
-            MotionPart(
-                name, float(step.point_error[worst]), hand.reference_points[worst].name, limited
-            )
+        steps = [
+            mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
+            for share in shares
+        ]
+        error, q = steps[-1].point_error, steps[-1].command.q
+        worst = int(np.argmax(error))
+        limited = tuple(
+            joint
+            for joint, is_at in zip(hand.joint_names, hand.at_position_limit(q), strict=True)
+            if is_at
         )
+        name_of_worst = hand.reference_points[worst].name
+        parts.append(MotionPart(name, float(error[worst]), name_of_worst, limited))
     return tuple(parts)
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
-    names = human.joint_names
 
-    def posture(**flexions: float) -> np.ndarray:
+    def posture(spread: float = 1.0, **flexions: float) -> np.ndarray:
         q = human.rest.copy()
-        for i, name in enumerate(names):
+        for i, name in enumerate(human.joint_names):
             finger, _, joint = name.partition("_")
             if finger in flexions and "flexion" in joint:
-                q[i] = (
-                    flexions[finger]
-                    * (0.8 if "DIP" in joint else 1.0)
-                    * (-0.6 if joint == "IP_flexion" else 1.0)
-                )
-            if "spread" in flexions and joint == "MCP_abduction":
-                q[i] = human.rest[i] * flexions["spread"]
+                share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
+                q[i] = share * flexions[finger]
+            elif joint == "MCP_abduction":
+                q[i] *= spread
         return np.clip(q, human.lower_limits, human.upper_limits)
 
     fingers = dict.fromkeys(("index", "middle", "ring", "little"), 0.05)
@@ -299,3 +334,96 @@ def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
                 break
             at = parent
     return False
+
+
+def make_fist(hand: Hand) -> Fist | None:
+    """Compare the way in which the fingers, but the thumb, close with the palm's axes.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        The directions; None if fewer than two fingers close, or they close about different axes.
+    """
+    view, axes, directions = PalmKinematics(hand), {}, []
+    for name, finger in find_fingers(hand).items():
+        flexion = finger.flexion
+        if name == THUMB or flexion is None or not flexion.curls or flexion.sense == 0.0:
+            continue
+        straight = zero_posture(hand)
+        straight[flexion.columns] = flexion.straight
+        line = view.points(straight, [finger.tip])[0] - flexion.knuckle
+        directions.append(line / np.linalg.norm(line))
+        axes[name] = flexion.sense * flexion.axis
+    if len(axes) < 2:
+        return None
+    axis, direction = np.mean([*axes.values()], axis=0), np.mean(directions, axis=0)
+    if np.linalg.norm(axis) < _COMMON or np.linalg.norm(direction) < _COMMON:
+        return None
+    # Flexion turns distal (y) towards palmar (-z), about -x.
+    return Fist(
+        angle_between(axis, np.array([-1.0, 0.0, 0.0])),
+        angle_between(direction, np.array([0.0, 1.0, 0.0])),
+        tuple(axes),
+    )
+
+
+def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
+    """Find how near the thumb's pad can come to every other finger's.
+
+    Damped least squares from several postures, within the joint limits.
+
+    Args:
+        hand: The hand; an arm stays at rest.
+
+    Returns:
+        One entry per finger; none if the hand has no thumb or no second finger.
+    """
+    fingers = find_fingers(hand)
+    if THUMB not in fingers:
+        return ()
+    pads, pinches = fingertip_pads(hand, fingers), []
+    for name, finger in fingers.items():
+        if name != THUMB:
+            used = [pads[THUMB], pads[name]]
+            radii = sum(pad.radius for pad in used)
+            columns = np.union1d(fingers[THUMB].columns, finger.columns)
+            places = [(pad.joint, pad.offset) for pad in used]
+            distance, q = _nearest(hand, places, columns, radii)
+            pinches.append(Pinch(name, distance - radii, q))
+    return tuple(pinches)
+
+
+def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
+    """Return the pad of each fingertip; a ball of 6 mm around it if the shapes cannot be read."""
+    try:
+        return find_pads(hand, chains)
+    except HandmapError:
+        return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
+
+
+def _nearest(
+    hand: Hand, places: list[Place], columns: np.ndarray, near: float
+) -> tuple[float, np.ndarray]:
+    """Return the smallest distance of two points, or one below `near`, and the posture there."""
+    view, low, high = PalmKinematics(hand), hand.lower_limits[columns], hand.upper_limits[columns]
+    random = low + np.random.default_rng(0).random((_STARTS, len(columns))) * (high - low)
+    starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high), *random]
+    best, best_q = np.inf, hand.rest.copy()
+    for start in starts:
+        if best < near:
+            break
+        q = hand.rest.copy()
+        q[columns] = start
+        for _ in range(_ITERATIONS):
+            gap = np.subtract(*view.points(q, places))
+            distance = float(np.linalg.norm(gap))
+            if distance < best:
+                best, best_q = distance, q.copy()
+            J = np.subtract(*(view.motion(q, place)[:3, columns] for place in reversed(places)))
+            step = J.T @ np.linalg.solve(J @ J.T + _DAMPING**2 * np.eye(3), gap)
+            moved = np.clip(q[columns] + step, low, high)
+            if distance < near or np.abs(moved - q[columns]).max() < 1e-4:
+                break
+            q[columns] = moved
+    return best, best_q

@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -39,11 +39,7 @@ FaultName = Literal[
 ]
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
 _MOST_SIZE = 1e6
-_SPEC = re.compile(
-    r"(?P<name>[a-z]+)@(?P<start>[0-9.]+)(\+(?P<duration>[0-9.]+))?(:(?P<size>[-0-9.]+))?"
-)
-_IDENTITY = np.eye(4)
-_IDENTITY.setflags(write=False)
+_SPEC = re.compile(r"([a-z]+)@([0-9.]+)(?:\+([0-9.]+))?(?::([-0-9.]+))?")
 
 
 class Onset(NamedTuple):
@@ -63,115 +59,129 @@ class Onset(NamedTuple):
     random: np.random.Generator
 
 
-Change = Callable[[HumanSample, float, Onset], tuple[HumanSample, ...]]
-"""Takes a sample and the size of the fault, returns the samples to send in its place."""
+Change = Callable[[HumanSample, float, Onset], dict[str, Any]]
+"""Takes a sample and the size of the fault, returns the fields that change."""
 
 
-def drop(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Mark the hand as not seen: landmarks NaN, no wrist, confidence 0."""
-    nowhere = np.full((LANDMARK_COUNT, 3), np.nan)
-    return (replace(sample, landmarks=nowhere, wrist=None, valid=False, confidence=0.0),)
+def _jump(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+    return _moved(sample, affine(np.eye(3), size * onset.direction))
 
 
-def silence(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Send nothing."""
-    return ()
-
-
-def freeze(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Repeat the last valid sample that was sent before the fault, with new time stamps."""
-    return (replace(onset.before, time=sample.time),)
-
-
-def jump(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Displace the whole hand by `size` [m]."""
-    return (_moved(sample, affine(np.eye(3), size * onset.direction)),)
-
-
-def flip(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Turn the hand by 180 degrees about its long axis: palm and back confused."""
+def _flip(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
     wrist, axis, _ = _palm_axes(sample.landmarks)
     rotation = 2.0 * np.outer(axis, axis) - np.eye(3)
-    return (_moved(sample, affine(rotation, wrist - rotation @ wrist)),)
+    return _moved(sample, affine(rotation, wrist - rotation @ wrist))
 
 
-def mirror(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Reflect the landmarks in the plane of the palm: the other hand at the same place."""
+def _mirror(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
     wrist, _, normal = _palm_axes(sample.landmarks)
     reflection = np.eye(3) - 2.0 * np.outer(normal, normal)
-    return (replace(sample, landmarks=(sample.landmarks - wrist) @ reflection.T + wrist),)
+    return {"landmarks": (sample.landmarks - wrist) @ reflection.T + wrist}
 
 
-def zero(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Put all landmarks and the wrist at the origin, and still call the sample valid."""
-    wrist = None if sample.wrist is None else _IDENTITY
-    return (replace(sample, landmarks=np.zeros((LANDMARK_COUNT, 3)), wrist=wrist),)
+def _zero(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+    wrist = None if sample.wrist is None else np.eye(4)
+    return {"landmarks": np.zeros((LANDMARK_COUNT, 3)), "wrist": wrist}
 
 
-def displace_one(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Displace one landmark by `size` [m]."""
+def _outlier(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
     landmarks = sample.landmarks.copy()
     landmarks[onset.landmark] += size * onset.direction
-    return (replace(sample, landmarks=landmarks),)
+    return {"landmarks": landmarks}
 
 
-def add_noise(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Add Gaussian noise of standard deviation `size` [m] to every coordinate."""
+def _noise(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
     noise = onset.random.normal(scale=abs(size), size=(LANDMARK_COUNT, 3))
-    return (replace(sample, landmarks=sample.landmarks + noise),)
+    return {"landmarks": sample.landmarks + noise}
 
 
-def shift_time(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Add `size` [s] to the time stamp: the tracker's clock was set."""
-    return (replace(sample, time=sample.time + size),)
-
-
-def jitter_time(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Add Gaussian noise of standard deviation `size` [s] to the time stamp."""
-    return (replace(sample, time=sample.time + onset.random.normal(scale=abs(size))),)
-
-
-def set_back(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Set one of two time stamps back by `size` [s]: samples arrive in disorder."""
-    is_late = onset.random.random() < 0.5
-    return (replace(sample, time=sample.time - size if is_late else sample.time),)
-
-
-def duplicate(sample: HumanSample, size: float, onset: Onset) -> tuple[HumanSample, ...]:
-    """Send every sample twice."""
-    return (sample, sample)
+_NOWHERE = np.full((LANDMARK_COUNT, 3), np.nan)
 
 
 class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        change: Changes a sample.
+        about: What it does to a sample.
         duration: Usual duration [s].
+        change: Changes a sample; None where the sample stays as it is.
         size: Usual size; 0 where the kind has none.
         unit: Unit of the size; empty where the kind has none.
+        needs_hand: Whether a sample that is not valid passes unchanged.
+        copies: How often a sample is sent.
     """
 
-    change: Change
+    about: str
     duration: float
+    change: Change | None = None
     size: float = 0.0
     unit: str = ""
+    needs_hand: bool = False
+    copies: int = 1
 
 
 FAULT_KINDS: dict[FaultName, FaultKind] = {
-    "dropout": FaultKind(drop, 0.5),
-    "silence": FaultKind(silence, 0.5),
-    "frozen": FaultKind(freeze, 0.5),
-    "jump": FaultKind(jump, 0.5, 0.2, "m"),
-    "flip": FaultKind(flip, 0.2),
-    "mirror": FaultKind(mirror, 0.2),
-    "zero": FaultKind(zero, 0.2),
-    "outlier": FaultKind(displace_one, 0.1, 0.1, "m"),
-    "noise": FaultKind(add_noise, math.inf, 0.005, "m"),
-    "clock": FaultKind(shift_time, math.inf, 5.0, "s"),
-    "jitter": FaultKind(jitter_time, math.inf, 0.002, "s"),
-    "late": FaultKind(set_back, 0.5, 0.05, "s"),
-    "duplicate": FaultKind(duplicate, 0.5),
+    "dropout": FaultKind(
+        "The hand is not seen: landmarks NaN, no wrist, confidence 0.",
+        0.5,
+        lambda *_: {"landmarks": _NOWHERE, "wrist": None, "valid": False, "confidence": 0.0},
+    ),
+    "silence": FaultKind("Nothing is sent.", 0.5, copies=0),
+    "frozen": FaultKind(
+        "The last valid sample that was sent before the fault, with new time stamps.",
+        0.5,
+        lambda sample, size, onset: {
+            name: getattr(onset.before, name)
+            for name in ("side", "landmarks", "wrist", "valid", "confidence")
+        },
+    ),
+    "jump": FaultKind("The whole hand is displaced.", 0.5, _jump, 0.2, "m", needs_hand=True),
+    "flip": FaultKind(
+        "The hand is turned by 180 degrees about its long axis: palm and back confused.",
+        0.2,
+        _flip,
+        needs_hand=True,
+    ),
+    "mirror": FaultKind(
+        "Landmarks are reflected in the plane of the palm: the other hand at the same place.",
+        0.2,
+        _mirror,
+        needs_hand=True,
+    ),
+    "zero": FaultKind(
+        "All landmarks and the wrist are at the origin, and still called valid.", 0.2, _zero
+    ),
+    "outlier": FaultKind("One landmark is displaced.", 0.1, _outlier, 0.1, "m", needs_hand=True),
+    "noise": FaultKind(
+        "Gaussian noise is added to every coordinate, its standard deviation the size.",
+        math.inf,
+        _noise,
+        0.005,
+        "m",
+        needs_hand=True,
+    ),
+    "clock": FaultKind(
+        "The size is added to the time stamp: the tracker's clock was set.",
+        math.inf,
+        lambda sample, size, onset: {"time": sample.time + size},
+        5.0,
+        "s",
+    ),
+    "jitter": FaultKind(
+        "Gaussian noise is added to the time stamp, its standard deviation the size.",
+        math.inf,
+        lambda sample, size, onset: {"time": sample.time + onset.random.normal(scale=abs(size))},
+        0.002,
+        "s",
+    ),
+    "late": FaultKind(
+        "One of two time stamps is set back by the size: samples arrive in disorder.",
+        0.5,
+        lambda sample, size, onset: {"time": sample.time - size * (onset.random.random() < 0.5)},
+        0.05,
+        "s",
+    ),
+    "duplicate": FaultKind("Every sample is sent twice.", 0.5, copies=2),
 }
 """All kinds by name."""
 
@@ -199,33 +209,22 @@ class Fault:
         """Check the numbers, and fill in the usual ones."""
         kind = FAULT_KINDS.get(self.name)
         if kind is None:
-            raise InvalidInputError(
-                argument="fault", expected=f"one of {', '.join(FAULT_NAMES)}", value=self.name
-            )
-        if not 0.0 <= self.start < math.inf:
-            raise InvalidInputError(
-                argument=f"{self.name} start", expected="0 s or later", value=self.start
-            )
-        if self.duration is None:
-            object.__setattr__(self, "duration", kind.duration)
-        elif not self.duration > 0.0:
-            raise InvalidInputError(
-                argument=f"{self.name} duration", expected="more than 0 s", value=self.duration
-            )
-        if self.size is None:
-            object.__setattr__(self, "size", kind.size)
-        elif not kind.unit:
-            raise InvalidInputError(
-                argument=f"{self.name} size",
-                expected="none: this fault has no size",
-                value=self.size,
-            )
-        elif not abs(self.size) <= _MOST_SIZE:
-            raise InvalidInputError(
-                argument=f"{self.name} size",
-                expected=f"a finite number of {kind.unit}",
-                value=self.size,
-            )
+            expected = f"one of {', '.join(FAULT_NAMES)}"
+            raise InvalidInputError(argument="fault", expected=expected, value=self.name)
+        duration = kind.duration if self.duration is None else self.duration
+        size = kind.size if self.size is None else self.size
+        object.__setattr__(self, "duration", duration)
+        checks = (
+            ("start", self.start, 0.0 <= self.start < math.inf, "a finite time >= 0 s"),
+            ("duration", duration, duration > 0.0, "more than 0 s"),
+            ("size", size, self.size is None or bool(kind.unit), "none: this fault has no size"),
+            ("size", size, abs(size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
+        )
+        for name, value, is_right, expected in checks:
+            if not is_right:
+                argument = f"{self.name} {name}"
+                raise InvalidInputError(argument=argument, expected=expected, value=value)
+        object.__setattr__(self, "size", size)
 
     @property
     def end(self) -> float:
@@ -293,14 +292,11 @@ def inject(
         yield from changed
 
 
-_NEED_LANDMARKS = (jump, flip, mirror, displace_one, add_noise)
-
-
 def _apply(fault: Fault, sample: HumanSample, onset: Onset) -> tuple[HumanSample, ...]:
-    change = FAULT_KINDS[fault.name].change
-    if not sample.valid and change in _NEED_LANDMARKS:
-        return (sample,)
-    return change(sample, fault.size or 0.0, onset)
+    kind = FAULT_KINDS[fault.name]
+    if kind.change is not None and (sample.valid or not kind.needs_hand):
+        sample = replace(sample, **kind.change(sample, fault.size or 0.0, onset))
+    return (sample,) * kind.copies
 
 
 def _digits(number: float) -> str:
@@ -318,30 +314,20 @@ def _onset(before: HumanSample, seed: int, number: int) -> Onset:
 def _parse_fault(text: str) -> Fault:
     match = _SPEC.fullmatch(text)
     expected = "NAME@START[+DURATION][:SIZE], such as dropout@2+0.5 or jump@4+1:0.3"
-    if match is None:
-        raise InvalidInputError(argument="faults", expected=expected, value=text)
-    name, start, duration, size = match.group("name", "start", "duration", "size")
-    if name not in FAULT_KINDS:
-        raise InvalidInputError(
-            argument="faults", expected=f"one of {', '.join(FAULT_NAMES)}", value=name
-        )
     try:
-        return Fault(
-            name,
-            float(start),
-            None if duration is None else float(duration),
-            None if size is None else float(size),
-        )
+        if match is None:
+            raise ValueError(text)
+        numbers = [None if part is None else float(part) for part in match.groups()[1:]]
     except ValueError as error:
-        if isinstance(error, InvalidInputError):
-            raise
         raise InvalidInputError(argument="faults", expected=expected, value=text) from error
+    name, (start, duration, size) = match[1], numbers
+    return Fault(name, start, duration, size)  # ty: ignore[invalid-argument-type]
 
 
-def _moved(sample: HumanSample, motion: np.ndarray) -> HumanSample:
-    """Move landmarks and wrist rigidly."""
+def _moved(sample: HumanSample, motion: np.ndarray) -> dict[str, Any]:
+    """Return landmarks and wrist, moved rigidly."""
     wrist = None if sample.wrist is None else motion @ sample.wrist
-    return replace(sample, landmarks=transform_points(motion, sample.landmarks), wrist=wrist)
+    return {"landmarks": transform_points(motion, sample.landmarks), "wrist": wrist}
 
 
 def _palm_axes(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

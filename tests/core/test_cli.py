@@ -189,8 +189,12 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("words", MISTAKES.values(), ids=MISTAKES.keys())
-def test_a_mistake_is_one_line_and_leaves_no_file(
+BOXED = ("unknown option", "not a number")
+
+
+@pytest.mark.parametrize(("name", "words"), MISTAKES.items(), ids=MISTAKES.keys())
+def test_a_mistake_is_one_line_or_a_box_and_leaves_no_file(
+    name: str,
     words: list[str],
     recording: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -203,8 +207,11 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     monkeypatch.chdir(folder)
     assert cli.main([word.format(recording=recording, folder=folder) for word in words]) == 2
     printed = capsys.readouterr()
-    assert printed.err.startswith("handmap: ")
-    assert printed.err.count("\n") == 1
+    if name in BOXED:
+        assert "handmap map --help" in printed.err
+    else:
+        assert printed.err.startswith("handmap: ")
+        assert printed.err.count("\n") == 1
     assert "Traceback" not in printed.err
     assert printed.out == ""
     assert sorted(folder.rglob("*")) == before
@@ -243,17 +250,9 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         (["hands", "int", "x.urdf"], "did you mean init?"),
         (["hands", "three_finger"], "handmap hands show three_finger"),
         (["hands", "show", "alegro_right"], "did you mean allegro_right?"),
-        (["map", "x.npz", "--robto", "y"], "--robto: did you mean --robot?"),
-        (["map", "x.npz", "--robot", "y", "--ik.dampin", "1"], "did you mean --ik.damping?"),
         (["map", "x.npz", "--preset", "teleop"], "got 'teleop': did you mean teleoperation?"),
-        (["map", "x.npz", "--side=up"], "--side: expected one of right, left, got 'up'"),
         (["map", "x.npz", "--ik.damping", "-1"], "--ik.damping: expected a finite number > 0, "),
         (["map", "x.npz", "--ridge", "-1"], "--ridge: expected a finite number >= 0, got -1.0"),
-        (["map", "x.npz", "--out"], "--out: expected FILE.npz, got nothing"),
-        (["view", "--port", "5o7o"], "--port: expected a whole number, got '5o7o'"),
-        (["view", "--keys", "a"], "--keys: expected SECRET SERVER, got 'a'"),
-        (["batch"], "expected --robot HAND [HAND] and --out DIR: see handmap batch --help"),
-        (["keys", "a", "b"], "unexpected word 'b'"),
         (["--versoin"], "did you mean --version?"),
         (["hands", "check", "absent.yaml"], "absent.yaml: cannot be read: No such file"),
     ],
@@ -265,6 +264,29 @@ def test_a_mistyped_word_is_answered_with_the_nearest_one(
     printed = capsys.readouterr()
     assert hint in printed.err
     assert printed.err.count("\n") == 1
+    assert not printed.out
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["map", "x.npz", "--robto", "y"], "--robot HAND"),
+        (["map", "x.npz", "--robot", "y", "--ik.dampin", "1"], "--ik.damping FLOAT"),
+        (["map", "x.npz", "--side=up"], "invalid choice 'up' for argument '--side'"),
+        (["map", "x.npz", "--out"], "Missing value for argument '--out'"),
+        (["view", "--port", "5o7o"], "Error parsing --port"),
+        (["view", "--keys", "a"], "--keys"),
+        (["batch"], "--out DIR"),
+        (["keys", "a", "b"], "Unrecognized options: b"),
+    ],
+)
+def test_tyros_box_names_the_option_and_the_help(
+    words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    printed = capsys.readouterr()
+    assert text in printed.err
+    assert f"handmap {words[0]} --help" in printed.err
     assert not printed.out
 
 

@@ -1,7 +1,11 @@
-"""A method of another package, in one file: Python, command line, wire and view know its name."""
+"""A method, a layout and a format of another package, each in one file.
+
+Python, command line, wire and view know their names without another change.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -58,9 +62,59 @@ class Map:
 PRESET = Preset(Follow(), IkOptions(), "the wrist alone", "fingers stay")
 BROKEN = Follow()
 """
+LAYOUT = """
+from handmap_qp.hands.human import HUMAN_JOINTS
+from handmap_qp.trackers.layouts.angles import AngleEntry, AngleLayout, AngleTable
+
+LAYOUT = AngleLayout(
+    AngleTable(
+        name="glove",
+        title="A glove of ten joints",
+        sources=("its manual",),
+        unit="deg",
+        axes="none",
+        values="10 angles",
+        arrays=("glove",),
+        angles=tuple(AngleEntry(joint, joint) for joint in HUMAN_JOINTS[::2]),
+    )
+)
+"""
+FORMAT = """
+import json
+
+import numpy as np
+
+from handmap_qp.trackers.formats.base import Entry, RecordingFormat, build_recording
+
+
+class JsonFormat(RecordingFormat):
+    name, suffixes, about = "json", (".json",), "one hand as JSON"
+    lacks = ("wrist", "confidence", "source")
+
+    def entries(self, path):
+        content = json.loads(path.read_text())
+        return (Entry("", content["side"], len(content["time"])),)
+
+    def read(self, path, entry):
+        content = json.loads(path.read_text())
+        return build_recording(path, entry, content["time"], np.array(content["landmarks"]))
+
+    def write(self, recordings, path):
+        self.check_one_per_hand(recordings)
+        (one,) = recordings
+        content = {"side": one.side, "time": one.time.tolist()}
+        path.write_text(json.dumps(content | {"landmarks": one.landmarks.tolist()}))
+
+
+FORMAT = JsonFormat()
+"""
 ENTRY_POINTS = """[handmap_qp.presets]
 follow = added_method:PRESET
 broken = added_method:BROKEN
+[handmap_qp.layouts]
+glove = added_layout:LAYOUT
+[handmap_qp.formats]
+json = added_format:FORMAT
 """
 PROGRAM = """
 import numpy as np
@@ -87,15 +141,29 @@ server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
 controls = OptionControls(server, preset_choice("follow"))
 assert controls.handles["wrist_share"].max == 1.0
 server.stop()
+
+from handmap_qp import load_layout, read_recording
+from handmap_qp.trackers.formats import DEMO_FILE, write_recordings
+
+demo = read_recording(DEMO_FILE)
+assert "the words about the source" in write_recordings([demo], "demo.json")
+np.testing.assert_array_equal(read_recording("demo.json").landmarks, demo.landmarks)
+
+layout = load_layout("glove")
+assert layout.read(np.full(10, 5.0), time=0.0, side="right").valid
+session = make_session(input="landmarks", hand_length=0.19, layout="glove")
+step = session.step(sample(0.0, wrist=None, landmarks=None, values=(5.0,) * 10), 0.0)
+assert (session.state(2, "", 0, 0.0).about.layout, step.rule) == ("glove", "")
 print("all well")
 """
 
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Install a package with a method, and return the environment that finds it."""
+    """Install a package with one of each, and return the environment that finds it."""
     folder = tmp_path_factory.mktemp("site")
-    (folder / "added_method.py").write_text(METHOD)
+    for name, text in {"method": METHOD, "layout": LAYOUT, "format": FORMAT}.items():
+        (folder / f"added_{name}.py").write_text(text)
     metadata = folder / "added_method-1.0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: added-method\nVersion: 1.0\n")
@@ -105,38 +173,59 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
 
 
-def test_python_the_wire_and_the_view_know_it(environment: dict[str, str]) -> None:
+def test_python_the_wire_and_the_view_know_them(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
     command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert (done.stdout.strip().splitlines()[-1:], done.returncode) == (["all well"], 0), (
         done.stderr
     )
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "text"),
-    [
-        (["--preset", "follow", "--wrist-share", "0.25"], 0, "wrote"),
-        (["--preset", "follow", "--wrist-share", "2"], 2, "--wrist-share: expected a number in [0"),
-        (["--preset", "paper", "--wrist-share", "0.25"], 2, "the preset paper has no such option"),
-        (["--help"], 0, "Share of the wrist's way."),
-    ],
-    ids=["runs", "range", "another preset", "help"],
+MAP = "map demo --robot three_finger"
+LINES = (
+    (f"{MAP} --preset follow --wrist-share 0.25", 0, "wrote"),
+    (f"{MAP} --preset follow --wrist-share 2", 2, "--wrist-share: expected a number in [0"),
+    (f"{MAP} --preset paper --wrist-share 0.25", 2, "the preset paper has no such option"),
+    (f"{MAP} --help", 0, "Share of the wrist's way."),
+    ("convert demo demo.json", 0, "wrote demo.json"),
+    ("map demo.json --robot three_finger --out out.npz", 0, "wrote out.npz"),
+    ("convert --help", 0, "mano,json}"),
+    ("layouts glove", 0, "A glove of ten joints"),
+    ("layouts", 0, "glove"),
+    ("map glove.npz --layout glove --robot three_finger --side right", 0, "wrote"),
 )
-def test_the_command_line_knows_it(
-    environment: dict[str, str], tmp_path: Path, words: list[str], code: int, text: str
-) -> None:
-    command = [sys.executable, "-m", "handmap_qp.cli", "map", "demo", "--robot", "three_finger"]
+COMMANDS = """
+import contextlib, io, json, sys
+import numpy as np
+from handmap_qp.cli import main
+
+angles = 30.0 + 20.0 * np.sin(np.arange(30)[:, None] / 5.0 + np.arange(10))
+np.savez("glove.npz", time=np.arange(30) / 60.0, glove=angles)
+for line in json.loads(sys.argv[1]):
+    with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.redirect_stderr(page):
+        try:
+            code = main(line.split())
+        except SystemExit as end:
+            code = end.code
+    print(json.dumps([code, " ".join(page.getvalue().split())]))
+"""
+
+
+def test_the_command_line_knows_them(environment: dict[str, str], tmp_path: Path) -> None:
+    # One process for all: importing takes most of the time.
+    lines = json.dumps([line for line, _, _ in LINES])
+    command = [sys.executable, "-c", COMMANDS, lines]
     done = subprocess.run(
-        [*command, *words],
-        env=environment,
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert done.returncode == code, done.stderr
-    assert text in " ".join((done.stdout + done.stderr).split())
+    assert done.returncode == 0, done.stderr
+    answers = map(json.loads, done.stdout.splitlines())
+    for (line, code, text), (found, page) in zip(LINES, answers, strict=True):
+        assert (found, text in page) == (code, True), (line, page)
 
 
 def test_one_that_cannot_be_used_is_named_in_one_line(environment: dict[str, str]) -> None:

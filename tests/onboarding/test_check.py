@@ -15,13 +15,11 @@ import yaml
 from handmap_qp import HandError, load_hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.onboarding.check import _check_arm, _check_wrist, check_hand
+from handmap_qp.onboarding.check import Report, _check_arm, _check_wrist, check_hand
 from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
 from handmap_qp.onboarding.detect import detect, detect_text
-from handmap_qp.onboarding.gestures import make_fist, measure_pinches
-from handmap_qp.onboarding.measure import measure_arm, try_motion
+from handmap_qp.onboarding.measure import make_fist, measure_arm, measure_pinches, try_motion
 from handmap_qp.onboarding.picture import _Scene
-from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import write_hand
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -67,7 +65,7 @@ def check(path: Path) -> Report:
 def test_a_right_description_has_no_warning(made: MadeHand, tmp_path: Path) -> None:
     report = check(described(tmp_path, made.urdf))
     assert warnings_of(report) == {}
-    assert report.pinches
+    assert report.measured["Pinches"]
     assert any("thumb can touch" in f.what for f in report.findings)
     assert {"Pads", "Pinches", "Fingers", "Size"} <= report.tables().keys()
 
@@ -179,12 +177,10 @@ def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
 
 
 def test_wrist_joints_above_the_root_are_advice() -> None:
-    report = Report("g1_right")
-    _check_wrist(report, load_hand("g1_right"))
-    found = [finding for finding in report.findings if finding.where == "root"]
-    assert len(found) == 1
-    assert "right_wrist_yaw_joint" in found[0].what
-    assert "--base" in found[0].change
+    (found,) = _check_wrist(load_hand("g1_right"), {})
+    assert found.where == "root"
+    assert "right_wrist_yaw_joint" in found.what
+    assert "--base" in found.change
 
 
 def test_pads_meet_where_the_thumb_opposes() -> None:
@@ -301,8 +297,6 @@ def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
     short = measure_arm(load_hand("g1_arm_left"))
     assert short is not None
     assert np.median(short) < np.median(reach)
-    report = Report("g1_arm_left")
-    _check_arm(report, load_hand("g1_arm_left"))
-    (line,) = report.findings
+    (line,) = _check_arm(load_hand("g1_arm_left"), {})
     assert line.level == "advice"
     assert "directions from rest" in line.what

@@ -10,12 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
+from handmap_qp.hands.urdf.files import urdf_path
+from handmap_qp.hands.urdf.package_data import urdf_directory
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
-from handmap_qp.hands.sources import urdf_directory, urdf_path
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
-from handmap_qp.onboarding.check import _check_speeds, check_hand
+from handmap_qp.onboarding.check import Report, _check_speeds, check_hand
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.onboarding.detect import detect, detect_text
 from handmap_qp.onboarding.measure import (
@@ -25,7 +26,6 @@ from handmap_qp.onboarding.measure import (
     standard_postures,
 )
 from handmap_qp.onboarding.picture import draw_hand, picture_path
-from handmap_qp.onboarding.report import Report
 from handmap_qp.onboarding.write import hand_text, write_hand
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -194,12 +194,12 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
     upper = {joint: 1.4 for joint in spec.joints if "distal" in joint}
     limits = {j: LimitSpec(velocity=speed, upper=upper.get(j)) for j in spec.joints}
     spread = {j: LimitSpec(velocity=speed, lower=-1.0, upper=1.0) for j in limits if "spread" in j}
-    report = Report("slow")
-    _check_speeds(report, load_hand(msgspec.structs.replace(spec, limits=limits | spread)))
+    hand = load_hand(msgspec.structs.replace(spec, limits=limits | spread))
+    findings = [*_check_speeds(hand, {})]
     if count == 0:
-        assert report.findings == []
+        assert findings == []
         return
-    (found,) = report.findings
+    (found,) = findings
     assert found.level == "advice"
     assert found.where.removeprefix("limits.") in spec.joints
     assert f"at {speed:g} per second" in found.what
