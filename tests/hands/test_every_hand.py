@@ -62,9 +62,9 @@ def follow(
         for values in (result.command.q, result.command.wrist, result.points, result.targets):
             assert np.isfinite(values).all()
         angles.append(result.command.q)
-    # Followers follow while it moves.
-    alone = robot.points(result.command.q, result.command.wrist if robot.is_floating else None)
-    np.testing.assert_allclose(result.points, alone, atol=1e-9)
+        # Followers follow while it moves.
+        alone = robot.points(result.command.q, result.command.wrist if robot.is_floating else None)
+        np.testing.assert_allclose(result.points, alone, atol=1e-9)
     return np.array(angles)
 
 

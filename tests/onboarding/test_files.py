@@ -10,11 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
-from handmap_qp.hands.urdf.files import urdf_path
-from handmap_qp.hands.urdf.package_data import urdf_directory
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
+from handmap_qp.hands.sources import urdf_directory, urdf_path
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
 from handmap_qp.onboarding.check import Report, _check_speeds, check_hand
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
