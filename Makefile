@@ -67,7 +67,7 @@ docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 lowest: ## Run all tests with the lowest versions that pyproject.toml allows; needs uv
 	@$(FIND_PYTHON); \
 	export PATH="$$PATH:$(CURDIR)/$(BIN)"; \
-	uv venv --quiet --clear --python "$$python" $(LOWEST) && \
+	uv venv --quiet --clear --seed --python "$$python" $(LOWEST) && \
 	uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[all]' --group dev && \
 	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
 

@@ -162,7 +162,9 @@ def over_websocket(
 
         def ask(message: dict[str, Any]) -> dict[str, Any]:
             connection.send(msgspec.msgpack.encode(head | message))
-            return msgspec.msgpack.decode(connection.recv(decode=False))
+            answer = connection.recv()
+            assert isinstance(answer, bytes)
+            return msgspec.msgpack.decode(answer)
 
         ask({"type": "open", "seq": 1, "robot": robot})
         before, started = service.cpu(), time.monotonic()

@@ -148,7 +148,8 @@ class WebSocketRoute(Route):
 
     def receive(self) -> bytes:
         """Wait for the next answer, as bytes."""
-        return self._connection.recv(_PATIENCE, decode=False)
+        answer = self._connection.recv(_PATIENCE)
+        return answer.encode() if isinstance(answer, str) else answer
 
     def __exit__(self, *_: object) -> None:
         self._connection.close()
