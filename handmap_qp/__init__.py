@@ -44,8 +44,9 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
     from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
     from handmap_qp.mapping.presets import PRESETS
-    from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
+    from handmap_qp.stream.follower import Follower
+    from handmap_qp.stream.smoothing import Smoothing
     from handmap_qp.trackers.formats import read_recording
     from handmap_qp.trackers.layout import Layout, load_layout
     from handmap_qp.trackers.plausibility import InputCheck
@@ -58,6 +59,7 @@ __all__ = [
     "Decomposition",
     "DegeneratePointsError",
     "FingertipVectors",
+    "Follower",
     "Hand",
     "HandError",
     "HandMapper",
@@ -123,11 +125,12 @@ _NAMES = {
     "mapping.methods.virtual_ellipsoid": "VirtualEllipsoid",
     "mapping.methods.virtual_sphere": "VirtualSphere",
     "mapping.presets": "PRESETS",
-    "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",
     "trackers.layout": "Layout load_layout",
     "trackers.plausibility": "InputCheck",
     "human.recording": "Recording",
+    "stream.follower": "Follower",
+    "stream.smoothing": "Smoothing",
     "trackers.formats": "read_recording",
     "human.sample": "HumanSample",
 }

@@ -11,11 +11,12 @@ from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
 from handmap_qp.human.landmarks import check_length, measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.verdict import Rule
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.opening import Hands, prepare_hands
 from handmap_qp.service.refusals import with_field_errors
-from handmap_qp.stream.guard import Rule, StreamGuard
+from handmap_qp.stream.guard import StreamGuard
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""

@@ -148,7 +148,7 @@ def _map_landmarks(
     hands: Hands, palm: PalmShape, sample: HumanSample, dt: float, arrival: float | None
 ) -> MappedSample:
     """Map landmarks as they were measured, or hold where they make no sense."""
-    step = hands.mapper.map_sample(sample, dt=dt, arrival=arrival)
+    step = hands.follower.map_sample(sample, dt=dt, arrival=arrival)
     if step.rule == "size":
         # Other units than metres are a mistake of the client, which must know.
         palm.check(sample.landmarks)

@@ -20,11 +20,12 @@ from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, default_preset
-from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.service.choosing import read_choice
 from handmap_qp.service.hand_cache import HandCache
 from handmap_qp.service.messages import Open
 from handmap_qp.service.refusals import with_field_errors, with_option_errors
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.rejoin import RejoinKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +34,7 @@ class Hands:
 
     Attributes:
         mapper: Maps the human hand to the robot hand.
+        follower: Lets the mapper follow samples of landmarks.
         robot: The robot hand with the reference points of the request.
         choice: Preset and options of the mapper.
         palm: Recognises landmarks of another size; None if samples are joint angles or points.
@@ -45,6 +47,7 @@ class Hands:
     """
 
     mapper: HandMapper
+    follower: Follower
     robot: Hand
     choice: Choice
     palm: PalmShape | None
@@ -92,7 +95,7 @@ def prepare_hands(
         request,
         robot,
         choice,
-        lambda: HandMapper(human, robot, choice.method, ik=choice.ik, rejoin=rejoin),
+        lambda: HandMapper(human, robot, choice.method, ik=choice.ik),
     )
     pair = None
     if default_preset(human, robot) == "teleoperation":
@@ -100,7 +103,8 @@ def prepare_hands(
         with suppress(HandmapError):
             pair = hand_pair(human, robot)
     needs_measuring = palm is not None and lengths is None
-    return Hands(mapper, robot, choice, palm, lengths, contact_gap, needs_measuring, pair)
+    follower = Follower(mapper, rejoin=rejoin)
+    return Hands(mapper, follower, robot, choice, palm, lengths, contact_gap, needs_measuring, pair)
 
 
 def _human(request: Open, cache: HandCache, lengths: HumanLengths | None) -> Hand:

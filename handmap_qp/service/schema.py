@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import msgspec
 
+from handmap_qp.human.verdict import RULES
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.options import Options, options_of
@@ -25,7 +26,6 @@ from handmap_qp.service.messages import (
     Reply,
     Request,
 )
-from handmap_qp.stream.guard import RULES
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",
