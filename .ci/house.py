@@ -9,9 +9,9 @@ It measures the tree that it is in, prints a table, and exits with 1 if a row ex
   at least one of them.
 - The closure is what `from handmap_qp import HandMapper, load_hand` loads of the package.
 - The files of a sample are those that run a Python function while a warm mapper or session maps
-  landmarks: by `map_landmarks`, by `map_sample`, which has a guard before it, and by a step through
-  the service's dispatcher, all in this process. The motion is made from the human model; the union
-  over the samples counts.
+  landmarks: by `map_landmarks`, by `Follower.map_sample`, which has a guard before it, and by a
+  step through the service's dispatcher, all in this process. The motion is made from the human
+  model; the union over the samples counts.
 - A room of the top view is a folder or a module at the top of the package. An arrow is a room that
   imports another one, inside functions and for type checks too.
 - A circle is a group of folders or top-level modules, folders inside folders included, that import
@@ -326,7 +326,7 @@ def measure_samples(root: Path) -> dict[str, float]:
     import msgspec
     import numpy as np
 
-    from handmap_qp import HandMapper, HumanLengths, HumanSample, load_hand
+    from handmap_qp import Follower, HandMapper, HumanLengths, HumanSample, load_hand
     from handmap_qp.client.messages import PROTOCOL, Open, Step
     from handmap_qp.service.caps import Caps
     from handmap_qp.service.dispatch import Dispatcher
@@ -343,7 +343,8 @@ def measure_samples(root: Path) -> dict[str, float]:
         # A height that stays 0 would be that of image coordinates.
         wrist[:3, 3] = 0.1 * np.sin(0.03 * i), 0.0, 1.0
         samples.append(HumanSample(i / 60.0, "right", tracked.points(q, wrist)))
-    plain, guarded = (HandMapper(human, load_hand("three_finger")) for _ in range(2))
+    plain, other = (HandMapper(human, load_hand("three_finger")) for _ in range(2))
+    guarded = Follower(other)
     now, answers = 0.0, []
     dispatcher = Dispatcher(Caps(rate=1e6), HandCache(), Metrics(), clock=lambda: now)
 

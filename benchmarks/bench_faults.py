@@ -31,9 +31,10 @@ from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import mirrored, recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.stream.rejoin import RejoinKind
 from handmap_qp.trackers.injection import FAULT_KINDS, inject, parse_faults
 
 FAULTS = (
@@ -113,11 +114,11 @@ def arrivals(samples: Sequence[HumanSample], fault: str) -> Iterator[tuple[float
         yield now[0], sample
 
 
-def run_guarded(mapper: HandMapper, samples: Sequence[HumanSample], fault: str) -> Course:
+def run_guarded(follower: Follower, samples: Sequence[HumanSample], fault: str) -> Course:
     """Map a stream as live input is mapped."""
     course = Course()
     for time, sample in arrivals(samples, fault):
-        course.add(time, mapper.map_sample(sample))
+        course.add(time, follower.map_sample(sample))
     return course
 
 
@@ -170,11 +171,13 @@ class Stage:
         self._robot = robot
         self._choice = preset_choice("teleoperation", person.contact_gap)
 
-    def mapper(self, rejoin: RejoinKind) -> HandMapper:
+    def mapper(self) -> HandMapper:
         """Return a fresh mapper."""
-        return HandMapper(
-            self._human, self._robot, self._choice.method, ik=self._choice.ik, rejoin=rejoin
-        )
+        return HandMapper(self._human, self._robot, self._choice.method, ik=self._choice.ik)
+
+    def follower(self, rejoin: RejoinKind) -> Follower:
+        """Return a fresh follower."""
+        return Follower(self.mapper(), rejoin=rejoin)
 
     def part(self, begin: float, end: float) -> list[HumanSample]:
         """Return the samples of some time, from the first sample on [s]."""
@@ -203,9 +206,9 @@ def measure(stage: Stage, fault: str, at: float, rejoin: RejoinKind) -> dict[str
     begin = samples[0].time
     start = next(s.time for s in samples if s.time - begin >= BEFORE)
     text = fault.format(f"{start - begin:.6f}")
-    guarded = run_guarded(stage.mapper(rejoin), samples, text)
-    clean = run_guarded(stage.mapper(rejoin), samples, "")
-    followed = run_followed(stage.mapper(rejoin), samples, text)
+    guarded = run_guarded(stage.follower(rejoin), samples, text)
+    clean = run_guarded(stage.follower(rejoin), samples, "")
+    followed = run_followed(stage.mapper(), samples, text)
     # The way back ends when the robot glides no more.
     busy = [
         time
@@ -276,7 +279,7 @@ def clean_rows(stages: Sequence[Stage]) -> list[dict[str, Any]]:
     """Describe what the guard finds in the recordings as they are."""
     rows = []
     for stage in stages:
-        course = run_guarded(stage.mapper("glide"), stage.samples, "")
+        course = run_guarded(stage.follower("glide"), stage.samples, "")
         begins = [
             f"{rule} {time - course.time[0]:.2f} s"
             for i, (time, rule) in enumerate(zip(course.time, course.rules, strict=True))

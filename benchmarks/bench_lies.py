@@ -29,7 +29,8 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import human_name, measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.guard import StreamGuard, Verdict
+from handmap_qp.human.verdict import Verdict
+from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers import plausibility
 from handmap_qp.trackers.hand_geometry import log_size, measured_distances, sample_measures
 from handmap_qp.trackers.layouts import load_layout

@@ -132,12 +132,11 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     watches = Stopwatches()
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
-    ik, course = mapper.point_ik, mapper._course
-    counted = course.map if course else None
+    ik, reference = mapper.point_ik, mapper._reference
+    counted = reference.map if reference else None
     wrapped = [
         (handmap_qp.mapping.mapper, "check_pose", "checks"),
-        (mapper, "_check_joints", "checks"),
-        (mapper, "_human_sample", "human FK"),
+        (mapper, "_pose_of", "human FK"),
         (getattr(counted, "_estimator", None), "estimate", "estimation"),
         (homogeneous, "polar", "decomposition"),
         (counted, "targets", "targets"),

@@ -44,8 +44,9 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
     from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
     from handmap_qp.mapping.presets import PRESETS
-    from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
+    from handmap_qp.stream.follower import Follower
+    from handmap_qp.stream.smoothing import Smoothing
     from handmap_qp.trackers.formats import read_recording
     from handmap_qp.trackers.layouts import load_layout
     from handmap_qp.trackers.layouts.base import Layout
@@ -59,6 +60,7 @@ __all__ = [
     "Decomposition",
     "DegeneratePointsError",
     "FingertipVectors",
+    "Follower",
     "Hand",
     "HandError",
     "HandMapper",
@@ -124,11 +126,12 @@ _NAMES = {
     "mapping.methods.virtual_ellipsoid": "VirtualEllipsoid",
     "mapping.methods.virtual_sphere": "VirtualSphere",
     "mapping.presets": "PRESETS",
-    "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",
     "trackers.layouts": "Layout load_layout",
     "trackers.plausibility": "InputCheck",
     "human.recording": "Recording",
+    "stream.follower": "Follower",
+    "stream.smoothing": "Smoothing",
     "trackers.formats": "read_recording",
     "human.sample": "HumanSample",
 }

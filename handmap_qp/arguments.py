@@ -29,7 +29,7 @@ from handmap_qp.mapping.presets import (
     preset_choice,
     preset_with,
 )
-from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
+from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats import read_recording
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]

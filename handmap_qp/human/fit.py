@@ -27,7 +27,7 @@ from handmap_qp.human.landmarks import PALM, PalmShape, human_name, measure_hand
 from handmap_qp.human.recording import HumanMotion, Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.se3 import affine, as_floats, kabsch_rotation
+from handmap_qp.se3 import affine, as_floats, nearest_rotation
 
 MOST_ITERATIONS = 12
 """Most steps for one sample; a hand that moves takes two to four, the next sample goes on."""
@@ -121,7 +121,7 @@ class LandmarkFitter:
         """Lay the palm's shape on its landmarks; return the wrist pose, shape (4, 4)."""
         palm = landmarks[PALM]
         centre = palm.mean(axis=0)
-        rotation = kabsch_rotation((palm - centre).T.dot(self._shape))
+        rotation = nearest_rotation((palm - centre).T.dot(self._shape))
         return affine(rotation, centre - rotation.dot(self._centre))
 
     def _moves(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.se3 import as_floats, frozen, rigid_fits
+from handmap_qp.se3 import as_floats, frozen, rigid_fit, transform_points
 
 PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
@@ -179,9 +179,9 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     # Generalised Procrustes: lay every sample on the median shape, then take the median again.
     # Three rounds are enough to converge.
     for _ in range(3):
-        palm = np.median(_moved(palms, *rigid_fits(palms, palm)), axis=0)
+        palm = np.median(transform_points(rigid_fit(palms, palm), palms), axis=0)
         palm = palm - palm[0]
-    laid = _moved(landmarks, *rigid_fits(palms, palm))
+    laid = transform_points(rigid_fit(palms, palm), landmarks)
     bases = np.median(laid[:, FIRST_JOINTS], axis=0)
     return HumanLengths(bases=bases, segments=segments, rolls=_rolls(laid))
 
@@ -241,8 +241,3 @@ def palm_sizes(palms: np.ndarray) -> np.ndarray:
     """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
-
-
-def _moved(points: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
-    """Move the points of each sample rigidly, shape (T, n, 3)."""
-    return points @ rotations.transpose(0, 2, 1) + translations[:, None]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import affine, as_floats, determinant, quat_wxyz_from_rotation, svd3
+from handmap_qp.se3 import affine, as_floats, quat_wxyz_from_rotation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +40,9 @@ class PolarFactors(msgspec.Struct, frozen=True, eq=False):
     """Left polar decomposition `A = U R` with the eigenvectors of U.
 
     Attributes:
-        rotation: R in SO(3), shape (3, 3).
-        axes: Eigenvectors of U as columns, shape (3, 3).
-        stretches: Eigenvalues of U, shape (3,).
+        rotation: R in SO(3), shape (..., 3, 3).
+        axes: Eigenvectors of U as columns, shape (..., 3, 3).
+        stretches: Eigenvalues of U, shape (..., 3).
     """
 
     rotation: np.ndarray
@@ -50,8 +50,9 @@ class PolarFactors(msgspec.Struct, frozen=True, eq=False):
     stretches: np.ndarray
 
     def stretch(self, stretches: np.ndarray | None = None) -> np.ndarray:
-        """Return the symmetric factor U, shape (3, 3), or U with other eigenvalues."""
-        return (self.axes * (self.stretches if stretches is None else stretches)).dot(self.axes.T)
+        """Return the symmetric factor U, shape (..., 3, 3), or U with other eigenvalues."""
+        values = self.stretches if stretches is None else stretches
+        return (self.axes * values[..., None, :]) @ self.axes.swapaxes(-1, -2)
 
 
 def polar(linear: np.ndarray) -> PolarFactors:
@@ -61,18 +62,16 @@ def polar(linear: np.ndarray) -> PolarFactors:
     still holds. Where the two smallest are equal there, either may take it, and R is not unique.
 
     Args:
-        linear: A, shape (3, 3).
+        linear: A, shape (..., 3, 3).
 
     Returns:
         Rotation, axes and stretches.
     """
-    axes, stretches, right = svd3(linear)
-    rotation = axes.dot(right)
-    if determinant(rotation) < 0.0:
-        right[2] *= -1.0
-        stretches[2] *= -1.0
-        rotation = axes.dot(right)
-    return PolarFactors(rotation, axes, stretches)
+    axes, stretches, right = np.linalg.svd(linear)
+    sign = np.sign(np.linalg.det(axes @ right))[..., None]
+    right[..., 2, :] *= sign
+    stretches[..., 2:] *= sign
+    return PolarFactors(axes @ right, axes, stretches)
 
 
 def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Decomposition:

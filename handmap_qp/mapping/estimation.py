@@ -8,22 +8,12 @@ products. With `ridge = 0` the solution is exactly the paper's.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
-from handmap_qp.se3 import (
-    FARTHEST,
-    affine,
-    as_floats,
-    determinant,
-    frozen,
-    kabsch_rotation,
-    nearest_rotations,
-)
+from handmap_qp.se3 import FARTHEST, affine, as_floats, frozen, nearest_rotation
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
 # more than a plane (or a line).
@@ -33,14 +23,16 @@ _SPREAD_TOLERANCE = 1e-14
 
 
 class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
-    """A motion fitted to point pairs; T and its residuals are computed on first access.
+    """A motion fitted to point pairs, or one for each of many samples along leading axes.
+
+    T and its residuals are computed on access.
 
     Attributes:
-        linear: Linear part A of T, shape (3, 3).
+        linear: Linear part A of T, shape (..., 3, 3).
         centroid_before: Weighted centroid of the points before the motion [m], shape (3,).
-        centroid_after: The same after it [m], shape (3,).
+        centroid_after: The same after it [m], shape (..., 3).
         centred_before: Points before the motion relative to their centroid [m], shape (n, 3).
-        points_after: Points after it [m], shape (n, 3).
+        points_after: Points after it [m], shape (..., n, 3).
         singular_values: Of the weighted, centred points before the motion, largest first [m], shape
             (3,). The smallest tells how well the points determine T: a plane has zero.
     """
@@ -54,42 +46,32 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def motion(self) -> np.ndarray:
-        """The homogeneous transformation T, active, shape (4, 4)."""
-        return affine(self.linear, self.image(_ORIGIN))
+        """The homogeneous transformation T, active, shape (..., 4, 4)."""
+        return affine(self.linear, self.image(np.zeros(3)))
 
     @property
     def residual_vectors(self) -> np.ndarray:
-        """`y_k - T x_k` for every point [m], shape (n, 3)."""
-        after = self.points_after - self.centroid_after
-        return after - self.centred_before.dot(self.linear.T)
+        """`y_k - T x_k` for every point [m], shape (..., n, 3)."""
+        after = self.points_after - self.centroid_after[..., None, :]
+        return after - self.centred_before @ self.linear.swapaxes(-1, -2)
 
     @property
     def residual_norms(self) -> np.ndarray:
-        """Distance of every point from where T takes it [m], shape (n,)."""
-        return np.linalg.norm(self.residual_vectors, axis=1)
+        """Distance of every point from where T takes it [m], shape (..., n)."""
+        return np.linalg.norm(self.residual_vectors, axis=-1)
 
     def image(self, point: np.ndarray) -> np.ndarray:
-        """Return where T takes a point [m], shape (3,)."""
-        if point is self.centroid_before:
-            return self.centroid_after
-        return self.linear.dot(point - self.centroid_before) + self.centroid_after
+        """Return where T takes a point (3,) [m], shape (..., 3)."""
+        return self.linear @ (point - self.centroid_before) + self.centroid_after
 
-
-_ORIGIN = np.zeros(3)
-
-
-class MotionColumns(NamedTuple):
-    """Motions fitted in many samples.
-
-    Attributes:
-        linear: Linear parts, shape (T, 3, 3).
-        centroids: Centroids of the points after the motion [m], shape (T, 3).
-        estimates: The estimate of each sample; they share these arrays.
-    """
-
-    linear: np.ndarray
-    centroids: np.ndarray
-    estimates: list[MotionEstimate]
+    def __getitem__(self, i: int) -> MotionEstimate:
+        """Return the motion of one of many samples."""
+        return msgspec.structs.replace(
+            self,
+            linear=self.linear[i],
+            centroid_after=self.centroid_after[i],
+            points_after=self.points_after[i],
+        )
 
 
 class MotionEstimator:
@@ -100,14 +82,13 @@ class MotionEstimator:
     unit.
 
     Args:
-        points_before: Reference points [m], shape (n, 3).
+        points: Reference points [m], shape (n, 3).
         weights: Weight of each point, shape (n,); equal if omitted.
         ridge: Pull of `A` towards the prior rotation; 0 is eq. (6) of the paper.
         has_prior: True if `estimate` will always be given a prior rotation, which makes any points
             usable with a ridge.
 
     Raises:
-        InvalidInputError: On wrong shapes, non-finite numbers, negative weights or ridge.
         DegeneratePointsError: If the points cannot determine T: with `ridge = 0` unless four or
             more lie off a plane; with a ridge and no given prior unless three or more lie off a
             line.
@@ -115,96 +96,80 @@ class MotionEstimator:
 
     def __init__(
         self,
-        points_before: npt.ArrayLike,
+        points: np.ndarray,
         *,
-        weights: npt.ArrayLike | None = None,
+        weights: np.ndarray | None = None,
         ridge: float = 0.0,
         has_prior: bool = False,
     ) -> None:
-        points = _check_points(points_before, "points_before")
-        self.weights = _check_weights(weights, len(points))
-        self.ridge = _check_ridge(ridge)
-        # Estimates hand both out, so they are write-protected.
-        self.centroid = frozen(self.weights @ points)
+        count = len(points)
+        shares = np.ones(count) if weights is None else weights / weights.max()
+        shares = shares / shares.sum()
+        self._ridge = ridge
+        # Estimates hand these out, so they are write-protected.
+        self.centroid = frozen(shares @ points)
         self._centred = frozen(points - self.centroid)
-        roots = np.sqrt(self.weights * len(points))
+        roots = np.sqrt(shares * count)
         # The SVD of the points, not of their normal matrix, which would square the condition of
         # points near a plane.
         left, values, right = np.linalg.svd(self._centred * roots[:, None], full_matrices=False)
-        self.singular_values = np.zeros(3)
-        self.singular_values[: len(values)] = values
-        frozen(self.singular_values)
+        self._singular_values = frozen(np.append(values, np.zeros(3 - len(values))))
         floor = max(_RANK_TOLERANCE * values[0], _SPREAD_TOLERANCE * np.abs(points).max())
         self._check_rank(floor, has_prior)
         # Directions in which the points do not spread get no gain: A is the prior there, however
         # small the ridge.
         known = np.where(values > floor, values, 0.0)
-        pull = self.ridge * (values @ values) / 3.0
+        pull = ridge * (values @ values) / 3.0
         gains = np.divide(known, known * known + pull, out=np.zeros_like(known), where=known > 0.0)
         # (3, n) and (3, 3): A^T = gain y + prior_gain R0^T, of centred points y
         gain = right.T @ (roots[:, None] * left * gains).T
         self._prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
         # One product gives the sum with the gain, Kabsch's covariance and the centroid of a sample.
         # The rows of the first two sum to zero, so that they centre the sample as well.
-        sums = np.vstack([gain, (self._centred * self.weights[:, None]).T])
-        sums -= np.outer(sums.sum(axis=1), self.weights)
-        self._moments = np.vstack([sums, self.weights])
+        sums = np.vstack([gain, (self._centred * shares[:, None]).T])
+        sums -= np.outer(sums.sum(axis=1), shares)
+        self._moments = np.vstack([sums, shares])
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
-        _, middle, smallest = self.singular_values
-        if self.ridge == 0.0 and not smallest > floor:
+        _, middle, smallest = self._singular_values
+        if self._ridge == 0.0 and not smallest > floor:
             raise DegeneratePointsError(
                 "ridge = 0 needs four or more reference points off a plane; "
                 "add points or give ridge > 0",
-                singular_values=self.singular_values,
+                singular_values=self._singular_values,
             )
         if not has_prior and not middle > floor:
             raise DegeneratePointsError(
                 "the reference points lie on a line, so their rotation is unknown; "
                 "add points or give a prior rotation",
-                singular_values=self.singular_values,
+                singular_values=self._singular_values,
             )
 
     def estimate(self, points_after: np.ndarray, prior: np.ndarray | None = None) -> MotionEstimate:
         """Fit the motion to the points' present positions.
 
         Args:
-            points_after: The same points now [m], shape (n, 3), finite; not checked here.
-            prior: Prior rotation R0, shape (3, 3); the weighted Kabsch fit of the points if
+            points_after: The same points now [m], shape (..., n, 3), finite.
+            prior: Prior rotation R0, shape (..., 3, 3); the weighted Kabsch fit of the points if
                 omitted.
 
         Returns:
             The estimate.
         """
-        # `dot` takes a third of the time of `@` on arrays this small.
-        moments = self._moments.dot(points_after)
-        linear = moments[:3].T
-        if self.ridge != 0.0:
-            rotation = kabsch_rotation(moments[3:6].T) if prior is None else prior
-            linear = linear + rotation.dot(self._prior_gain)
-        return MotionEstimate(
-            linear, self.centroid, moments[6], self._centred, points_after, self.singular_values
-        )
-
-    def estimate_all(self, points_after: np.ndarray) -> MotionColumns:
-        """Fit the motion to the points' positions in many samples, as `estimate` up to rounding.
-
-        Args:
-            points_after: The same points in every sample [m], shape (T, n, 3), finite.
-        """
         moments = self._moments @ points_after
-        linear = moments[:, :3].transpose(0, 2, 1)
-        if self.ridge != 0.0:
-            rotations = nearest_rotations(moments[:, 3:6].transpose(0, 2, 1))
-            linear = linear + rotations @ self._prior_gain
-        centroids = moments[:, 6]
-        estimates = [
-            MotionEstimate(
-                motion, self.centroid, centroid, self._centred, points, self.singular_values
-            )
-            for motion, centroid, points in zip(linear, centroids, points_after, strict=True)
-        ]
-        return MotionColumns(linear, centroids, estimates)
+        linear = moments[..., :3, :].swapaxes(-1, -2)
+        if self._ridge != 0.0:
+            if prior is None:
+                prior = nearest_rotation(moments[..., 3:6, :].swapaxes(-1, -2))
+            linear = linear + prior @ self._prior_gain
+        return MotionEstimate(
+            linear,
+            self.centroid,
+            moments[..., 6, :],
+            self._centred,
+            points_after,
+            self._singular_values,
+        )
 
 
 def estimate_motion(
@@ -234,58 +199,37 @@ def estimate_motion(
         InvalidInputError: On wrong shapes or non-finite numbers.
         DegeneratePointsError: If the points cannot determine T; carries the singular values.
     """
-    estimator = MotionEstimator(
-        points_before, weights=weights, ridge=ridge, has_prior=prior is not None
-    )
+    before = _check_points(points_before, "points_before")
     after = _check_points(points_after, "points_after")
-    if len(after) != len(estimator.weights):
-        raise InvalidInputError(
-            argument="points_after",
-            expected=f"{len(estimator.weights)} points as in points_before",
-            got=f"{len(after)}",
-        )
+    if len(after) != len(before):
+        expected = f"{len(before)} points as in points_before"
+        raise InvalidInputError(argument="points_after", expected=expected, got=f"{len(after)}")
+    shares = None if weights is None else _check_weights(weights, len(before))
+    pull = float(as_floats(ridge, "ridge", shape=(), is_finite=True))
+    if pull < 0.0:
+        raise InvalidInputError(argument="ridge", expected="a number >= 0", value=ridge)
+    estimator = MotionEstimator(before, weights=shares, ridge=pull, has_prior=prior is not None)
     if prior is None:
         return estimator.estimate(after)
-    rotation = as_floats(prior, "prior")
-    is_orthogonal = (
-        rotation.shape == (3, 3) and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6
-    )
-    if not (is_orthogonal and determinant(rotation) > 0.0):
-        raise InvalidInputError(
-            argument="prior", expected="a rotation of shape (3, 3)", value=prior
-        )
+    rotation = as_floats(prior, "prior", shape=(3, 3))
+    is_orthogonal = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6
+    if not (is_orthogonal and np.linalg.det(rotation) > 0.0):
+        raise InvalidInputError(argument="prior", expected="a rotation", value=prior)
     return estimator.estimate(after, rotation)
 
 
 def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
-    array = as_floats(points, name)
-    if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
-        raise InvalidInputError(
-            argument=name, expected="shape (n, 3) with n >= 1", got=f"{array.shape}"
-        )
+    array = as_floats(points, name, shape=("n", 3))
     # `not ... <= FARTHEST` also rejects NaN; products of such coordinates are finite.
-    if not np.abs(array).max() <= FARTHEST:
-        expected = f"finite coordinates within {FARTHEST:g} m"
+    if not np.abs(array).max(initial=np.inf if len(array) == 0 else 0.0) <= FARTHEST:
+        expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
         raise InvalidInputError(argument=name, expected=expected, value=array.tolist())
     return array
 
 
-def _check_weights(weights: npt.ArrayLike | None, count: int) -> np.ndarray:
-    if weights is None:
-        return np.full(count, 1.0 / count)
-    array = as_floats(weights, "weights")
-    if array.shape != (count,) or not (
-        np.isfinite(array).all() and (array >= 0.0).all() and array.max() > 0.0
-    ):
-        raise InvalidInputError(
-            argument="weights", expected=f"{count} numbers >= 0, not all zero", value=weights
-        )
-    shares = array / array.max()  # first, so that the sum of huge weights cannot overflow
-    return shares / shares.sum()
-
-
-def _check_ridge(ridge: float) -> float:
-    number = as_floats(ridge, "ridge")
-    if number.shape != () or not (np.isfinite(number) and number >= 0.0):
-        raise InvalidInputError(argument="ridge", expected="a number >= 0", value=ridge)
-    return float(number)
+def _check_weights(weights: npt.ArrayLike, count: int) -> np.ndarray:
+    array = as_floats(weights, "weights", shape=(count,), is_finite=True)
+    if not (array.min() >= 0.0 and array.max() > 0.0):
+        expected = f"{count} numbers >= 0, not all zero"
+        raise InvalidInputError(argument="weights", expected=expected, value=weights)
+    return array

@@ -1,58 +1,44 @@
 """`HandMapper`: the paper's loop (Fig. 3), from a human sample to a robot command.
 
-`_map` is the whole step: the method's targets (eqs. 5-7 for `Homogeneous`), then the QP in place of
+`map` is the whole step: the method's targets (eqs. 5-7 for `Homogeneous`), then the QP in place of
 eq. (8). `map_step` starts from joint angles (eq. 4), `map_points` from measured points, and
-`map_sample` from what a tracker sent: its guard decides which samples the robot follows.
+`map_landmarks` from the landmarks of a tracker. None of them judges a sample: `stream.follower`
+decides which samples of a tracker the robot follows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any, Literal, get_args
+from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
+from msgspec import structs
 
-from handmap_qp.errors import HandmapError, InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.ik.gate import Motion
-from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
-from handmap_qp.mapping.landmarks import LandmarkReader
+from handmap_qp.mapping.landmarks import LandmarkReader, check_near
 from handmap_qp.mapping.method import (
     BoundMethod,
-    ForesightMap,
     HumanPose,
     Method,
-    MethodOptions,
     RobotPosture,
     TargetMap,
     Targets,
 )
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.presets import default_preset, get_preset
-from handmap_qp.mapping.rejoin import Rejoin, RejoinKind
-from handmap_qp.mapping.smoothing import Smoothing, SmoothState, smooth_sample
 from handmap_qp.mapping.step import MapStep, RobotCommand
-from handmap_qp.se3 import (
-    FARTHEST,
-    PoseLike,
-    QuatOrder,
-    as_floats,
-    check_pose,
-    inverse_pose,
-)
-from handmap_qp.stream.guard import StreamGuard, Verdict
-from handmap_qp.stream.recorded_motion import RecordedSamples
+from handmap_qp.se3 import PoseLike, QuatOrder, as_floats, check_pose, inverse_pose
 
 
 class HandMapper:
@@ -73,13 +59,10 @@ class HandMapper:
             `object`.
         ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
-        smoothing: How samples are smoothed before they are mapped; not at all if omitted.
         dt: Time between samples [s], where a step gives none of its own.
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
         joint_tolerance: How far a human joint may be outside its limits before the sample is
             rejected [rad].
-        rejoin: How the robot comes back to the human after `map_sample` held it: `glide` there, or
-            stay where it is with its palm, as after a `clutch`.
         **options: Short form of `method`: options of the paper's method, as in
             `HandMapper(human, robot, rigid_from="wrist")`.
 
@@ -101,11 +84,9 @@ class HandMapper:
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] = (),
-        smoothing: Smoothing | None = None,
         dt: float = 1.0 / 60.0,
         quat_order: QuatOrder | None = None,
         joint_tolerance: float = 0.25,
-        rejoin: RejoinKind = "glide",
         **options: Any,
     ) -> None:
         if not human.is_floating:
@@ -114,9 +95,13 @@ class HandMapper:
                 problem=f"{human.name} has a fixed wrist, and its pose comes with each sample",
                 advice="load it with mount='floating'",
             )
+        if not (isinstance(joint_tolerance, int | float) and joint_tolerance >= 0.0):
+            raise InvalidInputError(
+                argument="joint_tolerance", expected="an angle >= 0 rad", value=joint_tolerance
+            )
         self.human = human
-        self.dt = _check_dt(dt)
-        self.joint_tolerance = _check_tolerance(joint_tolerance)
+        self.dt = check_dt(dt)
+        self.joint_tolerance = joint_tolerance
         self.quat_order: QuatOrder | None = quat_order
         self._given_robot = robot
         if method is None and not options:
@@ -124,24 +109,13 @@ class HandMapper:
         chosen, weights = _method_of(method, options)
         bound = chosen.bind(human, robot)
         solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
-        self._plan = _Plan(chosen, bound, solver, tuple(tasks), smoothing)
-        # The wrist stays at the origin; points move with it afterwards.
-        self._human_vector = human.configuration_vector(human.rest)
-        # Points with a 1 behind each, which a pose moves in one product.
-        self._human_rows = np.ones((len(human.reference_points), 4))
+        self._plan = _Plan(chosen, bound, solver, tuple(tasks))
         self._start: _Start | None = _Start(robot.rest, None)
-        self._course: _Course | None = None
-        self._smooth: SmoothState | None = None
+        self._reference: _Reference | None = None
         self._is_released = False
-        self._rejoin = Rejoin(_check_rejoin(rejoin))
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
-
-    @property
-    def rejoin(self) -> RejoinKind:
-        """How the robot comes back to the human after a hold."""
-        return self._rejoin.kind
 
     @property
     def robot(self) -> Hand:
@@ -152,11 +126,6 @@ class HandMapper:
     def method(self) -> Method:
         """The mapping method: turns a sample into targets."""
         return self._plan.method
-
-    @property
-    def smoothing(self) -> Smoothing | None:
-        """The smoothing of samples before they are mapped; None for none."""
-        return self._plan.smoothing
 
     @property
     def ik(self) -> IkOptions:
@@ -177,6 +146,22 @@ class HandMapper:
     def motion(self, motion: Motion) -> None:
         self._start = None
         self._plan.ik.move_on(motion)
+
+    @property
+    def reference(self) -> HumanPose | None:
+        """The human hand that motion is counted from; None if the next sample becomes it."""
+        return None if self._reference is None else self._reference.sample
+
+    @cached_property
+    def landmarks(self) -> LandmarkReader:
+        """Turns landmarks into samples of the human hand.
+
+        Raises:
+            InvalidOptionsError: If a reference point of the human is not a landmark.
+        """
+        return LandmarkReader(self.human)
+
+    # -- one sample
 
     def map_step(
         self, human_q: npt.ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None
@@ -200,9 +185,8 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
-        wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        angles, out_of_range = self._check_joints(human_q)
-        return self._map(self._human_sample(angles, wrist), dt, out_of_range, started)
+        sample, out_of_range = self._pose_of(human_q, wrist_pose)
+        return self.map(sample, dt, out_of_range=out_of_range, started=started)
 
     def map_points(
         self,
@@ -228,13 +212,12 @@ class HandMapper:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started = perf_counter()
-        wrist = (
-            None if wrist_pose is None else check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        )
+        started, wrist = perf_counter(), self._wrist_of(wrist_pose)
         if wrist is None and (needs := self._needs_wrist()):
             raise InvalidInputError(argument="wrist_pose", problem=f"needed for {needs}")
-        return self._map(HumanPose(self._check_points(points), wrist), dt, (), started)
+        measured = as_floats(points, "points", shape=(len(self.human.reference_points), 3))
+        check_near(measured, "points")
+        return self.map(HumanPose(measured.copy(), wrist), dt, started=started)
 
     def map_landmarks(
         self,
@@ -263,115 +246,99 @@ class HandMapper:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started = perf_counter()
-        wrist = (
-            None if wrist_pose is None else check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        )
-        return self._map(self._landmarks.read(landmarks, wrist), dt, (), started)
+        started, wrist = perf_counter(), self._wrist_of(wrist_pose)
+        reader = self.landmarks
+        points = as_floats(landmarks, "landmarks", shape=(LANDMARK_COUNT, 3))
+        return self.map(reader.read(points, wrist), dt, started=started)
 
-    def map_sample(
-        self, sample: HumanSample, *, dt: float | None = None, arrival: float | None = None
+    def map(
+        self,
+        sample: HumanPose,
+        dt: float | None = None,
+        *,
+        targets: Targets | None = None,
+        speed: float = 1.0,
+        out_of_range: tuple[str, ...] = (),
+        started: float | None = None,
     ) -> MapStep:
-        """Map one sample of a tracker, if it makes sense; else hold.
-
-        The guard judges the sample by named rules (`stream.guard.RULES`). The robot brakes and
-        holds its posture while samples make no sense, and comes back to the human without a snap
-        (`rejoin`).
+        """Map one sample with known points: targets by the method, motion by the QP.
 
         Args:
-            sample: The sample. Its time stamps say how much time has passed.
-            dt: Time that the step may account for [s]; that of the time stamps if omitted.
-            arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
-                time stamps; not checked if omitted.
+            sample: The sample; not checked.
+            dt: Time since the last sample [s]; the mapper's own if omitted.
+            targets: Its targets, where `targets_of` has computed them; computed if omitted.
+            speed: Share of the speed limits at which the robot may move.
+            out_of_range: Names of human joints outside their limits.
+            started: When the step began (`time.perf_counter`); now if omitted.
 
         Returns:
-            Every stage of the step; of a held one, targets and points are the robot's own.
+            Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample is of the other hand, or cannot be used; the mapper is
-                then as it was before.
-            InvalidOptionsError: If a reference point of the human is not a landmark.
+            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started = perf_counter()
-        dt = None if dt is None else _check_dt(dt)
-        reader, guard, before = self._landmarks, self._guard, self._guard.state
-        verdict = guard.check(sample, arrival=arrival)
-        if verdict.is_held:
-            return self._held(verdict, sample.confidence, dt, started)
-        try:
-            pose = reader.read(sample.landmarks, sample.wrist)
-            return self._follow(pose, verdict, sample.confidence, dt, started)
-        except HandmapError:
-            guard.state = before
-            raise
-
-    def map_recorded(self, recorded: RecordedSamples) -> Iterator[MapStep]:
-        """Map the samples of a recording one after the other, as `map_sample` up to rounding.
-
-        Verdicts, palms and targets are computed by column, so that a sample costs little more than
-        its QP.
-
-        Args:
-            recorded: The samples.
-
-        Yields:
-            The step of each sample.
-
-        Raises:
-            InvalidInputError: If the recording is of the other hand, or cannot be used.
-            InvalidOptionsError: If a reference point of the human is not a landmark.
-            DegeneratePointsError: If the first sample's points do not determine the motion.
-        """
-        verdicts, confidence = recorded.judged(self.human), recorded.confidence.tolist()
-        points, wrists = self._landmarks.read_all(recorded.landmarks)
-        course, targets = None, None
-        for i, verdict in enumerate(verdicts):
-            started = perf_counter()
-            if verdict.is_held:
-                yield self._held(verdict, confidence[i], None, started)
-                continue
-            asked = targets[i] if targets and course is self._course else None
-            pose = HumanPose(points[i], wrists[i])
-            step = self._follow(pose, verdict, confidence[i], None, started, asked)
-            if course is not self._course:
-                course, targets = self._course, self._foreseen(points, wrists)
-            yield step
-
-    def _foreseen(self, points: np.ndarray, wrists: np.ndarray) -> Sequence[Targets] | None:
-        """Return the targets of all samples from the present reference, where the method can."""
-        course, plan = self._course, self._plan
-        if course is None or plan.smoothing is not None or plan.bound.renews_reference:
-            return None
-        known = course.map
-        return known.targets_of(points, wrists) if isinstance(known, ForesightMap) else None
-
-    def _follow(
-        self,
-        pose: HumanPose,
-        verdict: Verdict,
-        confidence: float,
-        dt: float | None,
-        started: float,
-        foreseen: Targets | None = None,
-    ) -> MapStep:
-        """Map a sample that makes sense; its targets may be known unless the robot comes back."""
-        rejoin = self._rejoin.start(pose) if verdict.is_return else self._rejoin
-        moved, rejoin = rejoin.advance(pose, verdict.dt)
-        asked = foreseen if moved is pose else None
-        step = self._map(moved, _granted(verdict, dt), (), started, asked, verdict.speed)
-        self._rejoin = rejoin
-        return msgspec.structs.replace(
-            step, verdict=verdict, confidence=confidence, is_gliding=rejoin.is_fading
+        started = perf_counter() if started is None else started
+        dt, plan = self.dt if dt is None else check_dt(dt), self._plan
+        reference = self._reference or self._reference_at(sample)
+        asked = reference.map.targets(sample) if targets is None else targets
+        if plan.bound.renews_reference:
+            # Points that cannot be the next reference are rejected before the robot moves.
+            plan.bound.start(sample, reference.posture)
+        if reference is not self._reference:
+            self._begin(reference)
+        if self._is_released:
+            result = plan.ik.hold(dt)
+        else:
+            result = plan.ik.solve(
+                asked.points,
+                asked.wrist,
+                dt,
+                rest=reference.map.rest,
+                tasks=(*asked.tasks, *plan.tasks),
+                margins=asked.margins,
+                speed=speed,
+            )
+        robot, configuration = plan.bound.robot, plan.ik.configuration
+        q, wrist = configuration.q[robot.q_indices], configuration.wrist.homogeneous
+        if plan.bound.renews_reference:
+            kept = _copied(sample)
+            posture = RobotPosture(q.copy(), result.points.copy(), wrist.copy())
+            self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
+        return MapStep(
+            RobotCommand(robot.joint_names, q, wrist),
+            sample.points,
+            sample.wrist,
+            asked,
+            result,
+            out_of_range,
+            perf_counter() - started,
         )
 
-    def _held(
-        self, verdict: Verdict, confidence: float, dt: float | None, started: float
-    ) -> MapStep:
-        """Return a step in which the robot brakes and keeps its posture."""
-        ik, robot, seen = self._plan.ik, self.robot, self._rejoin.seen
-        start, held = self._start, ik.hold(_granted(verdict, dt))
+    def targets_of(self, samples: HumanPose) -> Sequence[Targets] | None:
+        """Return the targets of many samples from the present reference; None if one by one.
+
+        Args:
+            samples: Samples along a leading axis.
+        """
+        if self._reference is None or self._plan.bound.renews_reference:
+            return None
+        at_once = getattr(self._reference.map, "targets_of", None)
+        return None if at_once is None else at_once(samples)
+
+    def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
+        """Brake, and keep the robot's posture.
+
+        Args:
+            dt: Time since the last sample [s].
+            seen: The sample that was mapped last; NaN stands for it if omitted.
+
+        Returns:
+            The step, whose targets and points are the robot's own.
+        """
+        started, ik, robot = perf_counter(), self._plan.ik, self.robot
+        start, held = self._start, ik.hold(check_dt(dt))
         if start is None:
             vector = ik.configuration.q
         else:
@@ -386,74 +353,12 @@ class HandMapper:
             seen.points,
             seen.wrist,
             Targets(posture.points, posture.wrist),
-            msgspec.structs.replace(held, points=posture.points, targets=posture.points),
+            structs.replace(held, points=posture.points, targets=posture.points),
             (),
             perf_counter() - started,
-            verdict,
-            confidence,
         )
 
-    @cached_property
-    def _human(self) -> Configuration:
-        """The workspace of `map_step`; streams of landmarks need none."""
-        return self.human.configuration()
-
-    @cached_property
-    def _guard(self) -> StreamGuard:
-        return StreamGuard(self.human)
-
-    @cached_property
-    def _landmarks(self) -> LandmarkReader:
-        return LandmarkReader(self.human)
-
-    def _map(
-        self,
-        sample: HumanPose,
-        dt: float | None,
-        out_of_range: tuple[str, ...],
-        started: float,
-        foreseen: Targets | None = None,
-        speed: float = 1.0,
-    ) -> MapStep:
-        """Map one sample with known points: targets by the method, motion by the QP."""
-        dt = self.dt if dt is None else _check_dt(dt)
-        plan, smooth = self._plan, None
-        if plan.smoothing is not None:
-            sample, smooth = smooth_sample(plan.smoothing, self._smooth, sample, dt)
-        course = self._course or self._course_from(sample)
-        asked = course.map.targets(sample) if foreseen is None else foreseen
-        if plan.bound.renews_reference:
-            # Points that cannot be the next reference are rejected before the robot moves.
-            plan.bound.start(sample, course.posture)
-        if course is not self._course:
-            self._begin(course)
-        self._smooth = smooth
-        if self._is_released:
-            result = plan.ik.hold(dt)
-        else:
-            tasks = (*asked.tasks, *plan.tasks) if plan.tasks else asked.tasks
-            result = plan.ik.solve(
-                asked.points,
-                asked.wrist,
-                dt,
-                rest=course.map.rest,
-                tasks=tasks,
-                margins=asked.margins,
-                speed=speed,
-            )
-        configuration = plan.ik.configuration
-        robot = plan.bound.robot
-        command = RobotCommand(
-            robot.joint_names,
-            configuration.q[robot.q_indices],
-            configuration.wrist.homogeneous,
-        )
-        if plan.bound.renews_reference:
-            kept = _copied(sample)
-            posture = RobotPosture(command.q.copy(), result.points.copy(), command.wrist.copy())
-            self._course = _Course(kept, posture, plan.bound.start(kept, posture))
-        duration = perf_counter() - started
-        return MapStep(command, sample.points, sample.wrist, asked, result, out_of_range, duration)
+    # -- between samples
 
     def reset(
         self,
@@ -487,16 +392,12 @@ class HandMapper:
             self.robot.rest if robot_q is None else self._check_robot(robot_q),
             None if robot_wrist is None else self._check_robot_wrist(robot_wrist),
         )
-        course = None
+        reference = None
         if human_q is not None and wrist_pose is not None:
-            wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
-            sample = self._human_sample(self._check_joints(human_q)[0], wrist)
-            course = self._course_from(sample, start)
-        self._start, self._is_released = start, False
-        self._course = self._smooth = None
-        self._rejoin = Rejoin(self._rejoin.kind)
-        if course is not None:
-            self._begin(course)
+            reference = self._reference_at(self._pose_of(human_q, wrist_pose)[0], start)
+        self._start, self._is_released, self._reference = start, False, None
+        if reference is not None:
+            self._begin(reference)
 
     def release(self) -> None:
         """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
@@ -504,9 +405,7 @@ class HandMapper:
 
     def clutch(self) -> None:
         """Make the next sample the reference; the robot continues from its present posture."""
-        self._is_released = False
-        self._course = None
-        self._rejoin = Rejoin(self._rejoin.kind)
+        self._is_released, self._reference = False, None
 
     def configure(
         self,
@@ -514,7 +413,6 @@ class HandMapper:
         *,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] | None = None,
-        smoothing: Smoothing | Literal["none"] | None = None,
     ) -> None:
         """Change options between samples: reference and posture of the robot stay.
 
@@ -526,7 +424,6 @@ class HandMapper:
             ik: Weights and settings of the QP; as they are if omitted, or those of a preset that
                 `method` names.
             tasks: Further terms of the QP's cost; as they are if omitted.
-            smoothing: How samples are smoothed, `"none"` for not at all; as it is if omitted.
 
         Raises:
             InvalidOptionsError: If choices contradict each other or the hands; the mapper is then
@@ -534,25 +431,23 @@ class HandMapper:
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        plan, course = self._plan, self._course
+        plan, reference = self._plan, self._reference
         if method is not None:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
             solver = plan.ik.on_hand(bound.robot, bound.contacts)
             plan = replace(plan, method=chosen, bound=bound, ik=solver)
-            course = None if course is None else self._recounted(course, bound)
+            reference = None if reference is None else _bound_again(reference, bound)
         if ik is not None:
             plan = replace(plan, ik=plan.ik.with_options(ik))
         if tasks is not None:
             plan = replace(plan, tasks=tuple(tasks))
-        if smoothing is not None:
-            plan = replace(plan, smoothing=None if smoothing == "none" else smoothing)
-        self._plan, self._course = plan, course
+        self._plan, self._reference = plan, reference
 
     # -- the reference
 
-    def _course_from(self, sample: HumanPose, start: _Start | None = None) -> _Course:
+    def _reference_at(self, sample: HumanPose, start: _Start | None = None) -> _Reference:
         """Count from this sample, with the robot at its start, or where it is if it has started."""
         start, bound = start or self._start, self._plan.bound
         if start is None:
@@ -564,29 +459,20 @@ class HandMapper:
             vector = bound.robot.configuration_vector(start.q, wrist)
         kept, posture = _copied(sample), _posture(bound.robot, vector)
         begins_at = None if start is None else vector.copy()
-        return _Course(kept, posture, bound.start(kept, posture), begins_at)
+        return _Reference(kept, posture, bound.start(kept, posture), begins_at)
 
-    def _recounted(self, course: _Course, bound: BoundMethod) -> _Course | None:
-        """Count from the same reference by another method; None if it lacks what that needs."""
-        if (bound.needs_wrist or bound.reference_needs_wrist) and course.sample.wrist is None:
-            return None
-        robot, before = bound.robot, course.posture
-        wrist = before.wrist if robot.is_floating else None
-        posture = _posture(robot, robot.configuration_vector(before.q, wrist))
-        return _Course(course.sample, posture, bound.start(course.sample, posture))
-
-    def _begin(self, course: _Course) -> None:
-        """Make a course the mapper's, and put the robot where it begins unless it is on its way."""
-        if course.begins_at is not None:
-            self._plan.ik.place(course.begins_at)
-        self._start, self._course = None, course
+    def _begin(self, reference: _Reference) -> None:
+        """Take a reference, and put the robot where it begins unless it is on its way."""
+        if reference.begins_at is not None:
+            self._plan.ik.place(reference.begins_at)
+        self._start, self._reference = None, reference
 
     def _needs_wrist(self) -> str:
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
         bound = self._plan.bound
         if bound.needs_wrist:
             return bound.needs_wrist
-        if self._course is not None and not bound.renews_reference:
+        if self._reference is not None and not bound.renews_reference:
             return ""
         if bound.reference_needs_wrist:
             return bound.reference_needs_wrist
@@ -596,31 +482,18 @@ class HandMapper:
 
     # -- checks of what comes in
 
-    def _human_sample(self, angles: np.ndarray, wrist: np.ndarray) -> HumanPose:
-        """Compute the human's reference points in its world (eq. 4)."""
-        self.human.write_configuration(self._human_vector, angles)
-        self._human.place_frames(self._human_vector)
-        self._human_rows[:, :3] = self._human.points
-        return HumanPose(self._human_rows.dot(wrist[:3].T), wrist)
+    def _wrist_of(self, wrist_pose: PoseLike | None) -> np.ndarray | None:
+        return None if wrist_pose is None else check_pose(wrist_pose, "wrist_pose", self.quat_order)
 
-    def _check_joints(self, human_q: npt.ArrayLike) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return joint angles as an array, and the names of those outside their limits."""
-        angles, human = as_floats(human_q, "human_q"), self.human
-        if angles.shape != human.lower_limits.shape:
-            raise InvalidInputError(
-                argument="human_q",
-                expected=f"shape {human.lower_limits.shape}",
-                got=f"{angles.shape}",
-            )
-        # `fmax` puts a limit in place of NaN, so NaN counts as outside. Bytes compare in a fifth of
-        # the time of arrays.
-        inside = np.fmin(np.fmax(angles, human.lower_limits), human.upper_limits)
-        if inside.tobytes() == angles.tobytes():
-            return angles, ()
-        excess = np.abs(angles - inside)
-        worst = excess.max()
-        # `not worst <= tolerance` also rejects NaN.
-        if not worst <= self.joint_tolerance:
+    def _pose_of(
+        self, human_q: npt.ArrayLike, wrist_pose: PoseLike
+    ) -> tuple[HumanPose, tuple[str, ...]]:
+        """Compute the human's points (eq. 4); name the joints that are outside their limits."""
+        wrist, human = check_pose(wrist_pose, "wrist_pose", self.quat_order), self.human
+        angles = as_floats(human_q, "human_q", shape=human.lower_limits.shape)
+        excess = np.maximum(human.lower_limits - angles, angles - human.upper_limits)
+        # `<=` is also false for NaN.
+        if not (excess <= self.joint_tolerance).all():
             i = int(np.argmax(excess))
             raise InvalidInputError(
                 argument="human_q",
@@ -629,31 +502,12 @@ class HandMapper:
                 f"[{human.lower_limits[i]:.6g}, {human.upper_limits[i]:.6g}]",
                 value=float(angles[i]),
             )
-        return angles, tuple(
-            name for name, by in zip(human.joint_names, excess, strict=True) if by > 0.0
-        )
-
-    def _check_points(self, points: npt.ArrayLike) -> np.ndarray:
-        count = len(self.human.reference_points)
-        measured = as_floats(points, "points").copy()
-        if measured.shape != (count, 3):
-            raise InvalidInputError(
-                argument="points", expected=f"shape ({count}, 3)", got=f"{measured.shape}"
-            )
-        if not (np.abs(measured) <= FARTHEST).all():
-            raise InvalidInputError(
-                argument="points",
-                expected=f"finite coordinates within {FARTHEST:g} m",
-                value=measured.tolist(),
-            )
-        return measured
+        outside = tuple(human.joint_names[i] for i in np.flatnonzero(excess > 0.0))
+        return HumanPose(human.points(angles, wrist), wrist), outside
 
     def _check_robot(self, robot_q: npt.ArrayLike) -> np.ndarray:
-        robot, angles = self.robot, as_floats(robot_q, "robot_q").copy()
-        if angles.shape != robot.rest.shape:
-            raise InvalidInputError(
-                argument="robot_q", expected=f"shape {robot.rest.shape}", got=f"{angles.shape}"
-            )
+        robot = self.robot
+        angles = as_floats(robot_q, "robot_q", shape=robot.rest.shape).copy()
         outside = ~((angles >= robot.lower_limits) & (angles <= robot.upper_limits))
         if outside.any():
             i = int(np.argmax(outside))
@@ -683,7 +537,6 @@ class _Plan:
     bound: BoundMethod
     ik: PointIk
     tasks: tuple[Task, ...]
-    smoothing: Smoothing | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -695,7 +548,7 @@ class _Start:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Course:
+class _Reference:
     """Both hands at the reference, what the method made of them, and where the robot is put."""
 
     sample: HumanPose
@@ -704,16 +557,24 @@ class _Course:
     begins_at: np.ndarray | None = None
 
 
+def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None:
+    """Count from the same reference by another method; None if it lacks what that needs."""
+    sample, robot, before = reference.sample, bound.robot, reference.posture
+    if (bound.needs_wrist or bound.reference_needs_wrist) and sample.wrist is None:
+        return None
+    wrist = before.wrist if robot.is_floating else None
+    posture = _posture(robot, robot.configuration_vector(before.q, wrist))
+    return _Reference(sample, posture, bound.start(sample, posture))
+
+
 def _method_of(method: Method | str | None, options: dict[str, Any]) -> tuple[Method, IkOptions]:
     """Return the method that the arguments of `HandMapper` ask for, and the QP weights with it."""
     if isinstance(method, str) and not options:
         preset = get_preset(method)
         return preset.method, preset.ik
-    chosen = Homogeneous() if method is None else method
-    if options and isinstance(chosen, MethodOptions):
-        return chosen.replaced(**options), IkOptions()
-    if isinstance(chosen, Method) and not options:
-        return chosen, IkOptions()
+    chosen: Any = Homogeneous() if method is None else method
+    if hasattr(chosen, "replaced" if options else "bind") and not isinstance(chosen, str):
+        return chosen.replaced(**options) if options else chosen, IkOptions()
     raise InvalidOptionsError(
         option="method",
         expected="a method, the name of a preset, or single options of the paper's method",
@@ -733,28 +594,12 @@ def _copied(sample: HumanPose) -> HumanPose:
     return HumanPose(sample.points.copy(), None if sample.wrist is None else sample.wrist.copy())
 
 
-def _check_dt(dt: float) -> float:
+def check_dt(dt: float) -> float:
+    """Reject a time that is not positive and finite.
+
+    Raises:
+        InvalidInputError: With the argument `dt`.
+    """
     if not (isinstance(dt, (int, float)) and 0.0 < dt < np.inf):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
-
-
-def _granted(verdict: Verdict, dt: float | None) -> float:
-    """Return the time that a sample accounts for: that of its time stamps if none is given [s]."""
-    return max(verdict.dt, SHORTEST_DT) if dt is None else dt
-
-
-def _check_rejoin(rejoin: RejoinKind) -> RejoinKind:
-    if rejoin not in get_args(RejoinKind):
-        raise InvalidOptionsError(
-            option="rejoin", expected=f"one of {', '.join(get_args(RejoinKind))}", value=rejoin
-        )
-    return rejoin
-
-
-def _check_tolerance(tolerance: float) -> float:
-    if not (isinstance(tolerance, int | float) and tolerance >= 0.0):
-        raise InvalidInputError(
-            argument="joint_tolerance", expected="an angle >= 0 rad", value=tolerance
-        )
-    return tolerance

@@ -14,7 +14,7 @@ its entry points of the group `handmap_qp.presets` name (`handmap_qp.mapping.pre
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -27,6 +27,7 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Task
 from handmap_qp.options import Options
+from handmap_qp.se3 import transform_points
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):
@@ -39,6 +40,18 @@ class HumanPose(msgspec.Struct, frozen=True, eq=False):
 
     points: np.ndarray
     wrist: np.ndarray | None
+
+    @property
+    def in_wrist(self) -> np.ndarray:
+        """Points in wrist axes, or in the world without a wrist [m], shape (n_h, 3)."""
+        if self.wrist is None:
+            return self.points.copy()
+        return (self.points - self.wrist[:3, 3]) @ self.wrist[:3, :3]
+
+    @classmethod
+    def placed(cls, points: np.ndarray, wrist: np.ndarray | None) -> HumanPose:
+        """Make a hand of its points in wrist axes (`in_wrist`) and the pose of its wrist."""
+        return cls(points if wrist is None else transform_points(wrist, points), wrist)
 
 
 class RobotPosture(NamedTuple):
@@ -110,7 +123,12 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
 
 
 class TargetMap(Protocol):
-    """Turns samples into targets, counted from one reference of both hands."""
+    """Turns samples into targets, counted from one reference of both hands.
+
+    It may have a method `targets_of(samples: HumanPose) -> Sequence[Targets]` too, which computes
+    the targets of many samples along a leading axis at once. Recordings are then mapped in less
+    time.
+    """
 
     @property
     def rest(self) -> np.ndarray:
@@ -119,20 +137,6 @@ class TargetMap(Protocol):
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
-        ...
-
-
-@runtime_checkable
-class ForesightMap(TargetMap, Protocol):
-    """A map that computes the targets of a whole recording at once, by column."""
-
-    def targets_of(self, points: np.ndarray, wrists: np.ndarray) -> Sequence[Targets]:
-        """Return the targets of many samples, as `targets` of each up to rounding.
-
-        Args:
-            points: Human reference points of every sample [m], shape (T, n_h, 3).
-            wrists: Wrist poses, shape (T, 4, 4).
-        """
         ...
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.se3 import affine, affines, frozen, inverse_pose
+from handmap_qp.se3 import affine, frozen, inverse_pose
 
 _ORIGIN = frozen(np.zeros(3))
 
@@ -50,35 +50,29 @@ class PalmFollower:
         self._offset = transform_point(self._start, robot_anchor) - self._human_start
         self._human_anchor, self._further = human_anchor, scale - 1.0
 
-    def palms(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray]:
-        """Return the human's palm and the target of the robot's palm, shape (4, 4) each."""
-        wrist = sample.wrist
+    def palms(self, wrist: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the human's palm and the target of the robot's palm, shape (..., 4, 4) each.
+
+        Args:
+            wrist: Pose of the human's wrist, shape (..., 4, 4).
+
+        Raises:
+            InvalidInputError: If it was not measured.
+        """
         if wrist is None:
             raise _missing_wrist()
-        human_palm = wrist.dot(self._human_wrist_to_palm)
-        if self._is_still:
-            return human_palm, self._start
-        origin = transform_point(human_palm, self._origin) + self._offset
-        if self._further:
-            moved = transform_point(human_palm, self._human_anchor) - self._human_start
-            origin = origin + self._further * moved
-        return human_palm, affine(human_palm[:3, :3].dot(self._rotation), origin)
-
-    def all_palms(self, wrists: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return both palms as `palms`, for many wrist poses (T, 4, 4): shape (T, 4, 4) each."""
-        human = wrists @ self._human_wrist_to_palm
+        human = wrist @ self._human_wrist_to_palm
         if self._is_still:
             return human, np.broadcast_to(self._start, human.shape)
-        rotations, places = human[:, :3, :3], human[:, :3, 3]
-        origins = rotations @ self._origin + places + self._offset
+        origin = transform_point(human, self._origin) + self._offset
         if self._further:
-            moved = rotations @ self._human_anchor + places - self._human_start
-            origins += self._further * moved
-        return human, affines(rotations @ self._rotation, origins)
+            moved = transform_point(human, self._human_anchor) - self._human_start
+            origin += self._further * moved
+        return human, affine(human[..., :3, :3] @ self._rotation, origin)
 
     def wrist(self, palm: np.ndarray) -> np.ndarray:
-        """Return the robot's wrist pose for a pose of its palm, or many, shape (..., 4, 4)."""
-        return palm.dot(self._robot_palm_to_wrist)
+        """Return the robot's wrist pose for a pose of its palm, shape (..., 4, 4)."""
+        return palm @ self._robot_palm_to_wrist
 
 
 def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
@@ -93,8 +87,8 @@ def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
 
 
 def transform_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Apply a pose (4, 4) to one point (3,)."""
-    return pose[:3, :3].dot(point) + pose[:3, 3]
+    """Apply poses (..., 4, 4) to one point (3,)."""
+    return pose[..., :3, :3] @ point + pose[..., :3, 3]
 
 
 def _missing_wrist() -> InvalidInputError:

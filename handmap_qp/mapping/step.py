@@ -10,10 +10,9 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.human.verdict import Finding, Rule, Verdict
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.mapping.method import Targets
-from handmap_qp.stream.guard import Rule, Verdict
-from handmap_qp.trackers.plausibility import Finding
 
 StepStatus = Status | Literal["held", "gliding"]
 """Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""
@@ -73,7 +72,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def rule(self) -> Rule:
-        """Name of what is wrong with the sample (`stream.guard.RULES`); empty if nothing."""
+        """Name of what is wrong with the sample (`human.verdict.RULES`); empty if nothing."""
         return "" if self.verdict is None else self.verdict.rule
 
     @property

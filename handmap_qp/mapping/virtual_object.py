@@ -142,7 +142,7 @@ class VirtualObjectMap:
         The diagnostics are in palm axes: the centres of both objects at the reference, `size_ratio`
         (k), and how the human's object moved since then (`ObjectMotion`).
         """
-        human_palm, palm = self._follower.palms(sample)
+        human_palm, palm = self._follower.palms(sample.wrist)
         now = (sample.points[self._points] - human_palm[:3, 3]).dot(human_palm[:3, :3])
         motion = self._object.motion_to(now)
         moved = self._offsets.dot(motion.linear.T) + (self._centre + self._ratio * motion.shift)

@@ -14,15 +14,14 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.offline.trajectory import Trajectory, map_recording
-from handmap_qp.stream.recorded_motion import RecordedSamples
+from handmap_qp.offline.trajectory import Trajectory, map_recording, trajectory_of
+from handmap_qp.stream.follower import Follower
 
 # The last pass follows joint angles, which are inside the limits already.
 _FOLLOW = {"rest_weight": 3.0, "max_iterations": 3, "step_tolerance": 0.02, "error_damping": 0.0}
@@ -57,8 +56,9 @@ def map_both_ways(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    first = _MarginMapper(human, robot, method, ik=ik)
-    forward = map_recording(first, recording, progress, wrist_poses=wrist_poses)
+    first, margins = HandMapper(human, robot, method, ik=ik), []
+    steps = Follower(first).map_samples(recording_samples(recording, wrist_poses))
+    forward = trajectory_of(first.robot, recording.time, _note_margins(steps, margins), progress)
     turned = replace(
         recording,
         time=-recording.time[::-1],
@@ -72,33 +72,15 @@ def map_both_ways(
     mean = 0.5 * (forward.q + backward.q[::-1])
     bound = method.bind(human, robot)
     solver = PointIk(bound.robot, ik.replaced(**_FOLLOW), contacts=bound.contacts)
-    return _followed(solver, forward, mean, recording.steps, first.margins)
+    return _followed(solver, forward, mean, recording.steps, margins)
 
 
-class _MarginMapper(HandMapper):
-    """A mapper that keeps the margins of its contact rows.
-
-    Attributes:
-        margins: Distance that each pair of links keeps [m], shape (k,), for every sample; those of
-            the sample before where the robot was held, None where the method gives none.
-    """
-
-    def __init__(self, human: Hand, robot: Hand, method: Method, *, ik: IkOptions) -> None:
-        super().__init__(human, robot, method, ik=ik)
-        self.margins: list[np.ndarray | None] = []
-
-    def map_sample(self, sample: HumanSample, **times: float | None) -> MapStep:
-        """Map one sample; see `HandMapper.map_sample`."""
-        return self._noted(super().map_sample(sample, **times))
-
-    def map_recorded(self, recorded: RecordedSamples) -> Iterator[MapStep]:
-        """Map a recording; see `HandMapper.map_recorded`."""
-        return map(self._noted, super().map_recorded(recorded))
-
-    def _noted(self, step: MapStep) -> MapStep:
-        before = self.margins[-1] if self.margins else None
-        self.margins.append(before if step.is_held else step.asked.margins)
-        return step
+def _note_margins(steps: Iterator[MapStep], margins: list[np.ndarray | None]) -> Iterator[MapStep]:
+    """Note the margins of the contact rows [m], shape (k,): those before where the robot holds."""
+    for step in steps:
+        before = margins[-1] if margins else None
+        margins.append(before if step.is_held else step.asked.margins)
+        yield step
 
 
 def _followed(

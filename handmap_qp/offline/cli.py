@@ -150,11 +150,11 @@ class Map:
         person = measure_person(recording) if self.person is None else read_person(self.person)
         human = scaled_human(recording, points=self.arguments.human_points, lengths=person.lengths)
         preset = self.arguments.preset_for(human, robot, person.contact_gap)
-        mapper = HandMapper(
-            human, robot, preset.method, ik=preset.ik, smoothing=self.arguments.smoothing
-        )
+        mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
-            trajectory = map_recording(mapper, recording, advance)
+            trajectory = map_recording(
+                mapper, recording, advance, smoothing=self.arguments.smoothing
+            )
         save_npz(out, trajectory.columns)
         return {"recording": recording.name, **summarise(trajectory), "out": str(out)}
 

@@ -28,13 +28,13 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
 from handmap_qp.mapping.presets import PRESETS, preset_choice
-from handmap_qp.mapping.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.comparison import RobotMotion
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead, smooth_poses
 from handmap_qp.offline.takes import Take
 from handmap_qp.offline.trajectory import Trajectory, follow_recording
 from handmap_qp.se3 import as_floats
+from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats.archive import read_archive
 
 PROGRAM = "compare.py"
@@ -71,9 +71,11 @@ class OwnMethod:
         if self.name.endswith(LOOK_AHEAD):
             trajectory = _map_ahead(take, robot, method, ik)
         else:
-            mapper = HandMapper(take.human, robot, method, ik=ik, smoothing=smoothing)
+            mapper = HandMapper(take.human, robot, method, ik=ik)
             # Mappings are compared, not how faults of the tracker are met: peers meet none.
-            trajectory = follow_recording(mapper, take.recording, wrist_poses=take.wrist)
+            trajectory = follow_recording(
+                mapper, take.recording, wrist_poses=take.wrist, smoothing=smoothing
+            )
         return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.recording import Recording
-from handmap_qp.se3 import poses_from_quats, rigid_fits
+from handmap_qp.se3 import poses_from_quats, rigid_fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ def _smoothed(
 def _palms(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation (T, 3, 3) and centre (T, 3) of the palm from that of the first sample."""
     points = landmarks[:, PALM]
-    rotations, _ = rigid_fits(points, points[0])
+    rotations = rigid_fit(points, points[0])[:, :3, :3]
     return rotations.transpose(0, 2, 1), points.mean(axis=1)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -17,12 +17,13 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.verdict import RULES, Verdict
 from handmap_qp.ik.qp import IkColumns
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
-from handmap_qp.stream.guard import RULES, Verdict
-from handmap_qp.stream.recorded_motion import recorded_samples
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.smoothing import Smoothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +46,7 @@ class Trajectory:
             joint from moving farther, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
         step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
-        rule: What is wrong with each sample (`stream.guard.RULES`), shape (T,); empty where
+        rule: What is wrong with each sample (`human.verdict.RULES`), shape (T,); empty where
             nothing is.
         consistency: RMS difference of bones and palm from the person's [m], shape (T,); NaN where
             it was not measured.
@@ -128,13 +129,12 @@ def map_motion(
     Raises:
         InvalidInputError: If no sample of `motion` is valid, or a sample cannot be mapped.
     """
-
-    def map_sample(i: int) -> MapStep | Verdict:
-        return mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
-
-    return _map_samples(
-        mapper, motion.time, lambda i: map_sample(i) if motion.valid[i] else _UNSEEN, progress
+    columns = zip(motion.q, motion.wrist, motion.dt, motion.valid, strict=True)
+    steps = (
+        mapper.map_step(q, wrist, dt=dt) if is_valid else _UNSEEN
+        for q, wrist, dt, is_valid in columns
     )
+    return trajectory_of(mapper.robot, motion.time, steps, progress)
 
 
 def map_recording(
@@ -143,8 +143,9 @@ def map_recording(
     progress: Callable[[int], None] | None = None,
     *,
     wrist_poses: np.ndarray | None = None,
+    smoothing: Smoothing | None = None,
 ) -> Trajectory:
-    """Map the landmarks of a recording as a live stream: by `HandMapper.map_sample`.
+    """Map the landmarks of a recording as a live stream: by a `Follower`.
 
     The robot holds its last posture in samples that are not valid or make no sense.
 
@@ -154,6 +155,7 @@ def map_recording(
         progress: Called after each sample with the number of samples done.
         wrist_poses: Poses of the human model's wrist frame, shape (T, 4, 4); fitted to the palm's
             landmarks if omitted.
+        smoothing: How samples are smoothed before they are mapped; not at all if omitted.
 
     Returns:
         The robot's trajectory, with one entry per sample of `recording`.
@@ -161,15 +163,18 @@ def map_recording(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    if wrist_poses is not None:
-        # The guard examines them too.
-        return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
-    steps = mapper.map_recorded(recorded_samples(recording))
-    return _map_samples(mapper, recording.time, lambda i: next(steps), progress)
+    steps = Follower(mapper, smoothing=smoothing).map_samples(
+        recording_samples(recording, wrist_poses)
+    )
+    return trajectory_of(mapper.robot, recording.time, steps, progress)
 
 
 def follow_recording(
-    mapper: HandMapper, recording: Recording, *, wrist_poses: np.ndarray | None = None
+    mapper: HandMapper,
+    recording: Recording,
+    *,
+    wrist_poses: np.ndarray | None = None,
+    smoothing: Smoothing | None = None,
 ) -> Trajectory:
     """Map every valid sample of a recording, whatever it shows: to compare mappings.
 
@@ -177,6 +182,7 @@ def follow_recording(
         mapper: The mapper; its human hand must be scaled to the person.
         recording: The recording.
         wrist_poses: As of `map_recording`.
+        smoothing: As of `map_recording`.
 
     Returns:
         The robot's trajectory, which holds in samples that are not valid.
@@ -184,15 +190,15 @@ def follow_recording(
     Raises:
         InvalidInputError: If a sample cannot be mapped.
     """
-    steps, landmarks = recording.steps, recording.landmarks
-
-    def map_sample(i: int) -> MapStep | Verdict:
-        if not recording.valid[i]:
-            return _UNSEEN
-        wrist = None if wrist_poses is None else wrist_poses[i]
-        return mapper.map_landmarks(landmarks[i], wrist, dt=steps[i])
-
-    return _map_samples(mapper, recording.time, map_sample, None)
+    follower, landmarks = Follower(mapper, smoothing=smoothing), recording.landmarks
+    wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
+    steps = (
+        follower.map(mapper.landmarks.read(landmarks[i], wrists[i]), dt)
+        if recording.valid[i]
+        else _UNSEEN
+        for i, dt in enumerate(recording.steps.tolist())
+    )
+    return trajectory_of(mapper.robot, recording.time, steps)
 
 
 def map_samples(
@@ -214,16 +220,16 @@ def map_samples(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     time = np.array([sample.time for sample in samples])
-    return _map_samples(mapper, time, lambda i: mapper.map_sample(samples[i]), progress)
+    return trajectory_of(mapper.robot, time, Follower(mapper).map_samples(samples), progress)
 
 
-def _map_samples(
-    mapper: HandMapper,
+def trajectory_of(
+    robot: Hand,
     time: np.ndarray,
-    map_sample: Callable[[int], MapStep | Verdict],
-    progress: Callable[[int], None] | None,
+    mapped: Iterator[MapStep | Verdict],
+    progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
-    """Map every sample, by index; those that give a verdict alone hold the posture before them."""
+    """Collect steps; where there is a verdict alone, the robot holds the posture before it."""
     count = len(time)
     steps: list[MapStep] = []
     verdicts: list[Verdict] = []
@@ -231,7 +237,7 @@ def _map_samples(
     last: MapStep | None = None
     for i in range(count):
         started = thread_time_ns()
-        result = map_sample(i)
+        result = next(mapped)
         verdict = _FOLLOWED if isinstance(result, MapStep) else result
         if isinstance(result, MapStep):
             confidence[i], verdict = result.confidence, result.verdict or _FOLLOWED
@@ -257,7 +263,7 @@ def _map_samples(
     wrist = np.array([step.command.wrist for step in steps])
     wrist_targets = np.array([step.wrist_target for step in steps])
     is_held = np.array([verdict.is_held for verdict in verdicts])
-    at_limit = mapper.robot.at_position_limit(q)
+    at_limit = robot.at_position_limit(q)
     targets = np.array([step.targets for step in steps])
     points = np.array([step.points for step in steps])
     results = [step.ik for step in steps]
@@ -268,7 +274,7 @@ def _map_samples(
         for step, verdict, status in zip(steps, verdicts, outcome.status, strict=True)
     ]
     return Trajectory(
-        robot=mapper.robot,
+        robot=robot,
         time=time,
         q=q,
         wrist=wrist,

@@ -33,14 +33,16 @@ from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
 from handmap_qp.human.landmarks import PalmShape, check_length, human_name, measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.verdict import Rule
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, default_preset, preset_choice, preset_with
-from handmap_qp.mapping.rejoin import RejoinKind
 from handmap_qp.options import Options
 from handmap_qp.service.refusals import field_of_option, with_field_errors, with_option_errors
-from handmap_qp.stream.guard import Rule, StreamGuard
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.guard import StreamGuard
+from handmap_qp.stream.rejoin import RejoinKind
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""
@@ -121,6 +123,7 @@ class Hands:
 
     Attributes:
         mapper: Maps the human hand to the robot hand.
+        follower: Lets the mapper follow samples of landmarks.
         robot: The robot hand with the reference points of the request.
         choice: Preset and options of the mapper.
         palm: Recognises landmarks of another size; None if samples are joint angles or points.
@@ -131,6 +134,7 @@ class Hands:
     """
 
     mapper: HandMapper
+    follower: Follower
     robot: Hand
     choice: Choice
     palm: PalmShape | None
@@ -182,14 +186,15 @@ def prepare_hands(
         request,
         robot,
         choice,
-        lambda: HandMapper(human, robot, choice.method, ik=choice.ik, rejoin=rejoin),
+        lambda: HandMapper(human, robot, choice.method, ik=choice.ik),
     )
     pair = None
     if default_preset(human, robot) == "teleoperation":
         # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
         with suppress(HandmapError):
             pair = hand_pair(human, robot)
-    return Hands(mapper, robot, choice, palm, lengths, contact_gap, pair)
+    follower = Follower(mapper, rejoin=rejoin)
+    return Hands(mapper, follower, robot, choice, palm, lengths, contact_gap, pair)
 
 
 def _human(request: Open, cache: HandCache, lengths: HumanLengths | None) -> Hand:

@@ -107,7 +107,7 @@ class SampleForm:
         """
         if hands.palm is not None:
             human = self.human_sample(sample)
-            step = hands.mapper.map_sample(human, dt=dt, arrival=arrival)
+            step = hands.follower.map_sample(human, dt=dt, arrival=arrival)
             if step.rule == "size":
                 # Other units than metres are a mistake of the client, which must know.
                 hands.palm.check(human.landmarks)

@@ -9,15 +9,17 @@ the robot; `mapping.rejoin` leads back to the hand afterwards.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.landmarks import PalmShape, landmarks_at_rest
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.human.verdict import Finding, Rule, Verdict
 from handmap_qp.stream.clock import RateCheck, SampleClock, Tick
 from handmap_qp.stream.motion import (
     FINGER_LIMITS,
@@ -27,64 +29,11 @@ from handmap_qp.stream.motion import (
     Sight,
     Track,
     change_between,
-    first_track,
     fixed_lengths,
-    is_same_hand,
-    is_zero,
+    measure,
 )
-from handmap_qp.trackers.plausibility import Finding, InputCheck
+from handmap_qp.trackers.plausibility import InputCheck
 
-Rule = Literal[
-    "",
-    "missing",
-    "zero",
-    "size",
-    "outlier",
-    "jump",
-    "flip",
-    "frozen",
-    "gap",
-    "settling",
-    "duplicate",
-    "disorder",
-    "clock_jump",
-    "time",
-    "unit",
-    "order",
-    "side",
-    "flexion",
-    "wrist",
-    "unproven",
-]
-"""Name of what is wrong with a sample; empty if nothing is."""
-
-RULES: dict[Rule, str] = {
-    "missing": "the tracker did not see the hand, or its confidence is 0",
-    "zero": "landmarks lie in one place or at the origin, as trackers send when they see no hand",
-    "size": "the palm is less than half or more than twice as large as the person's, or the hand's "
-    "size changed for a while",
-    "outlier": "one landmark left its place on the hand: lengths of bones changed at once",
-    "jump": "the hand moved faster, or from one speed to another, than hands do",
-    "flip": "the hand turned over or became its mirror image from one sample to the next",
-    "frozen": "the landmarks have repeated exactly for 0.25 s, or one finger for a while",
-    "gap": "no sample came for more than 0.25 s; it is followed where the hand has not moved",
-    "settling": "the samples make sense again, but not yet for long enough",
-    "duplicate": "the time stamp is the same as that of the sample before",
-    "disorder": "the time stamp is earlier than that of the sample before",
-    "clock_jump": "the tracker's clock was set; the hand is where it was and is followed",
-    "time": "for a while: time stamps are not in seconds, or do not run as samples arrive",
-    "unit": "for a while: landmarks are not in metres",
-    "order": "for a while: landmarks are in another order",
-    "side": "for a while: landmarks are those of the other hand, or of a mirrored world",
-    "flexion": "for a while: fingers bend backwards",
-    "wrist": "for a while: the wrist's orientation does not follow the palm of the landmarks",
-    "unproven": "the wrist has not followed a palm that turned yet; it is followed at a quarter of "
-    "the speed limits",
-}
-"""The rules, in words."""
-
-UNPROVEN_SPEED = 0.25
-"""Share of the speed limits at which the robot follows a wrist that is not proven yet."""
 FROZEN_AFTER = 0.25
 """Landmarks that repeat exactly for longer are frozen [s]."""
 SETTLING = 0.1
@@ -106,33 +55,6 @@ begins.
 """
 
 
-class Verdict(NamedTuple):
-    """What the guard says about one sample.
-
-    Attributes:
-        rule: What is wrong with it; empty if nothing is.
-        is_held: The robot must hold: the sample is not to be followed.
-        is_return: The first sample to follow after a hold, a gap, or samples that came too late.
-        dt: Time that the sample accounts for [s].
-        consistency: RMS difference of the distances that cannot change (bones, and neighbours in
-            the palm) from the person's [m]; NaN if there are no landmarks.
-        finding: What the input is instead of what it says, in words, where the last samples agree
-            that it is something else (`trackers.plausibility`).
-    """
-
-    rule: Rule
-    is_held: bool
-    is_return: bool
-    dt: float
-    consistency: float
-    finding: Finding | None = None
-
-    @property
-    def speed(self) -> float:
-        """Share of the robot's speed limits at which the sample may be followed."""
-        return UNPROVEN_SPEED if self.rule == "unproven" else 1.0
-
-
 class _Usual(NamedTuple):
     """Running medians of the changes between samples: of palm, turn, fingers and lengths."""
 
@@ -140,10 +62,6 @@ class _Usual(NamedTuple):
     turn: float = TURN_LIMITS.usual
     fingers: float = FINGER_LIMITS.usual
     lengths: float = _BONE_USUAL
-
-
-STRICT = _Usual(0.0, 0.0, 0.0, 0.0)
-"""Of a tracker that does not tremble: what is not odd then never is."""
 
 
 class GuardState(NamedTuple):
@@ -180,7 +98,6 @@ class StreamGuard:
 
     Attributes:
         state: What it remembers. Put a former one back to forget the samples since then.
-        lengths: The person's distances that cannot change [m], shape (23,).
 
     Raises:
         HandError: If the hand has no landmarks.
@@ -192,17 +109,13 @@ class StreamGuard:
         self._input = InputCheck(self._side)
         self._rate = RateCheck()
         self._palm = PalmShape(human)
-        self.lengths = fixed_lengths(landmarks_at_rest(human))
+        self._lengths = fixed_lengths(landmarks_at_rest(human))
 
-    def check(
-        self, sample: HumanSample, sight: Sight | None = None, *, arrival: float | None = None
-    ) -> Verdict:
+    def check(self, sample: HumanSample, *, arrival: float | None = None) -> Verdict:
         """Judge the next sample of the stream.
 
         Args:
             sample: The sample.
-            sight: What it shows, where that has been measured for a whole recording
-                (`stream.recorded_motion`).
             arrival: When it arrived, on a monotonic clock [s]; None for a recording.
 
         Returns:
@@ -211,32 +124,47 @@ class StreamGuard:
         Raises:
             InvalidInputError: If it is of the other hand.
         """
+        return self._check(sample, arrival)
+
+    def judge(self, samples: Sequence[HumanSample]) -> list[Verdict]:
+        """Judge the next samples, as `check` does; their motion is measured all at once.
+
+        Args:
+            samples: The samples.
+
+        Raises:
+            InvalidInputError: If one is of the other hand.
+        """
+        clock, now, clocks = self.state.clock, self.state.now, []
+        for sample in samples:
+            tick, clock = clock.advance(sample.time)
+            now += tick.elapsed
+            clocks.append((now, clock.shortest))
+        seen = [i for i, sample in enumerate(samples) if _is_seen(sample)]
+        times, shortest = np.array([clocks[i] for i in seen]).reshape(-1, 2).T
+        landmarks = np.array([samples[i].landmarks for i in seen]).reshape(-1, LANDMARK_COUNT, 3)
+        sights = measure(self.state.last, times, landmarks, shortest) if seen else []
+        known = dict(zip(seen, sights, strict=True))
+        return [self._check(sample, None, known.get(i)) for i, sample in enumerate(samples)]
+
+    def _check(
+        self, sample: HumanSample, arrival: float | None, sight: Sight | None = None
+    ) -> Verdict:
         self.check_side(sample.side)
-        state = self.state
-        tick, clock = state.clock.advance(sample.time)
-        now = state.now + tick.elapsed
-        state = state._replace(clock=clock, now=now)
+        before = self.state
+        tick, clock = before.clock.advance(sample.time)
+        state = before._replace(clock=clock, now=before.now + tick.elapsed)
         if tick.rule in ("duplicate", "disorder"):
             self.state = state
             return Verdict(tick.rule, True, False, tick.dt, math.nan)
-        rate = None if arrival is None else self._rate.update(sample.time, arrival)
-        if rate is not None:
-            self.state = _holding(state, "time")
-            problem = f"time stamps run at {rate:.3g} times the speed at which samples arrive"
-            finding = Finding("time", problem, "give the time of the tracker's clock in seconds")
-            return Verdict("time", True, False, tick.dt, math.nan, finding)
-        sight, unusable = self._seen(sample, sight, now)
-        if unusable in ("", "size"):
-            measures = None if sight is None else sight.measures
-            finding = self._input.update(sample.time, sample.landmarks, sample.wrist, measures)
-            if finding is not None:
-                self.state = _holding(state, finding.kind)
-                return Verdict(finding.kind, True, False, tick.dt, math.nan, finding)
-        if sight is None or unusable:
-            self.state = _holding(state, unusable)
-            return Verdict(unusable, True, False, tick.dt, math.nan)
-        was_late = self.state.clock.late_count > 0
-        verdict, self.state = self._follow(sight, state, tick, was_late)
+        if _is_seen(sample) and (sight is None or not sight.is_after(state.last)):
+            times, shortest = np.array([[state.now], [clock.shortest]])
+            (sight,) = measure(state.last, times, sample.landmarks[None], shortest)
+        rule, finding = self._input_fault(sample, sight, arrival)
+        if rule or sight is None:
+            self.state = _holding(state, rule)
+            return Verdict(rule, True, False, tick.dt, math.nan, finding)
+        verdict, self.state = self._follow(sight, state, tick, before.clock.late_count > 0)
         if self.state.cause and not state.cause:
             self._input.alert()
         is_unproven = sample.wrist is not None and not self._input.is_wrist_proven
@@ -256,47 +184,38 @@ class StreamGuard:
                 got=f"one of a {side} hand",
             )
 
-    def _seen(
-        self, sample: HumanSample, sight: Sight | None, now: float
-    ) -> tuple[Sight | None, Rule]:
-        """Return what a sample shows, and what makes it unusable by itself."""
-        if not sample.valid or sample.confidence == 0.0:
-            return None, "missing"
+    def _input_fault(
+        self, sample: HumanSample, sight: Sight | None, arrival: float | None
+    ) -> tuple[Rule, Finding | None]:
+        """Return what makes a sample unusable by itself; empty if nothing does."""
+        rate = None if arrival is None else self._rate.update(sample.time, arrival)
+        if rate is not None:
+            problem = f"time stamps run at {rate:.3g} times the speed at which samples arrive"
+            advice = "give the time of the tracker's clock in seconds"
+            return "time", Finding("time", problem, advice)
         if sight is None:
-            landmarks, size = sample.landmarks, float(palm_sizes(sample.landmarks[PALM]))
-            sight = Sight(size, bool(is_zero(size, landmarks)), first_track(now, landmarks))
+            return "missing", None
         if sight.is_zero:
-            return sight, "zero"
-        return sight, "" if self.fits_size(sight.size) else "size"
-
-    def fits_size(self, size: float | np.ndarray) -> bool | np.ndarray:
-        """Tell whether a palm of an RMS radius [m] is about as large as the person's."""
-        return self._palm.fits_size(size)
-
-    def consistency(self, sight: Sight) -> float:
-        """Return the RMS difference of lengths that cannot change from the person's [m]."""
-        off = sight.fresh.lengths - self.lengths
-        return math.sqrt(off.dot(off) / len(off))
+            return "zero", None
+        finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
+        if finding is not None:
+            return finding.kind, finding
+        return ("" if self._palm.fits_size(sight.size) else "size"), None
 
     def _follow(
         self, sight: Sight, state: GuardState, tick: Tick, was_late: bool
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
-        fresh = sight.fresh
-        consistency = self.consistency(sight)
-        last = state.last
-        if last is None:
+        fresh, last, change = sight.fresh, state.last, sight.change
+        consistency = math.sqrt(np.square(fresh.lengths - self._lengths).mean())
+        verdict = Verdict("", False, False, tick.dt, consistency)
+        if last is None or change is None:
             is_return = state.cause != ""
             state = state._replace(good=fresh, last=fresh, cause="", same_since=state.now)
-            return Verdict("", False, is_return, tick.dt, consistency), state
-        is_known = last is sight.before and sight.change is not None
-        is_same = sight.is_same if is_known else is_same_hand(last, fresh)
-        state = state if is_same else state._replace(same_since=state.now)
-        if is_same and state.now - state.same_since >= FROZEN_AFTER:
-            return Verdict("frozen", True, False, tick.dt, consistency), _holding(state, "frozen")
-        change = sight.change if is_known else None
-        if change is None:
-            change = change_between(last, fresh, max(state.now - last.time, state.clock.shortest))
+            return verdict._replace(is_return=is_return), state
+        state = state if sight.is_same else state._replace(same_since=state.now)
+        if sight.is_same and state.now - state.same_since >= FROZEN_AFTER:
+            return verdict._replace(rule="frozen", is_held=True), _holding(state, "frozen")
         rule = _named(change, state.usual)
         if tick.rule == "gap":
             jump = change_between(last, fresh, state.clock.period)
@@ -304,14 +223,13 @@ class StreamGuard:
         state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
         if rule:
             state = _holding(state._replace(last=fresh), rule)
-        if not state.cause:
-            state = state._replace(good=change.track)
-            is_return = tick.rule == "gap" or was_late
-            return Verdict(_info(tick), False, is_return, tick.dt, consistency), state
-        if self._has_returned(fresh, rule, state):
-            state = state._replace(good=state.last, cause="")
-            return Verdict(_info(tick), False, True, tick.dt, consistency), state
-        return Verdict(rule or "settling", True, False, tick.dt, consistency), state
+        was_held = state.cause != ""
+        if was_held and not self._has_returned(fresh, rule, state):
+            return verdict._replace(rule=rule or "settling", is_held=True), state
+        info: Rule = tick.rule if tick.rule in ("clock_jump", "gap") else ""
+        is_return = was_held or tick.rule == "gap" or was_late
+        state = state._replace(good=state.last, cause="")
+        return verdict._replace(rule=info, is_return=is_return), state
 
     def _has_returned(self, fresh: Track, rule: Rule, state: GuardState) -> bool:
         """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
@@ -328,16 +246,15 @@ class StreamGuard:
         return now - state.steady_since >= (_LONG_SETTLING if is_doubtful else SETTLING)
 
 
+def _is_seen(sample: HumanSample) -> bool:
+    return sample.valid and sample.confidence != 0.0
+
+
 def _holding(state: GuardState, rule: Rule) -> GuardState:
     """Begin a hold, or go on with it; samples must make sense again from now on."""
     if state.cause:
         return state._replace(steady_since=state.now)
     return state._replace(cause=rule, held_since=state.now, steady_since=state.now)
-
-
-def _info(tick: Tick) -> Rule:
-    """Return what is to be said of a sample that is followed all the same."""
-    return tick.rule if tick.rule in ("clock_jump", "gap") else ""
 
 
 def _is_other(before: Track, sample: Track, usual: _Usual) -> bool:
@@ -350,7 +267,7 @@ def _is_stretched(change: Change, usual: _Usual) -> np.ndarray:
     return change.lengths > max(BONE_STEP, _BONE_EXCESS * usual.lengths)
 
 
-def is_odd(change: Change, usual: _Usual) -> np.ndarray:
+def _is_odd(change: Change, usual: _Usual) -> np.ndarray:
     """Tell which changes no hand makes, shape (...), given the tracker's usual ones."""
     return (
         change.is_turned
@@ -364,7 +281,7 @@ def is_odd(change: Change, usual: _Usual) -> np.ndarray:
 
 def _named(change: Change, usual: _Usual) -> Rule:
     """Name a change that no hand makes; empty if hands do."""
-    if not is_odd(change, usual):
+    if not _is_odd(change, usual):
         return ""
     if change.is_turned:
         return "flip"

@@ -12,8 +12,8 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.human.contact_gap import measure_contact_gap
 from handmap_qp.human.landmarks import human_name, measure_hand
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.stream.recorded_motion import recorded_samples
+from handmap_qp.human.recording import Recording, mirrored, recording_samples
+from handmap_qp.stream.guard import StreamGuard
 
 
 def measure_person(*recordings: Recording) -> Person:
@@ -47,7 +47,8 @@ def without_faults(recording: Recording) -> Recording:
     """
     lengths = measure_hand(recording)
     human = load_hand(human_name(recording.side), points="landmarks", lengths=lengths)
-    follows = [not verdict.is_held for verdict in recorded_samples(recording).judged(human)]
+    verdicts = StreamGuard(human).judge(recording_samples(recording))
+    follows = [not verdict.is_held for verdict in verdicts]
     valid = recording.valid & np.array(follows)
     if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
         return recording

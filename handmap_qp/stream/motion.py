@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.human.landmarks import PALM
-from handmap_qp.se3 import lengths, nearest_rotations
+from handmap_qp.human.landmarks import PALM, palm_sizes
+from handmap_qp.se3 import lengths, nearest_rotation
 
 FLIP = math.radians(60.0)
 """A turn by more than this between two samples is a flip."""
@@ -101,16 +101,15 @@ class Change(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """What a sample shows by itself, and against the sample before it where that is known.
+    """What a sample shows by itself, and against the sample before it.
 
     Attributes:
         size: RMS radius of the palm [m].
         is_zero: Landmarks lie in one place or at the origin.
         fresh: The sample without motion.
-        before: The sample before with the motion that led to it; None if it is not known.
+        before: The sample before with the motion that led to it; None for the first.
         change: Motion from `before` to this sample.
         is_same: Both have exactly the same landmarks.
-        measures: Its row of `plausibility.recorded_measures`; None if it is not known.
     """
 
     size: float
@@ -119,7 +118,55 @@ class Sight(NamedTuple):
     before: Track | None = None
     change: Change | None = None
     is_same: bool = False
-    measures: np.ndarray | None = None
+
+    def is_after(self, last: Track | None) -> bool:
+        """Tell whether `before` is a track, by their times."""
+        if self.before is None or last is None:
+            return self.before is last
+        return bool(self.before.time == last.time and self.before.dt == last.dt)
+
+
+def measure(
+    last: Track | None, times: np.ndarray, landmarks: np.ndarray, shortest: np.ndarray
+) -> list[Sight]:
+    """Measure samples, each against the one before it.
+
+    Args:
+        last: The sample before the first; None if there is none.
+        times: Instants, in the time of the clock [s], shape (T,).
+        landmarks: Landmarks [m], shape (T, 21, 3).
+        shortest: Least time that speeds are computed over [s], shape (T,).
+    """
+    sizes, columns = palm_sizes(landmarks[:, PALM]), first_track(times, landmarks)
+    zeros, fresh = is_zero(sizes, landmarks), _rows(columns)
+    found = [Sight(*own) for own in zip(sizes.tolist(), zeros.tolist(), fresh, strict=True)]
+    first = 0 if last is not None else 1
+    if len(found) == first:
+        return found
+    start = last or fresh[0]
+    now = Track(*(column[first:] for column in columns))
+    before = _shifted(start, now)
+    moved, *turns = motion_between(
+        before, now, np.maximum(now.time - before.time, shortest[first:])
+    )
+    changes = change_of(_shifted(start, moved), moved, *turns)
+    numbers = zip(*(column.tolist() for column in changes[1:]), strict=True)
+    rows = zip(_rows(moved), numbers, is_same_hand(before, now).tolist(), strict=True)
+    for i, (track, values, is_same) in enumerate(rows, start=first):
+        change = Change(track, *values)
+        found[i] = found[i]._replace(before=start, change=change, is_same=is_same)
+        start = track
+    return found
+
+
+def _shifted(start: Track, columns: Track) -> Track:
+    """Return the track before each one of many: `start` before the first."""
+    pairs = zip(start, columns, strict=True)
+    return Track(*(np.concatenate([np.asarray(own)[None], column[:-1]]) for own, column in pairs))
+
+
+def _rows(columns: Track) -> list[Track]:
+    return [Track(*row) for row in zip(*columns, strict=True)]
 
 
 def is_zero(size: float | np.ndarray, landmarks: np.ndarray) -> np.ndarray:
@@ -156,7 +203,7 @@ def motion_between(
     dt = np.asarray(dt)
     # Kabsch: the rotation that takes the palm before to the palm now.
     palms = sample.points[..., PALM, :], track.points[..., PALM, :]
-    rotation = nearest_rotations(palms[0].swapaxes(-1, -2) @ palms[1])
+    rotation = nearest_rotation(palms[0].swapaxes(-1, -2) @ palms[1])
     angle, turn = _angle(rotation)
     bending = (sample.points @ rotation - track.points) / dt[..., None, None]
     moved = sample._replace(

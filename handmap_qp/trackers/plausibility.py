@@ -12,8 +12,6 @@ asks which mistake explains it, and names it. `check_recording` does the same fo
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -21,10 +19,8 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.se3 import frozen
+from handmap_qp.human.verdict import Finding
 from handmap_qp.trackers.hand_geometry import (
-    MEASURES,
     Distances,
     log_size,
     measured_distances,
@@ -36,11 +32,6 @@ from handmap_qp.trackers.hand_geometry import (
 from handmap_qp.trackers.landmark_order import find_order, prepare
 from handmap_qp.trackers.units import find_length_unit, find_time_unit
 from handmap_qp.trackers.wrist_axes import WristCheck
-
-Mistake = Literal["time", "unit", "order", "side", "flexion", "size", "frozen", "wrist"]
-"""Kinds of mistakes: the unit or rate of time, the unit of length, the order of landmarks, the
-other hand or a mirrored world, fingers that bend backwards, a size that changes, a finger that
-repeats, the wrist's orientation."""
 
 _BATCH = 16  # samples, while the finding is new
 _BATCH_TIME = 0.25  # s; a slow tracker's batch ends sooner
@@ -58,24 +49,6 @@ _RESIZED = 1.35  # times as large as at the start, or as small; 0.86 to 1.25 in 
 _REFUSED_SHARE = 0.25  # of a recording's valid samples
 
 
-class Finding(NamedTuple):
-    """What is wrong with the input.
-
-    Attributes:
-        kind: The kind of mistake.
-        problem: What was found, in one line.
-        advice: What to do about it.
-    """
-
-    kind: Mistake
-    problem: str
-    advice: str
-
-    def __str__(self) -> str:
-        """Compose `problem: advice`."""
-        return f"{self.problem}: {self.advice}"
-
-
 class InputCheck:
     """Checks one hand's samples as they come.
 
@@ -87,9 +60,6 @@ class InputCheck:
     Args:
         side: The hand that the samples are said to be of.
 
-    Attributes:
-        has_doubts: Whether something seemed wrong in any batch so far.
-
     Raises:
         InvalidInputError: If the side is neither `right` nor `left`.
     """
@@ -99,22 +69,16 @@ class InputCheck:
         prepare()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
-        self._landmarks = np.empty((_CALM_FACTOR * _BATCH, LANDMARK_COUNT, 3))
-        self._wrists = np.empty((_CALM_FACTOR * _BATCH, 3, 4))
-        self._times = np.empty(_CALM_FACTOR * _BATCH)
-        self._measures = np.empty((_CALM_FACTOR * _BATCH, MEASURES))
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples: of a new session, or after the input was changed."""
-        self._count = 0
-        self._has_wrists = self._has_measures = True
-        self._last_time = np.nan
+        self._batch: list[tuple[float, np.ndarray, np.ndarray | None]] = []
+        self._last_time: float | None = None
         self._guess: Finding | None = None
         self._batches = 0
         self._calm = 0
         self._finding: Finding | None = None
-        self.has_doubts = False
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
         self._sizes: list[float] = []
@@ -130,54 +94,38 @@ class InputCheck:
         return self._wrist.is_proven
 
     def update(
-        self,
-        time: float,
-        landmarks: np.ndarray,
-        wrist: np.ndarray | None = None,
-        measures: np.ndarray | None = None,
+        self, time: float, landmarks: np.ndarray, wrist: np.ndarray | None = None
     ) -> Finding | None:
         """Take one sample in which the tracker saw the hand.
 
         Args:
             time: Its instant [s].
-            landmarks: Its landmarks as they came, finite, shape (21, 3); not changed.
+            landmarks: Its landmarks as they came, finite, shape (21, 3); they must not change.
             wrist: The tracker's own wrist pose, shape (4, 4), if it has one.
-            measures: Its row of `recorded_measures`, if it is of a recording.
 
         Returns:
             The finding so far (`finding`).
         """
-        k = self._count
-        self._times[k] = time
-        self._landmarks[k] = landmarks
-        if wrist is None:
-            self._has_wrists = False
-        elif self._has_wrists:
-            self._wrists[k] = wrist[:3]
-        if measures is None:
-            self._has_measures = False
-        elif self._has_measures:
-            self._measures[k] = measures
-        self._count = k + 1
+        self._batch.append((time, landmarks, wrist))
         if self._is_complete():
             self._judge()
         return self._finding
 
     def alert(self) -> None:
         """Judge the next samples by themselves and soon: something has changed."""
-        self._count = 0
-        self._has_wrists = self._has_measures = True
+        self._batch.clear()
         self._calm = -_CALM
 
     def _is_complete(self) -> bool:
         """Tell whether a batch is complete."""
-        count = self._count
-        duration = self._times[count - 1] - self._times[0]
+        count, duration = len(self._batch), self._batch[-1][0] - self._batch[0][0]
         if self._calm < 0 or self._finding is not None:
             return count == _BATCH or (count >= _ALERT_BATCH and duration >= _ALERT_TIME)
-        is_new = self._calm < _CALM or (self._has_wrists and not self._wrist.is_proven)
+        has_wrists = all(wrist is not None for _, _, wrist in self._batch)
+        is_new = self._calm < _CALM or (has_wrists and not self._wrist.is_proven)
         factor = 1 if is_new else _CALM_FACTOR
-        return count == factor * _BATCH or (
+        # A batch that began with wrists may have grown beyond the number of one without.
+        return count >= factor * _BATCH or (
             count >= factor * _LEAST_BATCH and duration >= factor * _BATCH_TIME
         )
 
@@ -187,38 +135,33 @@ class InputCheck:
         Returns:
             The finding; that of the only batch, if there was no other one to agree with it.
         """
-        if self._count and (self._count >= _LEAST_BATCH or not self._batches):
+        if self._batch and (len(self._batch) >= _LEAST_BATCH or not self._batches):
             self._judge()
-        self._count = 0
+        self._batch.clear()
         return self._guess if self._batches == 1 else self._finding
 
     def _judge(self) -> None:
         """Examine the collected samples, and change the finding if two batches agree."""
-        count, self._count = self._count, 0
+        columns = list(zip(*self._batch, strict=True))
+        self._batch.clear()
         self._batches += 1
-        times = self._times[:count]
-        if not np.isnan(self._last_time):
-            times = np.concatenate([[self._last_time], times])
-        self._last_time = float(times[-1])
-        wrists = self._wrists[:count] if self._has_wrists else None
-        landmarks = self._landmarks[:count]
-        measures = self._measures[:count] if self._has_measures else sample_measures(landmarks)
-        self._has_wrists = self._has_measures = True
-        guess = self._examine(times, landmarks, wrists, measures)
+        before = () if self._last_time is None else (self._last_time,)
+        self._last_time = columns[0][-1]
+        has_wrists = all(wrist is not None for wrist in columns[2])
+        wrists = np.array(columns[2])[:, :3] if has_wrists else None
+        guess = self._examine(np.array([*before, *columns[0]]), np.array(columns[1]), wrists)
         # Two batches in a row must agree that something is wrong, or that nothing is.
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
         self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
         if is_same:
             self._finding = guess
         self._guess = guess
-        self.has_doubts = self.has_doubts or guess is not None
 
     def _examine(
         self,
         times: np.ndarray,
         landmarks: np.ndarray,
         wrists: np.ndarray | None,
-        measures: np.ndarray,
     ) -> Finding | None:
         """Return what is wrong in one batch."""
         if unit := find_time_unit(times):
@@ -227,10 +170,11 @@ class InputCheck:
         # units or order, and has rules of its own.
         is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
         if not is_hand.all():
-            landmarks, measures = landmarks[is_hand], measures[is_hand]
+            landmarks = landmarks[is_hand]
             wrists = None if wrists is None else wrists[is_hand]
             if not len(landmarks):
                 return None
+        measures = sample_measures(landmarks)
         distances = measured_distances(measures)
         misfit = own_misfit(distances)
         total = median(self._sign * measures[:, -2])
@@ -329,53 +273,15 @@ def examine_recording(recording: Recording) -> Finding | None:
         What is wrong in a quarter of its valid samples or more; None if it is plausible. A tracker
         that confuses the hand for a moment is left to the guard (`stream.guard`).
     """
-    return examine(recording).finding
-
-
-class Examination(NamedTuple):
-    """What `examine` found.
-
-    Attributes:
-        finding: As of `examine_recording`.
-        has_doubts: Whether something seemed wrong in any batch of samples.
-    """
-
-    finding: Finding | None
-    has_doubts: bool
-
-
-# A recording is examined as a whole, and then judged sample by sample.
-@lru_cache(maxsize=1)
-def examine(recording: Recording) -> Examination:
-    """Examine all valid samples of a recording; the answer about the last one is kept."""
     check = InputCheck(recording.side)
     indices = np.flatnonzero(recording.valid)
-    landmarks, wrists, measures = recording.landmarks, recording.wrist, recorded_measures(recording)
-    times = recording.time.tolist()
-    start, end = times[indices[0]], times[indices[-1]]
+    landmarks, wrists, times = recording.landmarks, recording.wrist, recording.time.tolist()
     found = 0
     for i in indices.tolist():
-        wrist = None if wrists is None else wrists[i]
-        finding = check.update(times[i], landmarks[i], wrist, measures[i])
+        finding = check.update(times[i], landmarks[i], None if wrists is None else wrists[i])
         if finding is not None:
             found += 1
             if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
-                return Examination(finding, True)
+                return finding
     last = check.finish()
-    return Examination(last if end - start <= 1.0 else None, check.has_doubts)
-
-
-# A recording is examined as a whole, and by the guard while its person is measured.
-@lru_cache(maxsize=1)
-def recorded_measures(recording: Recording) -> np.ndarray:
-    """Measure all samples of a recording by column; those of the last one are kept.
-
-    Args:
-        recording: The recording.
-
-    Returns:
-        Rows of `sample_measures`, shape (T, 28); zeros where the hand was not seen.
-    """
-    rows = np.zeros((len(recording), MEASURES))
-    rows[recording.valid] = sample_measures(recording.landmarks[recording.valid])
-    return frozen(rows)
+    return last if times[indices[-1]] - times[indices[0]] <= 1.0 else None

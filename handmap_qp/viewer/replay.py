@@ -9,7 +9,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
-from handmap_qp.mapping.smoothing import Smoothing
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.smoothing import Smoothing
 from handmap_qp.viewer.sample import Variant, ViewSample, view_sample
 
 
@@ -134,13 +135,13 @@ class Replay:
             self._given_robot,
             choice.method,
             ik=choice.ik,
-            smoothing=self._smoothing,
         )
+        follower = Follower(mapper, smoothing=self._smoothing)
         motion, recording, steps = self._motion, self._recording, []
         for i, sample in enumerate(recording_samples(recording)):
             if i in self.switches:
                 (mapper.release if self.switches[i] else mapper.clutch)()
-            steps.append(mapper.map_sample(sample))
+            steps.append(follower.map_sample(sample))
         # Until the hand is first seen, show the reference.
         followed = [not step.is_held for step in steps]
         first = followed.index(True) if any(followed) else 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -24,24 +23,20 @@ from strategies import (
     weights_for,
 )
 
-from handmap_qp import se3
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.se3 import (
     QuatOrder,
     affine,
     as_floats,
     check_pose,
-    determinant,
     inverse_pose,
     nearest_rotation,
     pose_from_xyz_quat,
     quat_wxyz_from_rotation,
     rigid_fit,
-    rigid_fits,
     rotation_from_quat_wxyz,
     rotation_from_rpy,
     rpy_from_rotation,
-    svd3,
     transform_points,
 )
 
@@ -140,35 +135,7 @@ def test_the_nearest_rotation_to_a_reflection_is_proper() -> None:
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
 
 
-def test_threads_do_not_share_the_memory_of_a_decomposition() -> None:
-    with ThreadPoolExecutor(1) as pool:
-        other = pool.submit(lambda: se3._WORKSPACE.svd).result()
-    assert other is not se3._WORKSPACE.svd
-
-
-# --- singular values and rigid fits
-
-
-@given(generators, st.integers(0, 3), st.floats(-100.0, 100.0))
-def test_an_svd_gives_its_matrix_back(
-    generator: np.random.Generator, rank: int, exponent: float
-) -> None:
-    scale = 10.0**exponent
-    matrix = scale * generator.normal(size=(3, rank)) @ generator.normal(size=(rank, 3))
-    before = matrix.copy()
-    left, values, right = svd3(matrix)
-    svd3(np.eye(3))  # whose results are in memory of their own
-    np.testing.assert_allclose((left * values) @ right, matrix, atol=1e-13 * scale)
-    np.testing.assert_allclose(left.T @ left, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(right @ right.T, np.eye(3), atol=1e-14)
-    expected = np.linalg.svd(matrix, compute_uv=False)
-    np.testing.assert_allclose(values, expected, atol=1e-13 * scale)
-    np.testing.assert_array_equal(matrix, before)
-
-
-@given(linear_maps(mirrored=None))
-def test_a_determinant_is_that_of_numpy(matrix: np.ndarray) -> None:
-    assert determinant(matrix) == pytest.approx(np.linalg.det(matrix), abs=1e-12)
+# --- rigid fits
 
 
 @given(point_sets(least=3), poses, st.data())
@@ -181,14 +148,27 @@ def test_a_rigid_fit_of_moved_points_is_the_motion(
     np.testing.assert_allclose(fitted, pose, atol=1e-8)
 
 
-@given(generators, st.integers(3, 6))
-def test_fits_of_many_sets_are_those_of_each(generator: np.random.Generator, count: int) -> None:
-    onto, points = generator.normal(size=(count, 3)), generator.normal(size=(20, count, 3))
-    rotations, translations = rigid_fits(points, onto)
-    for rotation, translation, one in zip(rotations, translations, points, strict=True):
-        expected = rigid_fit(one, onto)
-        np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-9)
-        np.testing.assert_allclose(translation, expected[:3, 3], atol=1e-9)
+@given(generators)
+def test_arrays_with_leading_axes_give_the_result_of_each(generator: np.random.Generator) -> None:
+    """Every function that promises leading axes keeps them."""
+    matrices, vectors = generator.normal(size=(2, 3, 3, 3)), generator.normal(size=(2, 3, 3))
+    points, quats = generator.normal(size=(2, 3, 4, 3)), generator.normal(size=(2, 3, 4))
+    turned = nearest_rotation(matrices)
+    placed, onto = affine(turned, vectors), generator.normal(size=(4, 3))
+    sevens = np.concatenate([vectors, quats], axis=-1)
+    for i in np.ndindex(2, 3):
+        pairs = (
+            (turned[i], nearest_rotation(matrices[i])),
+            (placed[i], affine(turned[i], vectors[i])),
+            (inverse_pose(placed)[i], inverse_pose(placed[i])),
+            (transform_points(placed, points)[i], transform_points(placed[i], points[i])),
+            (rigid_fit(points, onto)[i], rigid_fit(points[i], onto)),
+            (rigid_fit(onto, points)[i], rigid_fit(onto, points[i])),
+            (rotation_from_quat_wxyz(quats)[i], rotation_from_quat_wxyz(quats[i])),
+            (pose_from_xyz_quat(sevens, "xyzw")[i], pose_from_xyz_quat(sevens[i], "xyzw")),
+        )
+        for found, expected in pairs:
+            np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @given(generators, st.integers(3, 8))
@@ -302,7 +282,6 @@ def test_quaternions_are_normalised_first(quat: np.ndarray, length: float) -> No
     [
         np.zeros(4),
         [1, 0, 0],
-        np.eye(4),
         [np.nan, 0, 0, 1],
         [0, np.inf, 0, 1],
         "wxyz",
@@ -536,14 +515,6 @@ BAD: tuple[Any, ...] = (
     {},
 )
 CHECKED: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "points": (lambda bad: rigid_fit(bad, np.eye(3)), "points"),
-    "onto": (lambda bad: rigid_fit(np.eye(3), bad), "onto"),
-    "weights": (
-        lambda bad: rigid_fit(np.eye(3), np.eye(3), [1.0] if bad is None else bad),
-        "weights",
-    ),
-    "rotation_from_rpy": (rotation_from_rpy, "rpy"),
-    "rpy_from_rotation": (rpy_from_rotation, "rotation"),
     "rotation_from_quat_wxyz": (rotation_from_quat_wxyz, "quat_wxyz"),
     "quat_wxyz_from_rotation": (quat_wxyz_from_rotation, "rotation"),
     "pose_from_xyz_quat": (lambda bad: pose_from_xyz_quat(bad, "wxyz"), "values"),
@@ -560,42 +531,6 @@ def test_invalid_arguments_are_named(name: str) -> None:
             call(bad)
         assert caught.value.argument.startswith(argument), bad
         assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("weights", [[0.0, 0.0, 0.0], [1.0, -1.0, 1.0]], ids=["zero", "negative"])
-def test_weights_that_cannot_weigh_are_rejected(weights: list[float]) -> None:
-    with pytest.raises(InvalidInputError, match="weights: expected numbers >= 0"):
-        rigid_fit(np.eye(3), np.eye(3), weights)
-    with pytest.raises(InvalidInputError, match="points: expected at least one"):
-        rigid_fit(np.zeros((0, 3)), np.zeros((0, 3)))
-
-
-@pytest.mark.parametrize(
-    "bad", [np.full((3, 3), np.nan), np.full((3, 3), np.inf), np.eye(2), np.eye(4), "x", None, 5.0]
-)
-def test_functions_without_checks_raise_nothing_else(bad: Any) -> None:
-    with pytest.raises(InvalidInputError, match="matrix: expected"):
-        nearest_rotation(bad)
-    if not (isinstance(bad, np.ndarray) and bad.shape == (3, 3)):
-        with pytest.raises(InvalidInputError, match="matrix: expected"):
-            determinant(bad)
-
-
-def test_arrays_that_do_not_fit_are_rejected() -> None:
-    word: Any = "x"
-    calls: tuple[Callable[[], Any], ...] = (
-        lambda: affine(word, np.zeros(3)),
-        lambda: affine(np.eye(3), word),
-        lambda: affine(np.eye(2), np.zeros(3)),
-        lambda: transform_points(word, np.zeros((2, 3))),
-        lambda: transform_points(np.eye(4), word),
-        lambda: transform_points(np.eye(4), np.zeros((2, 2))),
-        lambda: inverse_pose(word),
-        lambda: inverse_pose(np.zeros(3)),
-    )
-    for call in calls:
-        with pytest.raises(InvalidInputError, match="expected shape"):
-            call()
 
 
 def test_as_floats_names_the_entry_at_fault() -> None:

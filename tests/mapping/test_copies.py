@@ -29,6 +29,8 @@ from handmap_qp import (
 )
 from handmap_qp.errors import StaleJacobianError
 from handmap_qp.human.recording import recording_samples
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.rejoin import RejoinKind
 
 SAMPLES = tuple(recording_samples(read_recording("demo", "right")))[:115]
 FIRST, REST = SAMPLES[:90], SAMPLES[90:]
@@ -45,13 +47,13 @@ each_way = pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 TOLERANCE = 1e-11
 
 
-def follow(mapper: HandMapper, samples: Sequence[HumanSample]) -> np.ndarray:
+def follow(mapper: Follower, samples: Sequence[HumanSample]) -> np.ndarray:
     """Map samples and return joints and wrist of each command, one row a sample."""
     steps = [mapper.map_sample(sample) for sample in samples]
     return np.array([[*step.command.q, *step.command.wrist.ravel()] for step in steps])
 
 
-def check_copy(mapper: HandMapper, way: Callable[[Any], Any]) -> None:
+def check_copy(mapper: Follower, way: Callable[[Any], Any]) -> None:
     """Check that a copy maps the rest as the mapper does, whichever of both goes first."""
     copied, other = way(mapper), way(mapper)
     ahead = follow(copied, REST)
@@ -59,7 +61,7 @@ def check_copy(mapper: HandMapper, way: Callable[[Any], Any]) -> None:
     np.testing.assert_allclose(ahead, expected, rtol=0.0, atol=TOLERANCE)
     np.testing.assert_allclose(follow(other, REST), expected, rtol=0.0, atol=TOLERANCE)
     # A robot that does not move would pass the rest of this test.
-    assert np.ptp(expected, axis=0).max() > 0.05 or mapper._is_released
+    assert np.ptp(expected, axis=0).max() > 0.05 or mapper.mapper._is_released
 
 
 # All ways read and write the same state, so that one of them shows what is part of it.
@@ -67,12 +69,10 @@ def check_copy(mapper: HandMapper, way: Callable[[Any], Any]) -> None:
 @pytest.mark.parametrize("kind", ["plain", slow("smoothed"), slow("accelerating")])
 def test_every_preset_goes_on_the_same(name: str, kind: str) -> None:
     ik = PRESETS[name].ik
-    mapper = HandMapper(
-        HUMAN,
+    ik = ik.replaced(max_acceleration=20.0) if kind == "accelerating" else ik
+    mapper = Follower(
         # With pairs of links near each other, which are part of the state.
-        ALLEGRO,
-        name,
-        ik=ik.replaced(max_acceleration=20.0) if kind == "accelerating" else ik,
+        HandMapper(HUMAN, ALLEGRO, name, ik=ik),
         smoothing=Smoothing() if kind == "smoothed" else None,
     )
     follow(mapper, FIRST)
@@ -82,7 +82,7 @@ def test_every_preset_goes_on_the_same(name: str, kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_goes_on_the_same(method: str) -> None:
-    mapper = HandMapper(HUMAN, ALLEGRO, METHODS[method]())
+    mapper = Follower(HandMapper(HUMAN, ALLEGRO, METHODS[method]()))
     follow(mapper, FIRST)
     check_copy(mapper, WAYS["pickle"])
 
@@ -90,22 +90,18 @@ def test_every_method_goes_on_the_same(method: str) -> None:
 @each_way
 @pytest.mark.parametrize("reference", ["previous", "rest"])
 def test_references_go_along(reference: Any, way: Callable[[Any], Any]) -> None:
-    mapper = HandMapper(HUMAN, ROBOT, reference=reference)
+    mapper = Follower(HandMapper(HUMAN, ROBOT, reference=reference))
     follow(mapper, FIRST)
     check_copy(mapper, way)
 
 
-def nothing(mapper: HandMapper) -> None:
-    """Leave the mapper as it is."""
-
-
-def hold(mapper: HandMapper) -> None:
+def hold(mapper: Follower) -> None:
     """Let the guard hold the robot."""
     for sample in FIRST[-5:]:
         mapper.map_sample(replace(sample, valid=False))
 
 
-def glide(mapper: HandMapper) -> None:
+def glide(mapper: Follower) -> None:
     """Leave the robot on its way back to the human, after a hold of half a second."""
     hold(mapper)
     shifted = replace(REST[20], time=FIRST[-1].time + 0.6)
@@ -114,18 +110,18 @@ def glide(mapper: HandMapper) -> None:
     assert step.is_gliding
 
 
-def use_joints(mapper: HandMapper) -> None:
+def use_joints(mapper: Follower) -> None:
     """Have a workspace of the human hand too."""
-    mapper.map_step(mapper.human.rest, np.eye(4))
+    mapper.mapper.map_step(mapper.mapper.human.rest, np.eye(4))
 
 
-STATES: dict[str, Callable[[HandMapper], None]] = {
+STATES: dict[str, Callable[[Follower], None]] = {
     "held": hold,
     "gliding": glide,
-    "released": lambda mapper: mapper.release(),
-    "clutched": lambda mapper: mapper.clutch(),
-    "reset": lambda mapper: mapper.reset(robot_q=mapper.robot.rest + 0.05),
-    "configured": lambda mapper: mapper.configure("object"),
+    "released": lambda mapper: mapper.mapper.release(),
+    "clutched": lambda mapper: mapper.mapper.clutch(),
+    "reset": lambda mapper: mapper.mapper.reset(robot_q=ROBOT.rest + 0.05),
+    "configured": lambda mapper: mapper.mapper.configure("object"),
     "by joints": use_joints,
 }
 
@@ -133,7 +129,8 @@ STATES: dict[str, Callable[[HandMapper], None]] = {
 @each_way
 @pytest.mark.parametrize("state", STATES)
 def test_every_state_goes_along(state: str, way: Callable[[Any], Any]) -> None:
-    mapper = HandMapper(HUMAN, ROBOT, rejoin="clutch" if state == "clutched" else "glide")
+    rejoin: RejoinKind = "clutch" if state == "clutched" else "glide"
+    mapper = Follower(HandMapper(HUMAN, ROBOT), rejoin=rejoin)
     follow(mapper, FIRST)
     STATES[state](mapper)
     check_copy(mapper, way)
@@ -150,8 +147,8 @@ def test_a_mapper_that_has_not_begun_is_copied(
     )
     copied = way(mapper)
     assert (copied.dt, copied.quat_order, copied.joint_tolerance) == (0.02, "xyzw", 0.1)
-    assert (copied.method, copied.ik, copied.rejoin) == (mapper.method, mapper.ik, mapper.rejoin)
-    check_copy(mapper, way)
+    assert (copied.method, copied.ik) == (mapper.method, mapper.ik)
+    check_copy(Follower(mapper), way)
 
 
 @each_way
@@ -171,13 +168,13 @@ def test_joint_angles_and_points_are_mapped_the_same(way: Callable[[Any], Any]) 
         np.testing.assert_allclose(found.command.q, expected.command.q, atol=TOLERANCE)
 
 
-def _mapped_elsewhere(mapper: HandMapper) -> np.ndarray:
+def _mapped_elsewhere(mapper: Follower) -> np.ndarray:
     return follow(mapper, REST)
 
 
 @pytest.mark.slow
 def test_a_spawned_process_goes_on_the_same() -> None:
-    mapper = HandMapper(HUMAN, ALLEGRO, "teleoperation")
+    mapper = Follower(HandMapper(HUMAN, ALLEGRO, "teleoperation"))
     follow(mapper, FIRST)
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         found = pool.apply(_mapped_elsewhere, (mapper,))
@@ -208,9 +205,9 @@ def test_views_of_foreign_memory_are_not_copied() -> None:
 
 @pytest.mark.parametrize("way", [copy.deepcopy, WAYS["pickle"]], ids=["deepcopy", "pickle"])
 def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -> None:
-    mapper = HandMapper(HUMAN, ALLEGRO, "teleoperation")
+    mapper = Follower(HandMapper(HUMAN, ALLEGRO, "teleoperation"))
     follow(mapper, FIRST)
-    solver = mapper.point_ik
+    solver = mapper.mapper.point_ik
     copied, q = way(solver), solver.configuration.q.copy()
     targets = solver.configuration.points + 0.02
     found = copied.solve(targets, None, 0.02)
@@ -254,7 +251,7 @@ def test_a_hand_is_the_same_hand(name: str, way: Callable[[Any], Any]) -> None:
 
 
 def test_a_step_is_pickled() -> None:
-    step = HandMapper(HUMAN, ROBOT).map_sample(FIRST[0])
+    step = Follower(HandMapper(HUMAN, ROBOT)).map_sample(FIRST[0])
     found = pickle.loads(pickle.dumps(step))
     assert found.status == step.status
     np.testing.assert_array_equal(found.command.q, step.command.q)

@@ -23,8 +23,12 @@ from strategies import (
 )
 
 from handmap_qp.errors import DegeneratePointsError
-from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator, estimate_motion
-from handmap_qp.se3 import determinant, nearest_rotation, transform_points
+from handmap_qp.mapping.estimation import (
+    MotionEstimate,
+    MotionEstimator,
+    estimate_motion,
+)
+from handmap_qp.se3 import nearest_rotation, transform_points
 
 ridges = st.sampled_from([0.0, 1e-6, 0.1, 1.0, 1e3])
 
@@ -382,8 +386,3 @@ def test_results_share_no_memory() -> None:
     np.testing.assert_allclose(second.motion, np.eye(4), rtol=0.0, atol=1e-13)
     with pytest.raises(ValueError, match="read-only"):
         first.singular_values[:] = 0.0
-
-
-def test_determinant_is_that_of_numpy() -> None:
-    matrix = np.random.default_rng(6).normal(size=(3, 3))
-    assert determinant(matrix) == pytest.approx(np.linalg.det(matrix), rel=1e-14)

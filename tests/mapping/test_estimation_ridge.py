@@ -22,7 +22,7 @@ from strategies import (
 )
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.mapping.estimation import MotionEstimator, estimate_motion
+from handmap_qp.mapping.estimation import estimate_motion
 from handmap_qp.se3 import transform_points
 
 ridges = st.floats(min_value=1e-6, max_value=1e3)
@@ -305,7 +305,7 @@ def test_invalid_weights_are_rejected(weights: Any) -> None:
 )
 def test_a_ridge_that_is_none_is_refused(ridge: Any) -> None:
     with pytest.raises(InvalidInputError, match="ridge: expected"):
-        MotionEstimator(FINGERTIPS, ridge=ridge)
+        estimate_motion(FINGERTIPS, FINGERTIPS, ridge=ridge)
 
 
 @pytest.mark.parametrize("prior", NOT_ROTATIONS)

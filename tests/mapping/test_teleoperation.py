@@ -373,8 +373,8 @@ def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
 
     def moved(scale: float) -> tuple[np.ndarray, np.ndarray]:
         follower = PalmFollower(human, robot, start, posture, anchors[0], anchors[1], scale)
-        before = follower.palms(start)[1]
-        palm = follower.palms(HumanPose(points, turned))[1]
+        before = follower.palms(start.wrist)[1]
+        palm = follower.palms(turned)[1]
         place, origin = (pose[:3, :3] @ anchors[1] + pose[:3, 3] for pose in (palm, before))
         return place - origin, palm[:3, :3]
 

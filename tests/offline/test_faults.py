@@ -13,10 +13,10 @@ from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.mapping.rejoin import PALM_SPEED, TURN_SPEED
 from handmap_qp.offline.events import count_rules, find_holds
 from handmap_qp.offline.trajectory import Trajectory, map_samples
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.stream.rejoin import PALM_SPEED, TURN_SPEED
 from handmap_qp.trackers.injection import inject, parse_faults
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -15,7 +15,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.guard import FROZEN_AFTER, RULES, SETTLING, Rule, StreamGuard, Verdict
+from handmap_qp.human.verdict import RULES, Rule, Verdict
+from handmap_qp.stream.guard import FROZEN_AFTER, SETTLING, StreamGuard
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults
 

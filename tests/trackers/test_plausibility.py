@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from pinocchio import exp3
 
-from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand, read_recording
+from handmap_qp import Follower, HandMapper, InvalidInputError, Recording, load_hand, read_recording
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.guard import StreamGuard, Verdict
+from handmap_qp.human.verdict import Verdict
+from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.hand_geometry import own_distances, own_misfit, palmar_evidence
 from handmap_qp.trackers.plausibility import (
     Finding,
@@ -158,12 +159,12 @@ def test_a_session_can_start_again(take: Any) -> None:
 
 def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:
     human = load_hand("human_left", points="landmarks", hand_length=0.185)
-    mapper = HandMapper(human, load_hand("allegro_left"))
+    follower = Follower(HandMapper(human, load_hand("allegro_left")))
     steps = []
     for i, time in enumerate(take.time[:240]):
         is_wrong = 0.5 <= time < 2.0
         landmarks = take.landmarks[i] * ((-1.0, 1.0, 1.0) if is_wrong else (1.0, 1.0, 1.0))
-        steps.append(mapper.map_sample(HumanSample(float(time), "left", landmarks)))
+        steps.append(follower.map_sample(HumanSample(float(time), "left", landmarks)))
     rules = np.array([step.rule for step in steps])
     time = take.time[:240]
     # The guard holds a flipped hand for half a second at first; from then on it is known.

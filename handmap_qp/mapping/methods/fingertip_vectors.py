@@ -157,7 +157,7 @@ class FingertipVectorMap:
         """Scale the vectors and lay them on the robot's origins."""
         method = self._method
         robot_points, human_points = method.pairs
-        human_palm, palm = self._follower.palms(sample)
+        human_palm, palm = self._follower.palms(sample.wrist)
         now = transform_points(inverse_pose(human_palm), sample.points)
         origins = 0.0 if method.human_origins is None else now[method.human_origins]
         vectors = now[human_points] - origins

@@ -11,6 +11,7 @@ are the pivots, `Q` the rotation from the human's world axes to the robot's.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -37,7 +38,6 @@ from handmap_qp.se3 import (
     affine,
     frozen,
     inverse_pose,
-    moved_rows,
     transform_points,
 )
 
@@ -277,7 +277,7 @@ class HomogeneousMap:
         # The origin of W, taken to V by shifts.
         self._origin = robot_pivot - options.scale * Q @ pivot
         self._human_offsets = sample.points - pivot
-        self._robot_rows = np.column_stack([robot.points - robot_pivot, np.ones(len(robot.points))])
+        self._robot_offsets = robot.points - robot_pivot
         self._robot_wrist = affine(robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot)
         self._share = _residual_share(
             options.residual_gain, sample.points, robot.points, method.partners
@@ -300,7 +300,7 @@ class HomogeneousMap:
             rotation, rigid_image = factors.rotation, image
         else:
             rotation = turn
-        points = moved_rows(self._robot_rows, Q @ linear @ Q.T, self._placed(image))
+        points = self._robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
         if self._share is not None:
             # The residual refers to the imposed motion, so it makes up for clamping and gain.
             residual = sample.points - (self._human_offsets.dot(linear.T) + image)
@@ -330,32 +330,22 @@ class HomogeneousMap:
         return self._origin + self._options.scale * self._alignment.dot(image)
 
 
+@dataclass(frozen=True, eq=False)
 class HomogeneousDiagnostics(Diagnostics):
     """Results of one sample; see `Diagnostics`.
 
-    Args:
-        estimate: T and how it fits.
-        linear: Linear part of the imposed motion, `U R` after clamping and gain, shape (3, 3).
-        rotation: Rotation of T_rb, shape (3, 3).
-        pivot: c_h [m], shape (3,).
-        rigid_image: Where T_rb takes the pivot [m], shape (3,).
-        image: Where T takes the pivot [m], shape (3,).
+    Attributes:
+        pivot_image: Where T takes the pivot [m], shape (3,).
         stretches: Eigenvalues of the stretch U before clamping, shape (3,).
     """
 
-    def __init__(
-        self,
-        estimate: MotionEstimate,
-        linear: np.ndarray,
-        rotation: np.ndarray,
-        pivot: np.ndarray,
-        rigid_image: np.ndarray,
-        image: np.ndarray,
-        stretches: np.ndarray,
-    ) -> None:
-        self._estimate, self._linear, self._rotation = estimate, linear, rotation
-        self._pivot, self._rigid_image = pivot, rigid_image
-        self.pivot_image, self.stretches = image, stretches
+    _estimate: MotionEstimate
+    _linear: np.ndarray
+    _rotation: np.ndarray
+    _pivot: np.ndarray
+    _rigid_image: np.ndarray
+    pivot_image: np.ndarray
+    stretches: np.ndarray
 
     @property
     def motion(self) -> np.ndarray:

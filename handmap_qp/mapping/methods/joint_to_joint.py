@@ -193,7 +193,7 @@ class JointMap:
     def targets(self, sample: HumanPose) -> Targets:
         """Measure the human's angles, and place the robot's points where its joints would."""
         method, robot = self._method, self._method.robot
-        human_palm, palm = self._follower.palms(sample)
+        human_palm, palm = self._follower.palms(sample.wrist)
         angles = method.angles.measure(transform_points(inverse_pose(human_palm), sample.points))
         q = method.positions(angles)
         robot.write_configuration(self._vector, q, np.eye(4))

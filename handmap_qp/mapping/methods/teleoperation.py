@@ -9,6 +9,7 @@ apart.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -28,9 +29,9 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, palm_of
+from handmap_qp.mapping.palm import PalmFollower, palm_of, transform_point
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, lengths
+from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
@@ -99,15 +100,14 @@ PRESETS = {
 }
 
 
+@dataclass(frozen=True, eq=False)
 class TeleoperationDiagnostics(Diagnostics):
     """Results of one sample; see `Diagnostics`.
 
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
     the palm of the reference, and T_rb is the motion of the palm.
 
-    Args:
-        estimate: T in palm axes, and how it fits.
-        palm_before: The human's palm at the reference, shape (4, 4).
+    Attributes:
         palm: The human's palm now, shape (4, 4).
         gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
         pinching: Weight of each pinch row as a share of its full weight, shape (p,).
@@ -115,17 +115,12 @@ class TeleoperationDiagnostics(Diagnostics):
             shape (f,).
     """
 
-    def __init__(
-        self,
-        estimate: MotionEstimate,
-        palm_before: np.ndarray,
-        palm: np.ndarray,
-        gaps: np.ndarray,
-        pinching: np.ndarray,
-        extensions: np.ndarray,
-    ) -> None:
-        self._estimate, self._palm_before = estimate, palm_before
-        self.palm, self.gaps, self.pinching, self.extensions = palm, gaps, pinching, extensions
+    _estimate: MotionEstimate
+    _palm_before: np.ndarray
+    palm: np.ndarray
+    gaps: np.ndarray
+    pinching: np.ndarray
+    extensions: np.ndarray
 
     @property
     def motion(self) -> np.ndarray:
@@ -150,7 +145,7 @@ class TeleoperationDiagnostics(Diagnostics):
     @property
     def pivot_image(self) -> np.ndarray:
         """Centroid of the points now [m], shape (3,)."""
-        return self.palm[:3, :3] @ self._estimate.centroid_after + self.palm[:3, 3]
+        return transform_point(self.palm, self._estimate.centroid_after)
 
     @property
     def residual_norms(self) -> np.ndarray:
@@ -278,79 +273,57 @@ class TeleoperationMap:
         pinched = pair.tips[[pair.fingers.index(finger) for finger in method.pinched]]
         self._from = np.concatenate([pair.knuckles, thumb])
         self._to = np.concatenate([pair.tips, pinched])
-        # Terms of `_points` that no sample changes.
-        ratio, centroid = pair.finger_ratio, method.estimator.centroid
-        self._gain = method.choices.residual_gain * ratio
-        human = pair.human_rest[pair.partners] - centroid
-        self._offsets = pair.robot_rest - pair.robot_centre - self._gain * human
-        self._centre, self._shift = pair.robot_centre - ratio * centroid, ratio - self._gain
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
-        method, pair = self._method, self._pair
-        human_palm, palm = self._follower.palms(sample)
-        now = (sample.points - human_palm[:3, 3]).dot(human_palm[:3, :3])
-        estimate = method.estimator.estimate(now.take(pair.shape_points, 0))
-        in_palm = self._points(estimate, now)
-        distances = lengths(now.take(self._to, 0) - now.take(self._from, 0))
-        count = len(pair.fingers)
-        extensions, gaps = distances[:count] / pair.human_reach, distances[count:]
-        shares, aims = method.shares_and_aims(distances)
-        return Targets(
-            in_palm.dot(palm[:3, :3].T) + palm[:3, 3],
-            self._follower.wrist(palm),
-            TeleoperationDiagnostics(
-                estimate, self._palm_before, human_palm, gaps, shares[count:], extensions
-            ),
-            (method.distances.aimed_at(aims, method.row_weights * shares),),
-            self._margins(gaps),
-        )
+        wrist = None if sample.wrist is None else sample.wrist[None]
+        return self.targets_of(HumanPose(sample.points[None], wrist))[0]
 
-    def targets_of(self, points: np.ndarray, wrists: np.ndarray) -> list[Targets]:
-        """Return the targets of many samples by column; see `ForesightMap.targets_of`."""
+    def targets_of(self, samples: HumanPose) -> list[Targets]:
+        """Return the targets of many samples along a leading axis; see `TargetMap`."""
         method, pair, count = self._method, self._pair, len(self._pair.fingers)
-        human_palms, palms = self._follower.all_palms(wrists)
-        now = (points - human_palms[:, None, :3, 3]) @ human_palms[:, :3, :3]
-        found = method.estimator.estimate_all(now.take(pair.shape_points, 1))
-        in_palm = self._gain * now.take(pair.partners, 1)
-        in_palm += self._offsets @ found.linear.transpose(0, 2, 1)
-        in_palm += (self._centre + self._shift * found.centroids)[:, None]
-        distances = lengths(now.take(self._to, 1) - now.take(self._from, 1))
+        human_palms, palms = self._follower.palms(samples.wrist)
+        now = transform_points(inverse_pose(human_palms), samples.points)
+        estimate = method.estimator.estimate(now[:, pair.shape_points])
+        distances = lengths(now[:, self._to] - now[:, self._from])
         extensions, gaps = distances[:, :count] / pair.human_reach, distances[:, count:]
         shares, aims = method.shares_and_aims(distances)
-        weights, margins = method.row_weights * shares, self._margins(gaps)
-        columns = zip(
-            in_palm @ palms[:, :3, :3].transpose(0, 2, 1) + palms[:, None, :3, 3],
-            self._follower.wrist(palms),
-            zip(found.estimates, human_palms, gaps, shares[:, count:], extensions, strict=True),
-            zip(aims, weights, strict=True),
-            [None] * len(points) if margins is None else margins,
-            strict=True,
-        )
-        before, aimed_at = self._palm_before, method.distances.aimed_at
+        points = transform_points(palms, self._moved(estimate, now))
+        wrists, weights = self._follower.wrist(palms), method.row_weights * shares
+        margins = self._margins(gaps)
         return [
             Targets(
-                targets,
-                wrist,
-                TeleoperationDiagnostics(estimate, before, *measured),
-                (aimed_at(*aim),),
-                own_margins,
+                points[i],
+                wrists[i],
+                TeleoperationDiagnostics(
+                    estimate[i],
+                    self._palm_before,
+                    human_palms[i],
+                    gaps[i],
+                    shares[i, count:],
+                    extensions[i],
+                ),
+                (method.distances.aimed_at(aims[i], weights[i]),),
+                None if margins is None else margins[i],
             )
-            for targets, wrist, (estimate, *measured), aim, own_margins in columns
+            for i in range(len(points))
         ]
 
-    def _points(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
-        """Move the matched points by T, and add each finger's residual; palm axes, shape (m, 3).
+    def _moved(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
+        """Move the matched points by T, and add each finger's residual; palm axes, (..., m, 3).
 
         With s the robot's points and c_r their centre, x and y the human partners at rest and now,
         c and c' the centroids, k the ratio of reaches and g the gain:
-        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`, ordered by A.
+        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
-        followed = now.take(self._pair.partners, 0)
-        followed *= self._gain
-        followed += self._offsets.dot(estimate.linear.T)
-        followed += self._centre + self._shift * estimate.centroid_after
-        return followed
+        pair, ratio = self._pair, self._pair.finger_ratio
+        gain, centroid = self._method.choices.residual_gain * ratio, estimate.centroid_before
+        shift = estimate.centroid_after[..., None, :]
+        offsets = (
+            pair.robot_rest - pair.robot_centre - gain * (pair.human_rest[pair.partners] - centroid)
+        )
+        followed = offsets @ estimate.linear.swapaxes(-1, -2) + pair.robot_centre
+        return followed + ratio * (shift - centroid) + gain * (now[..., pair.partners, :] - shift)
 
     def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
         """Widen the margin between thumb and finger with the human's gap: nothing may touch.

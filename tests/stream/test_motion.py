@@ -1,4 +1,4 @@
-"""Recordings judged by column: the guard of live streams says the same, sample by sample."""
+"""The motion between samples, of each by itself and of all at once."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pinocchio import exp3
 
-from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.stream.motion import change_between, first_track
-from handmap_qp.stream.recorded_motion import RecordedSamples
+from handmap_qp.stream.motion import change_between, first_track, measure
 
 FAULTS = (
     "",
@@ -32,40 +30,35 @@ def human() -> Hand:
 
 
 @pytest.mark.parametrize("text", FAULTS)
-def test_the_guard_says_the_same_by_column(text: str, human: Hand) -> None:
-    recording = faulty(text) if text else DEMO.part(slice(0, 240))
-    guard = StreamGuard(human)
-    live = [guard.check(sample) for sample in recording_samples(recording)]
-    recorded = RecordedSamples(recording)
-    # Of a person with other bones first: nothing of theirs remains.
-    recorded.judged(load_hand("human", points="landmarks"))
-    found = recorded.judged(human)
+def test_the_guard_says_the_same_of_all_samples_at_once(text: str, human: Hand) -> None:
+    samples = recording_samples(faulty(text) if text else DEMO.part(slice(0, 240)))
+    one_by_one, at_once = StreamGuard(human), StreamGuard(human)
+    live = [one_by_one.check(sample) for sample in samples]
+    found = at_once.judge(samples[:100]) + at_once.judge(samples[100:])
     columns = [[v.rule, v.is_held, v.is_return, v.dt, v.finding] for v in live]
     assert [[v.rule, v.is_held, v.is_return, v.dt, v.finding] for v in found] == columns
     assert any(verdict.is_held for verdict in live) == bool(text)
-    # Recordings without any fault are judged as a whole.
-    assert recorded._is_calm == (not text)
     np.testing.assert_allclose(
         [v.consistency for v in found], [v.consistency for v in live], atol=1e-15
     )
 
 
-def test_motion_by_column_is_that_of_samples(human: Hand) -> None:
+def test_motion_of_many_samples_is_that_of_each() -> None:
     recording = DEMO.part(slice(0, 60))
-    guard, samples = StreamGuard(human), recording_samples(recording)
-    for sample, sight in zip(samples, RecordedSamples(recording).sights, strict=True):
-        guard.check(sample)
-        last = guard.state.last
-        assert sight is not None
-        assert last is not None
-        if sight.change is not None and sight.before is not None:
-            one = change_between(sight.before, sight.fresh, sight.change.track.dt)
-            np.testing.assert_allclose(
-                np.array(sight.change[1:], float), np.array(one[1:], float), rtol=1e-6, atol=1e-6
-            )
-        expected = last if sight.change is None else sight.change.track
-        for own, other in zip(last, expected, strict=True):
-            np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-9)
+    time, shortest = recording.time, np.full(60, 1e-3)
+    sights, last = measure(None, time, recording.landmarks, shortest), None
+    for i, sight in enumerate(sights):
+        assert sight.is_after(last)
+        (own,) = measure(last, time[i : i + 1], recording.landmarks[i : i + 1], shortest[:1])
+        assert own.size == pytest.approx(sight.size)
+        assert (own.is_zero, own.is_same) == (sight.is_zero, sight.is_same)
+        if own.change is not None and sight.change is not None:
+            numbers = np.array(own.change[1:], float), np.array(sight.change[1:], float)
+            np.testing.assert_allclose(*numbers, rtol=1e-6, atol=1e-6)
+        last = own.fresh if own.change is None else own.change.track
+        expected = sight.fresh if sight.change is None else sight.change.track
+        for one, other in zip(last, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
 
 
 @given(

@@ -76,7 +76,7 @@ class Rejoin(NamedTuple):
         before = self.seen
         if before is None or (before.wrist is None) != (pose.wrist is None):
             return self._replace(offset=None)
-        points = _in_wrist_axes(before) - _in_wrist_axes(pose)
+        points = before.in_wrist - pose.in_wrist
         position, turn = np.zeros(3), np.zeros(3)
         if before.wrist is not None and pose.wrist is not None:
             position = before.wrist[:3, 3] - pose.wrist[:3, 3]
@@ -108,18 +108,11 @@ class Rejoin(NamedTuple):
 
 def _moved(pose: HumanPose, offset: _Offset, fingers: float, palm: float) -> HumanPose:
     """Add shares of an offset to a pose."""
-    points = _in_wrist_axes(pose) + fingers * offset.points
-    if pose.wrist is None:
-        return HumanPose(points, None)
-    rotation = pose.wrist[:3, :3] @ pin.exp3(palm * offset.turn)
-    wrist = affine(rotation, pose.wrist[:3, 3] + palm * offset.position)
-    return HumanPose(points.dot(rotation.T) + wrist[:3, 3], wrist)
-
-
-def _in_wrist_axes(pose: HumanPose) -> np.ndarray:
-    if pose.wrist is None:
-        return pose.points
-    return (pose.points - pose.wrist[:3, 3]).dot(pose.wrist[:3, :3])
+    points, wrist = pose.in_wrist + fingers * offset.points, pose.wrist
+    if wrist is not None:
+        rotation = wrist[:3, :3] @ pin.exp3(palm * offset.turn)
+        wrist = affine(rotation, wrist[:3, 3] + palm * offset.position)
+    return HumanPose.placed(points, wrist)
 
 
 def _longest(rows: np.ndarray) -> float:

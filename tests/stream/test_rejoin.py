@@ -10,12 +10,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import HandMapper, IkOptions, InvalidInputError, InvalidOptionsError, load_hand
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    IkOptions,
+    InvalidInputError,
+    InvalidOptionsError,
+    load_hand,
+)
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.mapping.rejoin import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind
+from handmap_qp.human.verdict import UNPROVEN_SPEED
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import affine
-from handmap_qp.stream.guard import UNPROVEN_SPEED
+from handmap_qp.stream.rejoin import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind
 from handmap_qp.trackers.injection import inject, parse_faults
 
 RATE = 60.0
@@ -38,8 +45,12 @@ def still(count: int = 180, shift: float = 0.0, turn: float = 0.0) -> list[Human
 def mapped(
     samples: list[HumanSample], rejoin: RejoinKind = "glide", method: Any = "teleoperation"
 ) -> list[MapStep]:
-    mapper = HandMapper(HUMAN, ROBOT, method, rejoin=rejoin)
-    return [mapper.map_sample(sample) for sample in samples]
+    follower = Follower(HandMapper(HUMAN, ROBOT, method), rejoin=rejoin)
+    return [follower.map_sample(sample) for sample in samples]
+
+
+def teleoperation(**options: Any) -> Follower:
+    return Follower(HandMapper(HUMAN, ROBOT, "teleoperation", **options))
 
 
 def lost_between(shift: float = 0.0, turn: float = 0.0) -> list[HumanSample]:
@@ -105,8 +116,7 @@ def test_a_second_hold_during_the_glide_goes_on_from_there() -> None:
 
 
 def test_without_faults_samples_are_mapped_as_landmarks() -> None:
-    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
-    samples = still(200)[:60]
+    mapper, samples = HandMapper(HUMAN, ROBOT, "teleoperation"), still(200)[:60]
     for i, (sample, step) in enumerate(zip(samples, mapped(samples), strict=True)):
         expected = mapper.map_landmarks(sample.landmarks, dt=1.0 / RATE)
         np.testing.assert_allclose(step.command.q, expected.command.q, atol=1e-9)
@@ -116,49 +126,49 @@ def test_without_faults_samples_are_mapped_as_landmarks() -> None:
 
 def test_before_the_hand_is_seen_the_robot_rests_and_nothing_is_taken_for_the_reference() -> None:
     samples = still(60)
-    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
+    follower = teleoperation()
     for sample in samples[:5]:
-        step = mapper.map_sample(replace(sample, valid=False))
+        step = follower.map_sample(replace(sample, valid=False))
         assert (step.status, step.rule) == ("held", "missing")
         np.testing.assert_array_equal(step.command.q, ROBOT.rest)
         assert np.isnan(step.human_points).all()
-    seen = mapper.map_sample(samples[5])
-    fresh = HandMapper(HUMAN, ROBOT, "teleoperation").map_sample(samples[5])
+    seen = follower.map_sample(samples[5])
+    fresh = teleoperation().map_sample(samples[5])
     np.testing.assert_allclose(seen.command.wrist, fresh.command.wrist, atol=1e-9)
     assert not seen.is_held
 
 
 def test_a_step_that_fails_leaves_guard_and_mapper_as_they_were() -> None:
     samples = still(60)
-    mapper, calm = (HandMapper(HUMAN, ROBOT, "teleoperation") for _ in range(2))
+    follower, calm = (teleoperation() for _ in range(2))
     for sample in samples[:10]:
-        mapper.map_sample(sample)
+        follower.map_sample(sample)
         calm.map_sample(sample)
     with pytest.raises(InvalidInputError, match="dt"):
-        mapper.map_sample(samples[10], dt=-1.0)
+        follower.map_sample(samples[10], dt=-1.0)
     with pytest.raises(InvalidInputError, match="side"):
-        mapper.map_sample(replace(samples[10], side="left"))
+        follower.map_sample(replace(samples[10], side="left"))
     for sample in samples[10:20]:
         np.testing.assert_array_equal(
-            mapper.map_sample(sample).command.q, calm.map_sample(sample).command.q
+            follower.map_sample(sample).command.q, calm.map_sample(sample).command.q
         )
 
 
 def test_confidence_and_rule_travel_in_the_step() -> None:
-    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
+    follower = teleoperation()
     samples = still(10)
-    assert mapper.map_sample(replace(samples[0], confidence=0.6)).confidence == 0.6
-    step = mapper.map_sample(replace(samples[1], confidence=0.0))
+    assert follower.map_sample(replace(samples[0], confidence=0.6)).confidence == 0.6
+    step = follower.map_sample(replace(samples[1], confidence=0.0))
     assert (step.confidence, step.rule, step.status) == (0.0, "missing", "held")
     # Joint angles are judged by their limits alone.
-    assert mapper.map_landmarks(samples[2].landmarks).verdict is None
+    assert follower.mapper.map_landmarks(samples[2].landmarks).verdict is None
 
 
 def test_another_way_back_is_an_error() -> None:
     with pytest.raises(
         InvalidOptionsError, match="rejoin: expected one of glide, clutch"
     ) as caught:
-        HandMapper(HUMAN, ROBOT, rejoin="leap")  # ty: ignore[invalid-argument-type]
+        Follower(HandMapper(HUMAN, ROBOT), rejoin="leap")  # ty: ignore[invalid-argument-type]
     assert caught.value.option == "rejoin"
 
 
@@ -169,7 +179,7 @@ def test_the_robot_is_slow_until_the_wrist_is_proven(
 ) -> None:
     robot = load_hand("three_finger")
     ik = IkOptions(max_acceleration=max_acceleration)
-    mapper, random = HandMapper(HUMAN, robot, "object", ik=ik), np.random.default_rng(4)
+    follower, random = Follower(HandMapper(HUMAN, robot, "object", ik=ik)), np.random.default_rng(4)
     q, rules = [], []
     for i in range(180):
         t = i / RATE
@@ -181,7 +191,7 @@ def test_the_robot_is_slow_until_the_wrist_is_proven(
         points = HUMAN.points(HUMAN.rest + closed * 0.6 * (HUMAN.upper_limits - HUMAN.rest), wrist)
         points += random.normal(0.0, 1e-4, points.shape)
         given = np.eye(4) if is_identity else wrist
-        step = mapper.map_sample(HumanSample(t, "right", points, given))
+        step = follower.map_sample(HumanSample(t, "right", points, given))
         q.append(step.command.q)
         rules.append(step.rule)
     speeds = np.diff(np.array(q), axis=0) * RATE
@@ -204,14 +214,14 @@ def test_the_robot_is_slow_until_the_wrist_is_proven(
 def test_a_held_robot_brakes_within_its_acceleration_limit() -> None:
     most = 20.0
     options = IkOptions(max_acceleration=most, avoids_self_collision=True)
-    mapper = HandMapper(HUMAN, ROBOT, "teleoperation", ik=options)
+    follower = teleoperation(ik=options)
     samples = []
     for i in range(150):
         share = 0.5 - 0.5 * np.cos(2.0 * np.pi * i / 50.0)
         q = HUMAN.rest + share * 0.6 * (HUMAN.upper_limits - HUMAN.rest)
         is_seen = not 62 <= i < 110
         samples.append(HumanSample(i / RATE, "right", HUMAN.points(q, np.eye(4)), valid=is_seen))
-    steps = [mapper.map_sample(sample) for sample in samples]
+    steps = [follower.map_sample(sample) for sample in samples]
     speed = np.diff([step.command.q for step in steps], axis=0) * RATE
     assert np.abs(np.diff(speed, axis=0)).max() * RATE <= most * (1.0 + 1e-6)
     held = [i for i, step in enumerate(steps) if step.is_held]
@@ -223,10 +233,10 @@ def test_a_held_robot_brakes_within_its_acceleration_limit() -> None:
 def test_a_clutch_ends_the_way_back() -> None:
     """The next sample is the reference as the tracker sees it, and the robot stays where it is."""
     samples = lost_between(0.15, 1.0)
-    mapper = HandMapper(HUMAN, ROBOT, "teleoperation")
-    steps = (mapper.map_sample(sample) for sample in samples)
+    follower = teleoperation()
+    steps = (follower.map_sample(sample) for sample in samples)
     gliding = next(step for step in steps if step.is_gliding)
-    mapper.clutch()
+    follower.mapper.clutch()
     after = list(steps)
     assert not any(step.is_gliding for step in after)
     seen = samples[-len(after) :]

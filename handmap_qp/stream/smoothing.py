@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.options import Options, number
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import affine, lengths
 
 # A gap in time longer than this starts the filter again [s].
 _LONGEST_GAP = 0.5
@@ -71,7 +71,7 @@ def smooth_sample(
     Returns:
         The smoothed sample, and the state for the next one.
     """
-    points = _in_wrist_axes(sample)
+    points = sample.in_wrist
     is_first = (
         before is None or dt > _LONGEST_GAP or (before.wrist is None) != (sample.wrist is None)
     )
@@ -79,15 +79,12 @@ def smooth_sample(
         state = SmoothState(points, np.zeros_like(points), sample.wrist, np.zeros(6))
         return sample, state
     speeds = _blend(before.speeds, (points - before.points) / dt, options.speed_cutoff, dt)
-    lengths = np.sqrt(np.einsum("ij,ij->i", speeds, speeds))[:, None]
-    cutoff = options.min_cutoff + options.speed_gain * lengths
+    cutoff = options.min_cutoff + options.speed_gain * lengths(speeds)[:, None]
     smooth = _blend(before.points, points, cutoff, dt)
-    if sample.wrist is None or before.wrist is None:
-        state = SmoothState(smooth, speeds, None, before.twist)
-        return HumanPose(smooth, None), state
-    wrist, twist = _smooth_wrist(options, before.wrist, before.twist, sample.wrist, dt)
-    placed = smooth.dot(wrist[:3, :3].T) + wrist[:3, 3]
-    return HumanPose(placed, wrist), SmoothState(smooth, speeds, wrist, twist)
+    wrist, twist = None, before.twist
+    if sample.wrist is not None and before.wrist is not None:
+        wrist, twist = _smooth_wrist(options, before.wrist, twist, sample.wrist, dt)
+    return HumanPose.placed(smooth, wrist), SmoothState(smooth, speeds, wrist, twist)
 
 
 def _smooth_wrist(
@@ -101,12 +98,6 @@ def _smooth_wrist(
     angular = options.min_cutoff + options.speed_gain * _HAND * math.sqrt(twist[3:].dot(twist[3:]))
     rotation = before[:3, :3] @ pin.exp3(_share(angular, dt) * turn)
     return affine(rotation, before[:3, 3] + _share(linear, dt) * shift), twist
-
-
-def _in_wrist_axes(sample: HumanPose) -> np.ndarray:
-    if sample.wrist is None:
-        return sample.points.copy()
-    return (sample.points - sample.wrist[:3, 3]).dot(sample.wrist[:3, :3])
 
 
 def _blend(

@@ -1,4 +1,4 @@
-"""`map_recorded`: targets by column give the steps of a live stream."""
+"""`Follower.map_samples`: a whole recording gives the steps of a live stream."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import pytest
 from faulty_recordings import DEMO, faulty
 from marks import slow
 
-from handmap_qp import HandMapper, InvalidInputError, Method, Teleoperation, load_hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.stream.recorded_motion import RecordedSamples
+from handmap_qp import Follower, HandMapper, InvalidInputError, Method, Teleoperation, load_hand
+from handmap_qp.human.recording import Recording, recording_samples
 
 HUMAN = load_hand("human", points="landmarks")
 # Lost, then elsewhere, then one landmark off.
@@ -26,10 +25,10 @@ FAULTS = "dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05"
     ],
 )
 def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: Method | str) -> None:
-    recorded, hand = RecordedSamples(faulty(FAULTS)), load_hand(robot)
-    live = HandMapper(HUMAN, hand, method)
-    expected = [live.map_sample(sample) for sample in recorded.samples]
-    found = list(HandMapper(HUMAN, hand, method).map_recorded(recorded))
+    samples, hand = recording_samples(faulty(FAULTS)), load_hand(robot)
+    live = Follower(HandMapper(HUMAN, hand, method))
+    expected = [live.map_sample(sample) for sample in samples]
+    found = list(Follower(HandMapper(HUMAN, hand, method)).map_samples(samples))
     assert [step.status for step in found] == [step.status for step in expected]
     assert {"held", "gliding"} < {step.status for step in found}
     for step, other in zip(found, expected, strict=True):
@@ -50,14 +49,14 @@ def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: Method | 
 
 def test_a_clutch_between_samples_counts() -> None:
     """Targets known from the reference before are not used after a clutch."""
-    recorded = RecordedSamples(DEMO.part(slice(0, 40)))
+    samples = recording_samples(DEMO.part(slice(0, 40)))
     hand = load_hand("three_finger")
-    live, mapper = HandMapper(HUMAN, hand), HandMapper(HUMAN, hand)
-    steps = mapper.map_recorded(recorded)
-    for i, sample in enumerate(recorded.samples):
+    live, follower = Follower(HandMapper(HUMAN, hand)), Follower(HandMapper(HUMAN, hand))
+    steps = follower.map_samples(samples)
+    for i, sample in enumerate(samples):
         if i == 20:
-            live.clutch()
-            mapper.clutch()
+            live.mapper.clutch()
+            follower.mapper.clutch()
         step, other = next(steps), live.map_sample(sample)
         np.testing.assert_allclose(step.command.wrist, other.command.wrist, atol=1e-9)
 
@@ -65,5 +64,6 @@ def test_a_clutch_between_samples_counts() -> None:
 def test_coordinates_that_are_far_away_are_refused() -> None:
     far = DEMO.part(slice(0, 20))
     far = Recording(far.name, far.time, far.landmarks + 1e9, far.valid, far.side)
+    follower = Follower(HandMapper(HUMAN, load_hand("three_finger")))
     with pytest.raises(InvalidInputError, match="coordinates within"):
-        list(HandMapper(HUMAN, load_hand("three_finger")).map_recorded(RecordedSamples(far)))
+        list(follower.map_samples(recording_samples(far)))

@@ -9,10 +9,17 @@ import pinocchio as pin
 import pytest
 from mapping_cases import little_pose, near_rest
 
-from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, Smoothing, load_hand
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    InvalidInputError,
+    InvalidOptionsError,
+    Smoothing,
+    load_hand,
+)
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.smoothing import smooth_sample
 from handmap_qp.se3 import affine, transform_points
+from handmap_qp.stream.smoothing import smooth_sample
 
 HUMAN = load_hand("human")
 THREE = load_hand("three_finger")
@@ -132,26 +139,25 @@ def test_a_gap_in_time_or_in_the_wrist_starts_again() -> None:
     np.testing.assert_array_equal(result.points, far.points)
 
 
-def test_the_mapper_smooths_and_a_failed_step_leaves_the_filter_as_it_was() -> None:
+def test_a_follower_smooths_and_a_failed_step_leaves_the_filter_as_it_was() -> None:
     rng = np.random.default_rng(5)
     samples = [(near_rest(rng, 0.3, HUMAN), little_pose(rng, 0.02)) for _ in range(12)]
     plain, smooth, disturbed = (
-        HandMapper(HUMAN, THREE, "object", smoothing=s) for s in (None, OPTIONS, OPTIONS)
+        Follower(HandMapper(HUMAN, THREE, "object"), smoothing=s) for s in (None, OPTIONS, OPTIONS)
     )
     rough_targets, smooth_targets = [], []
     for q, wrist in samples:
+        pose, dt = HumanPose(HUMAN.points(q, wrist), wrist), 1.0 / 60.0
         with pytest.raises(InvalidInputError):
-            disturbed.map_step(q, wrist, dt=-1.0)
+            disturbed.map(pose, -1.0)
         with pytest.raises(InvalidInputError):
-            disturbed.map_step(np.full(20, np.nan), wrist)
-        expected = smooth.map_step(q, wrist)
-        np.testing.assert_array_equal(disturbed.map_step(q, wrist).targets, expected.targets)
+            disturbed.map(HumanPose(pose.points, None), dt)
+        expected = smooth.map(pose, dt)
+        np.testing.assert_array_equal(disturbed.map(pose, dt).targets, expected.targets)
         smooth_targets.append(expected.targets)
-        rough_targets.append(plain.map_step(q, wrist).targets)
+        rough_targets.append(plain.map(pose, dt).targets)
     rough, calm = (np.abs(np.diff(t, axis=0)).mean() for t in (rough_targets, smooth_targets))
     assert calm < 0.9 * rough
-    smooth.configure(smoothing="none")
-    assert smooth.smoothing is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,193 @@
+"""`Follower`: maps the samples of a tracker that make sense, and holds the robot at all others.
+
+The guard judges every sample by named rules. After a hold the robot comes back to the human without
+a snap, and samples may be smoothed before they are mapped. The service, `handmap map`, `view` and
+`track` all follow in this way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from time import perf_counter
+from typing import get_args
+
+import numpy as np
+from msgspec import structs
+
+from handmap_qp.errors import HandmapError, InvalidOptionsError
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.verdict import Verdict
+from handmap_qp.ik.limits import SHORTEST_DT
+from handmap_qp.mapping.mapper import HandMapper, check_dt
+from handmap_qp.mapping.method import HumanPose, Targets
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.stream.guard import StreamGuard
+from handmap_qp.stream.rejoin import Rejoin, RejoinKind
+from handmap_qp.stream.smoothing import Smoothing, SmoothState, smooth_sample
+
+
+class Follower:
+    """Lets a mapper follow the samples of a tracker.
+
+    A new reference of the mapper (`HandMapper.clutch`, `reset`) ends a return and restarts the
+    smoothing.
+
+    Args:
+        mapper: Maps the samples; its human hand must be scaled to the person.
+        rejoin: How the robot comes back to the human after a hold: `glide` there, or stay where it
+            is with its palm, as after a `clutch`.
+        smoothing: How samples are smoothed before they are mapped; not at all if omitted.
+
+    Attributes:
+        mapper: As given.
+        rejoin: As given.
+        smoothing: As given; another one counts from the next sample.
+
+    Raises:
+        InvalidOptionsError: If `rejoin` is something else.
+        HandError: If the human hand has no landmarks.
+    """
+
+    def __init__(
+        self,
+        mapper: HandMapper,
+        *,
+        rejoin: RejoinKind = "glide",
+        smoothing: Smoothing | None = None,
+    ) -> None:
+        if rejoin not in get_args(RejoinKind):
+            kinds = ", ".join(get_args(RejoinKind))
+            raise InvalidOptionsError(option="rejoin", expected=f"one of {kinds}", value=rejoin)
+        self.mapper, self.rejoin, self.smoothing = mapper, rejoin, smoothing
+        self._guard = StreamGuard(mapper.human)
+        self._return = Rejoin(rejoin)
+        self._smooth: SmoothState | None = None
+        self._reference: HumanPose | None = None
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    def map_sample(
+        self, sample: HumanSample, *, dt: float | None = None, arrival: float | None = None
+    ) -> MapStep:
+        """Map one sample of a tracker, if it makes sense; else hold.
+
+        Args:
+            sample: The sample. Its time stamps say how much time has passed.
+            dt: Time that the step may account for [s]; that of the time stamps if omitted.
+            arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
+                time stamps; not checked if omitted.
+
+        Returns:
+            Every stage of the step; of a held one, targets and points are the robot's own.
+
+        Raises:
+            InvalidInputError: If the sample is of the other hand, or cannot be used; the mapper is
+                then as it was before.
+            InvalidOptionsError: If a reference point of the human is not a landmark.
+            DegeneratePointsError: If the sample becomes the reference and its points do not
+                determine the motion.
+        """
+        started, dt = perf_counter(), None if dt is None else check_dt(dt)
+        reader, before = self.mapper.landmarks, self._guard.state
+        verdict = self._guard.check(sample, arrival=arrival)
+        if verdict.is_held:
+            return self._hold(sample, verdict, dt)
+        try:
+            pose = reader.read(sample.landmarks, sample.wrist)
+            return self._follow(pose, sample, verdict, dt, started=started)
+        except HandmapError:
+            self._guard.state = before
+            raise
+
+    def map_samples(self, samples: Sequence[HumanSample]) -> Iterator[MapStep]:
+        """Map the samples of a recording one after the other, as `map_sample` up to rounding.
+
+        Verdicts, palms and targets are computed for all samples at once, where that can be done.
+
+        Args:
+            samples: The samples, of one hand.
+
+        Yields:
+            The step of each sample.
+
+        Raises:
+            HandmapError: As of `map_sample`.
+        """
+        verdicts = self._guard.judge(samples)
+        used = [i for i, verdict in enumerate(verdicts) if not verdict.is_held]
+        landmarks = np.array([samples[i].landmarks for i in used]).reshape(-1, 21, 3)
+        fitted = self.mapper.landmarks.read(landmarks)
+        wrists = [samples[i].wrist for i in used]
+        if any(wrist is not None for wrist in wrists) and fitted.wrist is not None:
+            pairs = zip(wrists, fitted.wrist, strict=True)
+            fitted = HumanPose(
+                fitted.points, np.array([own if given is None else given for given, own in pairs])
+            )
+        place = dict(zip(used, range(len(used)), strict=True))
+        reference, targets = None, None
+        for i, (sample, verdict) in enumerate(zip(samples, verdicts, strict=True)):
+            if verdict.is_held:
+                yield self._hold(sample, verdict)
+                continue
+            if self.mapper.reference is not reference:
+                reference = self.mapper.reference
+                targets = None if self.smoothing else self.mapper.targets_of(fitted)
+            k = place[i]
+            wrist = None if fitted.wrist is None else fitted.wrist[k]
+            known = targets[k] if targets else None
+            yield self._follow(HumanPose(fitted.points[k], wrist), sample, verdict, targets=known)
+
+    def map(
+        self, pose: HumanPose, dt: float, *, targets: Targets | None = None, speed: float = 1.0
+    ) -> MapStep:
+        """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
+        smooth = None
+        if self.smoothing is not None:
+            before = None if self._has_new_reference else self._smooth
+            pose, smooth = smooth_sample(self.smoothing, before, pose, check_dt(dt))
+        step = self.mapper.map(pose, dt, targets=targets, speed=speed)
+        self._smooth, self._reference = smooth, self.mapper.reference
+        return step
+
+    def _follow(
+        self,
+        pose: HumanPose,
+        sample: HumanSample,
+        verdict: Verdict,
+        dt: float | None = None,
+        *,
+        targets: Targets | None = None,
+        started: float | None = None,
+    ) -> MapStep:
+        """Map a sample that makes sense; its targets may be known unless the robot comes back."""
+        started = perf_counter() if started is None else started
+        back = self._present_return()
+        moved, back = (back.start(pose) if verdict.is_return else back).advance(pose, verdict.dt)
+        known = targets if moved is pose else None
+        step = self.map(moved, _granted(verdict, dt), targets=known, speed=verdict.speed)
+        self._return = back
+        return structs.replace(
+            step,
+            verdict=verdict,
+            confidence=sample.confidence,
+            is_gliding=back.is_fading,
+            duration=perf_counter() - started,
+        )
+
+    def _hold(self, sample: HumanSample, verdict: Verdict, dt: float | None = None) -> MapStep:
+        step = self.mapper.hold(_granted(verdict, dt), self._present_return().seen)
+        return structs.replace(step, verdict=verdict, confidence=sample.confidence)
+
+    def _present_return(self) -> Rejoin:
+        return Rejoin(self.rejoin) if self._has_new_reference else self._return
+
+    @property
+    def _has_new_reference(self) -> bool:
+        return self.mapper.reference is not self._reference
+
+
+def _granted(verdict: Verdict, dt: float | None) -> float:
+    """Return the time that a sample accounts for: that of its time stamps if none is given [s]."""
+    return max(verdict.dt, SHORTEST_DT) if dt is None else dt
