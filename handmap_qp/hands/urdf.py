@@ -388,19 +388,9 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
         name, position = pending.popitem()
         if name not in joints:
             raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
-        kind = joints[name].get("type")
-        if kind == "fixed":
+        if joints[name].get("type") == "fixed":
             continue
-        if kind not in MOVABLE:
-            message = f"a {kind} joint cannot be locked at one number"
-            raise HandError(message, key=f"locked.{name}", value=position)
-        motion = pin.SE3.Identity()
-        if kind == "prismatic":
-            motion.translation = position * axis_of(joints[name])
-        else:
-            motion.rotation = pin.exp3(position * axis_of(joints[name]))
-        set_origin(joints[name], origin_of(joints[name]) @ motion.homogeneous)
-        _fix(joints[name])
+        _lock(joints[name], position)
         locked[name] = position
         for follower, joint in joints.items():
             mimic = joint.find("mimic")
@@ -409,6 +399,20 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
                 (offset,) = get_numbers(mimic, "offset", 1, "0")
                 pending[follower] = multiplier * position + offset
     return {name: locked[name] for name in joints if name in locked}
+
+
+def _lock(joint: ET.Element, position: float) -> None:
+    """Make one joint a fixed one, its position in its origin."""
+    kind, motion = joint.get("type"), pin.SE3.Identity()
+    if kind not in MOVABLE:
+        message = f"a {kind} joint cannot be locked at one number"
+        raise HandError(message, key=f"locked.{joint.get('name')}", value=position)
+    if kind == "prismatic":
+        motion.translation = position * axis_of(joint)
+    else:
+        motion.rotation = pin.exp3(position * axis_of(joint))
+    set_origin(joint, origin_of(joint) @ motion.homogeneous)
+    _fix(joint)
 
 
 def fix_free_joints(robot: ET.Element) -> list[str]:
