@@ -38,7 +38,7 @@ from handmap_qp.hands.model import (
     with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point
+from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point, check_unique
 from handmap_qp.hands.urdf import compose_urdf
 from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose
 
@@ -211,16 +211,13 @@ class Hand:
     def configuration_vector(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
     ) -> np.ndarray:
-        """Compose Pinocchio's configuration vector from joint angles and a wrist pose.
+        """Compose Pinocchio's configuration vector, shape (model.nq,).
 
         Args:
             q: Joint angles in the order of `joint_names` [rad or m], shape (n,); limits are not
                 checked.
             wrist_pose: Pose of the wrist frame in the world, shape (4, 4) or a `pinocchio.SE3`; the
                 identity if omitted. A fixed hand rejects it.
-
-        Returns:
-            Configuration, shape (model.nq,).
 
         Raises:
             InvalidInputError: On a wrong shape, anything but finite numbers, something else than a
@@ -258,8 +255,7 @@ class Hand:
         try:
             vector[self.q_indices] = q
             if self.expansion is not None:
-                matrix, offset = self._expansion
-                vector[self._follower_q] = matrix[len(q) :] @ q + offset[len(q) :]
+                vector[self._follower_q] = self._follow.matrix @ q + self._follow.offset
             if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:
@@ -287,22 +283,14 @@ class Hand:
         if angles.ndim not in (1, 2) or angles.shape[-1] != count:
             expected, got = f"shape ({count},) or (T, {count})", f"shape {angles.shape}"
             raise InvalidInputError(argument="q", expected=expected, value=q, got=got)
-        moving = angles @ self._expansion.matrix.T + self._expansion.offset
+        following = angles @ self._follow.matrix.T + self._follow.offset
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
-        return np.concatenate([moving, locked], axis=-1)
+        return np.concatenate([angles, following, locked], axis=-1)
 
     def points(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> np.ndarray:
-        """Compute the positions of the reference points (eq. 4).
+        """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
 
-        Args:
-            q: Joint angles [rad or m], shape (n,).
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
-
-        Returns:
-            Points in the world [m], shape (m, 3).
-
-        Raises:
-            InvalidInputError: As `configuration_vector`.
+        Args and errors are those of `configuration_vector`.
         """
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         return self._scratch.points.copy()
@@ -310,16 +298,11 @@ class Hand:
     def point_jacobian(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> np.ndarray:
         """Compute the derivative of the reference points with respect to the joint angles.
 
-        Args:
-            q: Joint angles [rad or m], shape (n,).
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
+        Args and errors are those of `configuration_vector`.
 
         Returns:
             Jacobian [m/rad, or without unit], rows x, y, z of each point in turn, columns in the
             order of `joint_names`, shape (3 m, n).
-
-        Raises:
-            InvalidInputError: As `configuration_vector`.
         """
         self._scratch.place_with_jacobians(self.configuration_vector(q, wrist_pose))
         return self._scratch.point_jacobian()[:, self.joint_columns]
@@ -327,16 +310,13 @@ class Hand:
     def frame_pose(
         self, frame: str, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
     ) -> np.ndarray:
-        """Compute the pose of a frame in the world.
+        """Compute the pose of a frame in the world, shape (4, 4).
 
         Args:
             frame: `"palm"`, `"wrist"`, the name of a reference point, of a link, or of a joint
                 (whose frame is its child link's), searched in this order.
-            q: Joint angles [rad or m], shape (n,).
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
-
-        Returns:
-            Pose, shape (4, 4).
+            q: As of `configuration_vector`.
+            wrist_pose: As of `configuration_vector`.
 
         Raises:
             InvalidInputError: If there is no such frame, or as `configuration_vector`.
@@ -348,18 +328,10 @@ class Hand:
     def link_poses(
         self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
     ) -> np.ndarray:
-        """Compute the poses of links in the world.
+        """Compute the poses of k links of the URDF in the world, shape (k, 4, 4).
 
         Only links are searched, where `frame_pose` finds a palm, wrist or reference point of the
-        same name first.
-
-        Args:
-            links: Names of links of the URDF, k of them.
-            q: Joint angles [rad or m], shape (n,).
-            wrist_pose: Wrist in the world, shape (4, 4); the identity if omitted.
-
-        Returns:
-            Poses, shape (k, 4, 4).
+        same name first. The other arguments are those of `configuration_vector`.
 
         Raises:
             InvalidInputError: If there is no such link, or as `configuration_vector`.
@@ -386,7 +358,7 @@ class Hand:
         self.active_columns = _frozen(np.setdiff1d(np.arange(model.nv), following), int)
         self.joint_columns = _frozen(np.searchsorted(self.active_columns, self.v_indices), int)
         matrix, offset = map(_frozen, expansion_matrix(moving, names, rules))
-        self._expansion = Expansion(matrix, offset)
+        self._follow = Expansion(matrix[count:], offset[count:])
         self.expansion = None
         if rules:
             to_all, shift = np.eye(model.nv)[:, self.active_columns], np.zeros(model.nv)
@@ -459,29 +431,26 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
             raise spec.error(message, key="sets", value=set_name)
         points = spec.sets[set_name]
     _check_type("points", points, tuple | list, "the name of a set, or names and points")
-    named = {point.name: point for point in spec.points}
-    chosen: list[PointSpec] = []
-    for i, point in enumerate(points):
-        _check_type(f"points[{i}]", point, str | PointSpec, "a name or a PointSpec")
-        if isinstance(point, str) and point not in named:
-            message = f"no point {point!r}; there are {', '.join(named)}"
-            raise spec.error(message, key="points", value=point)
-        chosen.append(named[point] if isinstance(point, str) else _own_point(point, i))
+    chosen = tuple(_choose_point(spec, point, f"points[{i}]") for i, point in enumerate(points))
     if not chosen:
         raise spec.error("expected at least one reference point", key="points")
-    names = [point.name for point in chosen]
-    for name in names:
-        if names.count(name) > 1:
-            raise spec.error(f"{name!r} is given twice", key="points", value=name)
-    return tuple(chosen)
+    check_unique(spec, [point.name for point in chosen], "points")
+    return chosen
 
 
-def _own_point(point: PointSpec, index: int) -> PointSpec:
-    """Check a point that the caller built."""
+def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> PointSpec:
+    """Return the point of a name, or check one that the caller built."""
+    _check_type(argument, point, str | PointSpec, "a name or a PointSpec")
+    if isinstance(point, str):
+        named = {each.name: each for each in spec.points}
+        if point not in named:
+            message = f"no point {point!r}; there are {', '.join(named)}"
+            raise spec.error(message, key="points", value=point)
+        return named[point]
     try:
         return check_point(point)
     except HandError as error:
-        argument = f"points[{index}].{error.key}" if error.key else f"points[{index}]"
+        argument = f"{argument}.{error.key}" if error.key else argument
         raise InvalidInputError(error.problem, argument=argument, value=error.value) from error
 
 

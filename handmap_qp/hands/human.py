@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.urdf import (
-    child,
+    child_of,
     get_numbers,
     joints_by_name,
     origin_of,
@@ -176,7 +176,9 @@ class HumanLengths:
     def _of(cls, joints: dict[str, ET.Element]) -> Self:
         places = {name: origin_of(joint)[:3, 3] for name, joint in joints.items()}
         chains = [_chain(finger) for finger in FINGERS]
-        rolls = [get_numbers(child(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0] for c in chains]
+        rolls = [
+            get_numbers(child_of(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0] for c in chains
+        ]
         segments = [[places[name][0] for name in chain[2:]] for chain in chains]
         return cls(
             np.array([places[chain[0]] for chain in chains]), np.array(segments), np.array(rolls)
@@ -216,15 +218,15 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
         raise _not_human("the link 'palm' is missing", value="palm")
     for i, finger in enumerate(FINGERS):
         chain = [joints[name] for name in _chain(finger)]
-        base = child(chain[0], "origin")
+        base = child_of(chain[0], "origin")
         roll, pitch, yaw = get_numbers(base, "rpy", 3, "0 0 0")
         set_numbers(base, "xyz", lengths.bases[i])
         # Fingers point along their x axes, about which the first of the three turns is.
         set_numbers(base, "rpy", [roll + lengths.rolls[i] - old.rolls[i], pitch, yaw])
         for k, length in enumerate(lengths.segments[i]):
-            set_numbers(child(chain[k + 2], "origin"), "xyz", [length, 0.0, 0.0])
+            set_numbers(child_of(chain[k + 2], "origin"), "xyz", [length, 0.0, 0.0])
             stretch = np.array([length / old.segments[i, k], size, size])
-            for shape in shapes.get(child(chain[k + 1], "child").get("link"), ()):
+            for shape in shapes.get(child_of(chain[k + 1], "child").get("link"), ()):
                 _scale_shape(shape, partial(np.multiply, stretch), size)
     for shape in shapes["palm"]:
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
@@ -302,7 +304,7 @@ def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], si
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
         raise _not_human(f"a shape is <{kind}>", key=shape.get("name"), value=kind)
-    origin, moved = child(shape, "origin"), move(centre)
+    origin, moved = child_of(shape, "origin"), move(centre)
     if kind == "box":
         halves = 0.5 * axes * get_numbers(primitive, "size", 3)
         sides = [move(centre + half) - move(centre - half) for half in halves.T]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import get_args
 
 import numpy as np
@@ -58,6 +58,12 @@ def build_model(
     except (RuntimeError, ValueError) as error:
         message = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
         raise spec.error(message, key="urdf") from error
+    _check_joints(spec, model, followers)
+    return model
+
+
+def _check_joints(spec: HandSpec, model: pin.Model, followers: Collection[str]) -> None:
+    """Reject a model whose joints are not those of the spec and their followers."""
     for name, joint in zip(model.names, model.joints, strict=True):
         if name in ("universe", FLOATING_JOINT):
             continue
@@ -71,7 +77,6 @@ def build_model(
         if not model.existJointName(name):
             message = f"the URDF has no movable joint {name!r}"
             raise spec.error(message, key="joints", value=name)
-    return model
 
 
 def add_frame(

@@ -446,7 +446,8 @@ def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...])
     return base | own
 
 
-def _check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
+def check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
+    """Reject names that are given twice under one key of a spec."""
     for name, count in Counter(names).items():
         if count > 1:
             raise spec.error(f"{name!r} is given twice", key=key, value=name)
@@ -454,7 +455,7 @@ def _check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
 
 def _check_joints(spec: HandSpec) -> None:
     """Check names of joints: unique, each with a rest position, none of them locked."""
-    _check_unique(spec, spec.all_joints, "joints")
+    check_unique(spec, spec.all_joints, "joints")
     matched = spec.rest if spec.matched is None else spec.matched
     postures = {"rest": (spec.joints, spec.rest), "matched": (spec.joints, matched)}
     locked = {"locked": (spec.joints, spec.locked)}
@@ -475,13 +476,13 @@ def _check_joints(spec: HandSpec) -> None:
 def _check_sets(spec: HandSpec) -> None:
     """Check that points have unique names and sets name points."""
     names = [point.name for point in spec.points]
-    _check_unique(spec, names, "points")
+    check_unique(spec, names, "points")
     for set_name, members in spec.sets.items():
         for member in members:
             if member not in names:
                 message = f"{member!r} is not one of `points`"
                 raise spec.error(message, key=f"sets.{set_name}", value=member)
-        _check_unique(spec, members, f"sets.{set_name}")
+        check_unique(spec, members, f"sets.{set_name}")
     if spec.reference not in spec.sets:
         expected = ", ".join(spec.sets) or "(none)"
         message = f"expected one of the sets {expected}, got {spec.reference!r}"

@@ -105,7 +105,7 @@ def set_numbers(element: ET.Element, key: str, numbers: Sequence[float] | np.nda
     element.set(key, " ".join(repr(float(number) + 0.0) for number in numbers))
 
 
-def child(element: ET.Element, tag: str) -> ET.Element:
+def child_of(element: ET.Element, tag: str) -> ET.Element:
     """Return the first child with a tag, which is added where it is missing."""
     found = element.find(tag)
     return ET.SubElement(element, tag) if found is None else found
@@ -129,7 +129,7 @@ def origin_of(element: ET.Element) -> np.ndarray:
 
 def set_origin(element: ET.Element, pose: np.ndarray) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
-    origin = child(element, "origin")
+    origin = child_of(element, "origin")
     set_numbers(origin, "xyz", pose[:3, 3])
     set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]))
 
@@ -257,15 +257,14 @@ def _check_one_tree(
     if not roots:
         what = "its links form a loop" if links else "it has no link"
         raise HandError(f"the URDF is not a tree: {what}")
-    reached: set[str] = set()
+    depths: dict[str, int] = {}
     for depth, level in enumerate(_levels(robot, roots)):
-        reached.update(level)
-        if depth > _DEEPEST:
-            message = (
-                f"the link {level[0]!r} is at the end of a chain of more than {_DEEPEST} links"
-            )
-            raise HandError(message, value=level[0])
-    if apart := [link for link in links if link not in reached]:
+        depths |= dict.fromkeys(level, depth)
+    deepest = max(depths, key=depths.__getitem__)
+    if depths[deepest] > _DEEPEST:
+        message = f"the link {deepest!r} is at the end of a chain of {depths[deepest]} links"
+        raise HandError(f"{message}; expected at most {_DEEPEST}", value=deepest)
+    if apart := [link for link in links if link not in depths]:
         at = apart[0]
         for _ in links:  # upwards into the loop
             at = above[at][1]
@@ -388,19 +387,9 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
         name, position = pending.popitem()
         if name not in joints:
             raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
-        kind = joints[name].get("type")
-        if kind == "fixed":
+        if joints[name].get("type") == "fixed":
             continue
-        if kind not in MOVABLE:
-            message = f"a {kind} joint cannot be locked at one number"
-            raise HandError(message, key=f"locked.{name}", value=position)
-        motion = pin.SE3.Identity()
-        if kind == "prismatic":
-            motion.translation = position * axis_of(joints[name])
-        else:
-            motion.rotation = pin.exp3(position * axis_of(joints[name]))
-        set_origin(joints[name], origin_of(joints[name]) @ motion.homogeneous)
-        _fix(joints[name])
+        _lock(joints[name], position)
         locked[name] = position
         for follower, joint in joints.items():
             mimic = joint.find("mimic")
@@ -409,6 +398,20 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
                 (offset,) = get_numbers(mimic, "offset", 1, "0")
                 pending[follower] = multiplier * position + offset
     return {name: locked[name] for name in joints if name in locked}
+
+
+def _lock(joint: ET.Element, position: float) -> None:
+    """Make one joint a fixed one, its position in its origin."""
+    kind, motion = joint.get("type"), pin.SE3.Identity()
+    if kind not in MOVABLE:
+        message = f"a {kind} joint cannot be locked at one number"
+        raise HandError(message, key=f"locked.{joint.get('name')}", value=position)
+    if kind == "prismatic":
+        motion.translation = position * axis_of(joint)
+    else:
+        motion.rotation = pin.exp3(position * axis_of(joint))
+    set_origin(joint, origin_of(joint) @ motion.homogeneous)
+    _fix(joint)
 
 
 def fix_free_joints(robot: ET.Element) -> list[str]:
@@ -431,7 +434,7 @@ def _fix(joint: ET.Element) -> None:
 
 def _set_limits(joint: ET.Element, limit: LimitSpec) -> None:
     """Write limits; a continuous joint that gets both becomes a revolute one."""
-    element = child(joint, "limit")
+    element = child_of(joint, "limit")
     for key in ("lower", "upper", "velocity"):
         if (value := getattr(limit, key)) is not None:
             set_numbers(element, key, [value])
@@ -447,7 +450,7 @@ def _complete_follower(joint: ET.Element) -> None:
     Without position limits it gets very wide ones, so that it does not bound its leader. A
     continuous one becomes revolute.
     """
-    limit = child(joint, "limit")
+    limit = child_of(joint, "limit")
     has_position = {"lower", "upper"} & limit.attrib.keys()
     for key in ("velocity",) if has_position else tuple(_NO_LIMIT):
         limit.attrib.setdefault(key, repr(_NO_LIMIT[key]))
@@ -499,19 +502,10 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
     """
     if spec.tip not in link_names(arm):
         raise HandError(f"the arm has no link {spec.tip!r}", key="arm.tip", value=spec.tip)
-    taken = {tag: {e.get("name") for e in hand.iter(tag)} for tag in ("link", "joint", "material")}
-    for name, joint in joints_by_name(arm).items():
-        if name in taken["joint"] and joint.get("type") != "fixed":
-            message = f"arm and hand both have a joint {name!r}"
-            raise HandError(message, key="arm.joints", value=name)
     (root,), tip = root_links(hand), spec.tip
-    if tip in taken["link"]:
+    if tip in link_names(hand):
         tip = f"{spec.name}_{tip}"
-    for element in arm.iter():
-        key = "link" if element.tag in ("parent", "child") else "name"
-        names = taken.get("link" if key == "link" else element.tag, set())
-        if (name := element.get(key)) in names:
-            element.set(key, f"{spec.name}_{name}")
+    _rename_duplicates(arm, hand, spec.name)
     # The composed URDF counts as the hand's file, so relative names would be looked for there.
     set_mesh_paths(arm, urdf_path(spec).parent)
     mount = ET.SubElement(arm, "joint", {"name": "hand_mount", "type": "fixed"})
@@ -521,6 +515,21 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
     set_numbers(origin, "xyz", spec.xyz)
     set_numbers(origin, "rpy", spec.rpy)
     arm.extend(list(hand))
+
+
+def _rename_duplicates(arm: ET.Element, hand: ET.Element, prefix: str) -> None:
+    """Put a prefix before the arm's names that the hand has too."""
+    taken = {tag: {e.get("name") for e in hand.iter(tag)} for tag in ("link", "joint", "material")}
+    for element in arm.iter():
+        is_end = element.tag in ("parent", "child")
+        key, names = ("link", taken["link"]) if is_end else ("name", taken.get(element.tag, ()))
+        name = element.get(key)
+        if name not in names:
+            continue
+        if element.tag == "joint" and element.get("type") in MOVABLE:
+            message = f"arm and hand both have a joint {name!r}"
+            raise HandError(message, key="arm.joints", value=name)
+        element.set(key, f"{prefix}_{name}")
 
 
 # With M = diag(-1, 1, 1), a pose T becomes M T M: translations change the sign of x, and
@@ -559,17 +568,21 @@ def mirrored_urdf(text: str) -> str:
         for key, signs in _MIRRORED.get(element.tag, {}).items():
             if key in element.attrib:
                 set_numbers(element, key, np.multiply(signs, get_numbers(element, key, len(signs))))
-    for name, joint in joints_by_name(robot).items():
-        kind = joint.get("type", "")
-        if kind in MOVABLE:
-            sign = 1.0 if kind == "prismatic" else -1.0
-            axis = child(joint, "axis")
-            x, y, z = get_numbers(axis, "xyz", 3, "1 0 0")
-            set_numbers(axis, "xyz", [-sign * x, sign * y, sign * z])
-        elif kind != "fixed":
-            message = f"a {kind or 'nameless'} joint cannot be mirrored"
-            raise HandError(message, key=name, value=kind)
+    for joint in robot.iterfind("joint"):
+        _mirror_axis(joint)
     return ET.tostring(robot, encoding="unicode")
+
+
+def _mirror_axis(joint: ET.Element) -> None:
+    kind = joint.get("type", "")
+    if kind in MOVABLE:
+        sign = 1.0 if kind == "prismatic" else -1.0
+        axis = child_of(joint, "axis")
+        x, y, z = get_numbers(axis, "xyz", 3, "1 0 0")
+        set_numbers(axis, "xyz", [-sign * x, sign * y, sign * z])
+    elif kind != "fixed":
+        message = f"a {kind or 'nameless'} joint cannot be mirrored"
+        raise HandError(message, key=joint.get("name"), value=kind)
 
 
 def compose_urdf(

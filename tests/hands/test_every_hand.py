@@ -14,9 +14,9 @@ import pytest
 
 from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
 from handmap_qp.hands.spec import HandSpec
-from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.recording import HumanMotion
 from handmap_qp.onboarding.detect import detect
+from handmap_qp.trackers.fit import fit_recording
+from handmap_qp.trackers.recording import HumanMotion
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -53,7 +53,7 @@ def follow(
     mapper = HandMapper(
         human, robot, rigid_from="wrist" if robot.has_moving_wrist else "none", dt=_DT
     )
-    angles = []
+    angles, last = [], None
     for sample, pose, step in zip(q, wrist, dt, strict=True):
         result = mapper.map_step(
             np.clip(sample, human.lower_limits, human.upper_limits), pose, dt=float(step)
@@ -62,9 +62,11 @@ def follow(
         for values in (result.command.q, result.command.wrist, result.points, result.targets):
             assert np.isfinite(values).all()
         angles.append(result.command.q)
-        # Followers follow while it moves.
-        alone = robot.points(result.command.q, result.command.wrist if robot.is_floating else None)
-        np.testing.assert_allclose(result.points, alone, atol=1e-9)
+        last = result
+    assert last is not None
+    # Followers follow while it moves.
+    alone = robot.points(last.command.q, last.command.wrist if robot.is_floating else None)
+    np.testing.assert_allclose(last.points, alone, atol=1e-9)
     return np.array(angles)
 
 

@@ -25,6 +25,7 @@ _RANK = 1e-4
 # A larger difference between a curve and its line is not a mimic rule [rad or m].
 _LARGEST_ERROR = 0.1
 _STEP = 1e-6
+_LEFT_OUT = "constraint(s) close loops, which a URDF cannot: left out"
 
 
 class Coupling(NamedTuple):
@@ -70,11 +71,18 @@ def read_couplings(
             if follower not in rules and not _leads_back(rules, follower, line.leader):
                 rules[follower] = line
                 ruled.add(int(model.eq_obj1id[index]))
-    left_out = "constraint(s) close loops, which a URDF cannot: left out"
     if welds := kinds.count(_EQUALITY.mjEQ_WELD):
-        notes.append(f"{welds} weld {left_out}")
+        notes.append(f"{welds} weld {_LEFT_OUT}")
     notes += _tendon_notes(model, names, rules, ruled)
-    omitted, found = 0, dict[int, Coupling]()
+    loops, more = _close_loops(model, names, rules)
+    return rules | loops, notes + more
+
+
+def _close_loops(
+    model: mujoco.MjModel, names: Mapping[int, str], rules: _Rules
+) -> tuple[_Rules, list[str]]:
+    """Return the rules of closed loops by follower, and notes on them."""
+    omitted, found, notes = 0, dict[int, Coupling](), []
     for loop in _loops(model, names):
         solved = loop.lines(rules)
         if solved is None:
@@ -88,8 +96,8 @@ def read_couplings(
             "of it are written"
         )
     if omitted:
-        notes.append(f"{omitted} connect {left_out}")
-    return rules | found, notes
+        notes.append(f"{omitted} connect {_LEFT_OUT}")
+    return found, notes
 
 
 def _leads_back(rules: _Rules, follower: int, leader: int | None) -> bool:
