@@ -21,9 +21,9 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.decoding import LARGEST, LATEST
 from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
+from handmap_qp.service.settings import Settings
 from handmap_qp.trackers.guard import RULES
 
 FLAGS = {
@@ -75,7 +75,7 @@ in right-handed worlds.
   TOKEN`. A page in a browser cannot set headers, so it offers the token as a subprotocol:
   `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.
 
-A message is at most {Caps().message_size} bytes long; a longer one ends its connection.
+A message is at most {Settings().message_size} bytes long; a longer one ends its connection.
 Coordinates [m] and angles [rad] are within {LARGEST:g} of 0, time stamps [s] within
 {LATEST:g}.
 

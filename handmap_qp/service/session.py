@@ -44,9 +44,8 @@ from handmap_qp.service.samples import (
     to_pose,
     to_row,
 )
-from handmap_qp.service.states import Event, MapperState, SessionState, next_state
+from handmap_qp.service.states import Event, MapperState, SessionState, Watchdog, next_state
 from handmap_qp.service.store import Record
-from handmap_qp.service.watchdog import Watchdog
 from handmap_qp.trackers.contact_gap import ContactGapMeter
 
 Posture = tuple[np.ndarray, np.ndarray | None]
