@@ -328,10 +328,10 @@ def measure_samples(root: Path) -> dict[str, float]:
 
     from handmap_qp import Follower, HandMapper, HumanLengths, HumanSample, load_hand
     from handmap_qp.client.messages import PROTOCOL, Open, Step
-    from handmap_qp.service.caps import Caps
     from handmap_qp.service.dispatch import Dispatcher
     from handmap_qp.service.metrics import Metrics
     from handmap_qp.service.opening import HandCache
+    from handmap_qp.service.settings import Settings
 
     human = load_hand("human", lengths=HumanLengths.from_hand_length(_HAND_LENGTH))
     tracked, secret = human.with_points("landmarks"), "measures-the-house"
@@ -346,7 +346,7 @@ def measure_samples(root: Path) -> dict[str, float]:
     plain, other = (HandMapper(human, load_hand("three_finger")) for _ in range(2))
     guarded = Follower(other)
     now, answers = 0.0, []
-    dispatcher = Dispatcher(Caps(rate=1e6), HandCache(), Metrics(), clock=lambda: now)
+    dispatcher = Dispatcher(Settings(rate=1e6), HandCache(), Metrics(), clock=lambda: now)
 
     def send(request: Open | Step) -> None:
         dispatcher.receive(msgspec.msgpack.encode(request), "house", answers.append)

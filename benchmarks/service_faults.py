@@ -38,7 +38,7 @@ from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
 from handmap_qp.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
-from handmap_qp.service.caps import Caps
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import LEASE
 
 _LONGEST_GAP = 0.05
@@ -380,7 +380,7 @@ def steering(duration: float) -> dict[str, Any]:
                 pool.map(lambda seed: _steer(service, seed, started + duration), range(4)),
                 Counter[str](),
             )
-        most = Caps().configures * (time.monotonic() - started + 0.25) + 1.0
+        most = Settings().configures * (time.monotonic() - started + 0.25) + 1.0
     found = summary(
         clients,
         **memory.found(),

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -32,8 +33,9 @@ from handmap_qp.client.messages import (
     Step,
 )
 from handmap_qp.service.opening import Calibration, HandCache, Hands, prepare_hands
-from handmap_qp.service.server import Server, Settings
+from handmap_qp.service.server import Server
 from handmap_qp.service.session import Posture, Session
+from handmap_qp.service.settings import Settings
 
 CACHE = HandCache()
 """Load hands once for all tests."""
@@ -41,7 +43,9 @@ HERE = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 SECRET = "a-secret-of-the-tests"
 PERIOD = 1.0 / 60.0
 RESET = Reset(protocol=PROTOCOL, seq=99)
-LOCAL = Settings(port=0, stream_port=0, health_port=None)
+LOCAL = Settings(port=0, stream_port=0, health_port=-1)
+WEB: dict[str, Any] = {"web": True, "web_port": 0}
+"""Settings of a server with WebSocket."""
 T = TypeVar("T")
 
 
@@ -152,6 +156,14 @@ def follow(session: Session, sample: Sampler, start: float, count: int = 20) -> 
     for i in range(count):
         session.step(sample(i * PERIOD, human_q(0.1 * i)), start + i * PERIOD)
     return start + (count - 1) * PERIOD
+
+
+def token_file(folder: Path, token: str) -> Path:
+    """Write a file with a token that only its owner can read."""
+    file = folder / "token"
+    file.touch(mode=0o600)
+    file.write_text(token, encoding="utf-8")
+    return file
 
 
 @contextmanager

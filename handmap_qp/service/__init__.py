@@ -9,8 +9,7 @@ Messages:
 
 One session, without input or output:
     session     steps, reset, options
-    states      states and transitions
-    watchdog    effects of silence
+    states      states and transitions, watchdog, owner
     safety      posture last commanded, speed limits, time granted
     samples     kinds of samples, and the values of commands
     opening     hands and mapper from a request; measurement of the human hand
@@ -18,11 +17,13 @@ One session, without input or output:
 All sessions:
     dispatch    requests, rate limits, repeated requests, answers
     sessions    open, find and end sessions
-    caps        limits of what clients may do
+    settings    addresses, files, limits of what clients may do; rate_limit
     store       postures that outlive sessions
 
 Transports:
-    server      ZeroMQ; websocket, metrics (HTTP)
-    keys        CURVE keys and tokens; handshakes
-    run, cli    process and commands; logs
+    server      ZeroMQ sockets, and the process; connection_gate in front of them
+    websocket   WebSocket; pages, metrics (HTTP)
+    keys        CURVE keys and tokens
+    cli         commands
+    logs        logs, and the audit log
 """

@@ -27,9 +27,9 @@ from logging import WARNING
 import zmq
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.service.caps import Bucket
 from handmap_qp.service.logs import Throttle
 from handmap_qp.service.metrics import Metrics
+from handmap_qp.service.rate_limit import Bucket
 
 _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""

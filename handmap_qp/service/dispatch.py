@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Hashable
+from functools import partial
 from importlib.metadata import version
 from logging import ERROR, INFO
 from typing import Any
@@ -38,14 +39,14 @@ from handmap_qp.client.messages import (
     Subscribe,
 )
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.audit import AuditLog
-from handmap_qp.service.caps import Bucket, Caps, RateLimit
 from handmap_qp.service.decoding import decode_request, encode_reply
-from handmap_qp.service.logs import Throttle
+from handmap_qp.service.logs import AuditLog, Throttle
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import HandCache
+from handmap_qp.service.rate_limit import Bucket, RateLimit
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Sessions
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import Caller
 from handmap_qp.service.store import PostureStore
 
@@ -59,7 +60,7 @@ class Dispatcher:
     """Answer messages.
 
     Args:
-        caps: Limits of what clients may do.
+        settings: Limits of what clients may do.
         cache: The hands that clients may open.
         metrics: Counters.
         store: Record of the postures commanded; in memory if omitted.
@@ -73,7 +74,7 @@ class Dispatcher:
 
     def __init__(
         self,
-        caps: Caps,
+        settings: Settings,
         cache: HandCache,
         metrics: Metrics,
         *,
@@ -81,15 +82,18 @@ class Dispatcher:
         audit: AuditLog | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._store = store or PostureStore(None)
+        store = PostureStore(None) if store is None else store
         self._audit, self._who = audit or AuditLog(), Caller
-        self.sessions = Sessions(caps, cache, metrics, self._store, clock, self._audit)
+        self.sessions = Sessions(settings, cache, metrics, store, clock, self._audit)
         self.stream_port = 0
-        self._caps, self._cache, self._metrics, self._clock = caps, cache, metrics, clock
+        self._settings, self._cache, self._metrics, self._clock = settings, cache, metrics, clock
         self._version = version("handmap-qp")
         self._started = clock()
-        self._rates, self._configures = RateLimit(caps.rate), Bucket(caps.configures, clock())
-        self._pending: dict[str, tuple[Sample, Answer, bool]] = {}
+        self._rates, self._configures = (
+            RateLimit(settings.rate),
+            Bucket(settings.configures, clock()),
+        )
+        self._pending: dict[str, tuple[Sample, Callable[[AnyReply], None]]] = {}
         self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._written = b""
@@ -122,36 +126,41 @@ class Dispatcher:
         Returns:
             False if the rate limit rejected the message unread.
         """
+
+        def send(reply: AnyReply) -> None:
+            answer(encode_reply(reply, is_json=is_json))
+
         now, self._who = self._clock(), who
         self._metrics.counts["requests"] += 1
         if not self._rates.take(peer, now):
             self._metrics.refusals["rate"] += 1
             if self._rates.may_report(peer, now):
-                error = Error(code="rate", message="too many messages")
-                answer(encode_reply(error, is_json=is_json))
+                send(Error(code="rate", message="too many messages"))
             return False
         request = decode_request(payload, is_json=is_json)
         if isinstance(request, Error):
             self._count(request)
-            answer(encode_reply(request, is_json=is_json))
+            send(request)
         elif isinstance(request, Sample):
-            self._receive_sample(request, answer, is_json)
+            self._receive_sample(request, send)
         elif isinstance(request, Open):
             self._receive_open(request, payload, answer, is_json)
         elif isinstance(request, Subscribe):
-            answer(encode_reply(self._subscribe(request, subscribe), is_json=is_json))
+            send(self._attempt(request, lambda: self._subscribe(request, subscribe)))
+        elif isinstance(request, Named) and (request.name is not None or not request.session):
+            send(self._attempt(request, lambda: self._answer_anyone(request, now)))
         else:
-            answer(self._answer(request, payload, now, is_json))
+            answer(self._answer_client(request, payload, now, is_json))
         return True
 
     def flush(self) -> None:
         """Map the newest streamed sample of each session since the last call."""
         pending, self._pending = self._pending, {}
-        for sample, answer, is_json in pending.values():
+        for sample, send in pending.values():
             try:
                 entry = self.sessions.find(sample.session)
             except RefusedError as error:
-                answer(encode_reply(self._refusal(sample.seq, error), is_json=is_json))
+                send(self._refusal(sample.seq, error))
                 continue
             if sample.seq <= entry.seq:
                 entry.session.counts["stale"] += 1
@@ -166,15 +175,11 @@ class Dispatcher:
         now = self._clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
-            if now - session.last_request > self._caps.idle and not session.will_move:
+            if now - session.last_request > self._settings.idle and not session.will_move:
                 self.sessions.end(secret, "no_session", "closed: its client was silent too long")
                 continue
             try:
-                trips = session.counts["watchdog"]
-                command = session.tick(now)
-                self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
-                if command is not None:
-                    self._send(session, command)
+                self._tick(session, now)
             except Exception as error:
                 # The watchdogs of the other sessions must continue.
                 self._bug(0, error)
@@ -186,25 +191,20 @@ class Dispatcher:
         self.sessions.close()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    def _receive_sample(self, sample: Sample, answer: Answer, is_json: bool) -> None:
+    def _tick(self, session: Session, now: float) -> None:
+        trips = session.counts["watchdog"]
+        command = session.tick(now)
+        self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+        if command is not None:
+            self._send(session, command)
+
+    def _receive_sample(self, sample: Sample, send: Callable[[AnyReply], None]) -> None:
         """Keep the newest sample of each session until all waiting messages have been read."""
         if not self._pending:
             asyncio.get_running_loop().call_soon(self.flush)
         elif sample.session in self._pending:
             self._metrics.counts["replaced"] += 1
-        self._pending[sample.session] = sample, answer, is_json
-
-    def _answer(self, request: AnyRequest, payload: bytes, now: float, is_json: bool) -> bytes:
-        """Answer a request that needs no waiting."""
-        if isinstance(request, Named) and request.name is not None:
-            reply = self._answer_anyone(request, request.name, now)
-        elif isinstance(request, Stop) and not request.session:
-            reply = self._stop_all(request, now)
-        elif isinstance(request, Status) and not request.session:
-            reply = self._server_state(request.seq, now)
-        else:
-            return self._answer_client(request, payload, now, is_json)
-        return encode_reply(reply, is_json=is_json)
+        self._pending[sample.session] = sample, send
 
     def _answer_client(
         self, request: AnyRequest, payload: bytes, now: float, is_json: bool
@@ -212,15 +212,13 @@ class Dispatcher:
         """Answer a session's client; repeat the last answer if the request is repeated."""
         try:
             entry = self.sessions.find(request.session)
+            if request.seq == entry.seq and payload == entry.payload:
+                return entry.answer
+            if request.seq <= entry.seq:
+                message = f"expected a number above {entry.seq}, got {request.seq}"
+                raise RefusedError("stale", message, field="seq")
         except RefusedError as error:
             return encode_reply(self._refusal(request.seq, error), is_json=is_json)
-        if request.seq == entry.seq and payload == entry.payload:
-            return entry.answer
-        if request.seq <= entry.seq:
-            stale = RefusedError(
-                "stale", f"expected a number above {entry.seq}, got {request.seq}", field="seq"
-            )
-            return encode_reply(self._refusal(request.seq, stale), is_json=is_json)
         entry.seq, entry.payload = request.seq, payload
         reply = self._carry_out(entry.session, request, now)
         # The stream's command is encoded already.
@@ -228,79 +226,90 @@ class Dispatcher:
         entry.answer = written or encode_reply(reply, is_json=is_json)
         return entry.answer
 
-    def _answer_anyone(self, request: Named, name: str, now: float) -> AnyReply:
-        """Answer a request by a session's public name.
+    def _answer_anyone(self, request: Named, now: float) -> AnyReply:
+        """Answer a request about the server, or by a session's public name.
 
-        Everyone may ask for the status, and stop the robot; other requests need `is_shared`. The
-        owner's key and supervisors may clear a stop too.
+        Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
+        owner's key and supervisor may clear a stop too.
+
+        Raises:
+            RefusedError: If the client may not do that.
         """
-        try:
-            if request.session:
-                raise RefusedError("invalid", "give session or name, not both", field="name")
-            session = self.sessions.named(name)
-            is_allowed = session.request.is_shared or isinstance(request, Status | Stop)
-            if isinstance(request, Clear) and not is_allowed:
-                by = self._who()
-                is_allowed = by.key in self._caps.supervisors or by.owner("") == session.owner
-            if not is_allowed:
-                message = f"session {name!r} was not opened with is_shared: only its owner may"
-                raise RefusedError("denied", message, field="name")
-        except RefusedError as error:
-            return self._refusal(request.seq, error)
+        if request.name is None:
+            if isinstance(request, Status):
+                return self._server_state(request.seq, now)
+            if isinstance(request, Stop):
+                self._audit.note("stop", self._who(), **_changes(request))
+                for entry in list(self.sessions.entries.values()):
+                    self._carry_out(entry.session, request, now)
+                return Done(seq=request.seq)
+            # Refuses: there is no session without a secret.
+            self.sessions.find(request.session)
+        if request.session:
+            raise RefusedError("invalid", "give session or name, not both", field="name")
+        session = self.sessions.named(request.name or "")
+        is_allowed = session.request.is_shared or isinstance(request, Status | Stop)
+        if isinstance(request, Clear) and not is_allowed:
+            by = self._who()
+            is_allowed = by.key in self._settings.supervisor or by.owner("") == session.owner
+        if not is_allowed:
+            message = f"session {request.name!r} was not opened with is_shared: only its owner may"
+            raise RefusedError("denied", message, field="name")
         return self._carry_out(session, request, now)
 
-    def _stop_all(self, request: Stop, now: float) -> AnyReply:
-        """Stop the robots of all sessions."""
-        self._audit.note("stop", self._who(), **_changes(request))
-        for entry in list(self.sessions.entries.values()):
-            self._carry_out(entry.session, request, now)
-        return Done(seq=request.seq)
-
-    def _carry_out(self, session: Session, request: AnyRequest | Named, now: float) -> AnyReply:
+    def _attempt(self, request: AnyRequest | Named, work: Callable[[], AnyReply]) -> AnyReply:
+        """Return what `work` returns, or the error to answer with."""
         try:
-            if isinstance(request, Step):
-                command = session.step(request, now)
-                self._metrics.observe_step(self._clock() - now)
-                self._send(session, command)
-                return command
-            if isinstance(request, Status):
-                return session.state(request.seq, self._version, self.stream_port, now)
-            if isinstance(request, Configure):
-                if not self._configures.take(now):
-                    limit = f"more than {self._caps.configures:g} changes of options a second"
-                    raise RefusedError("rate", f"{limit}: try again later")
-                session.configure(request)
-            elif isinstance(request, Close):
-                reason = "closed by its client"
-                self.sessions.end(request.session, "no_session", reason, by=self._who())
-            else:
-                self._steer(session, request, now)
-            if not isinstance(request, Close):
-                event, changes = type(request).__name__.lower(), _changes(request)
-                self._audit.note(event, self._who(), session=session.name, **changes)
-            # A release must outlive the server as well as a posture.
-            self._note(session)
-            return Done(seq=request.seq)
+            return work()
         except RefusedError as error:
             return self._refusal(request.seq, error)
         except Exception as error:
             return self._bug(request.seq, error)
 
-    def _steer(self, session: Session, request: AnyRequest | Named, now: float) -> None:
-        """Engage, disengage, stop or start a session again."""
-        if isinstance(request, Reset):
-            session.reset(request, now)
-        elif isinstance(request, Clutch):
-            session.clutch()
-        elif isinstance(request, Release):
-            session.release()
-        elif isinstance(request, Clear):
-            session.clear(request.stop)
-        else:
-            session.stop()
-            # The stream must not wait for the next tick.
-            if (command := session.tick(now)) is not None:
-                self._send(session, command)
+    def _carry_out(self, session: Session, request: AnyRequest | Named, now: float) -> AnyReply:
+        """Carry out a request for a session."""
+        if isinstance(request, Step):
+            return self._attempt(request, lambda: self._step(session, request, now))
+        if isinstance(request, Status):
+            state = partial(session.state, request.seq, self._version, self.stream_port, now)
+            return self._attempt(request, state)
+        return self._attempt(request, lambda: self._control(session, request, now))
+
+    def _step(self, session: Session, sample: Step, now: float) -> Command:
+        command = session.step(sample, now)
+        self._metrics.observe_step(self._clock() - now)
+        self._send(session, command)
+        return command
+
+    def _control(self, session: Session, request: AnyRequest | Named, now: float) -> Done:
+        """Engage, disengage, change, stop, close a session, or start it again."""
+        match request:
+            case Close():
+                reason = "closed by its client"
+                self.sessions.end(request.session, "no_session", reason, by=self._who())
+                return Done(seq=request.seq)
+            case Configure():
+                if not self._configures.take(now):
+                    limit = f"more than {self._settings.configures:g} changes of options a second"
+                    raise RefusedError("rate", f"{limit}: try again later")
+                session.configure(request)
+            case Reset():
+                session.reset(request, now)
+            case Clutch():
+                session.clutch()
+            case Release():
+                session.release()
+            case Clear():
+                session.clear(request.stop)
+            case Stop():
+                session.stop()
+                # The stream must not wait for the next tick.
+                self._tick(session, now)
+        event = type(request).__name__.lower()
+        self._audit.note(event, self._who(), session=session.name, **_changes(request))
+        # A release must outlive the server as well as a posture.
+        self.sessions.note(session)
+        return Done(seq=request.seq)
 
     def _receive_open(self, request: Open, payload: bytes, answer: Answer, is_json: bool) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
@@ -308,17 +317,13 @@ class Dispatcher:
         if entry is not None and payload == entry.payload:
             answer(entry.answer)
             return
-        waiting = self._opening.get(request.session)
-        if waiting is not None and payload == waiting[0] and len(waiting[1]) < _MOST_REPEATS:
-            waiting[1].append(answer)
+        first, waiting = self._opening.get(request.session, (b"", []))
+        if payload == first and len(waiting) < _MOST_REPEATS:
+            waiting.append(answer)
             return
-        if waiting is not None or len(self._opening) >= self._caps.sessions:
-            answer(
-                encode_reply(
-                    self._refusal(request.seq, RefusedError("busy", "too many at once")),
-                    is_json=is_json,
-                )
-            )
+        if first or len(self._opening) >= self._settings.sessions:
+            refusal = self._refusal(request.seq, RefusedError("busy", "too many at once"))
+            answer(encode_reply(refusal, is_json=is_json))
             return
         self._opening[request.session] = payload, [answer]
         opening = self._open(request, payload, is_json, self._who())
@@ -343,28 +348,15 @@ class Dispatcher:
 
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""
-        self._note(session)
+        self.sessions.note(session)
         self._written = encode_reply(command)
         self.sessions.send(session.name, self._written)
 
-    def _note(self, session: Session) -> None:
-        """Note where the session is, if that is to outlive the server.
-
-        Without a file, `Sessions` notes it when the session ends.
-        """
-        if self._store.is_persistent:
-            self._store.note(session.record)
-
-    def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> AnyReply:
+    def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> Done:
         if subscribe is None:
-            error = RefusedError(
-                "invalid", "connect a SUB socket to the stream's port instead", field="type"
-            )
-            return self._refusal(request.seq, error)
-        try:
-            self.sessions.named(request.name)
-        except RefusedError as error:
-            return self._refusal(request.seq, error)
+            message = "connect a SUB socket to the stream's port instead"
+            raise RefusedError("invalid", message, field="type")
+        self.sessions.named(request.name)
         subscribe(request.name)
         return Done(seq=request.seq)
 
@@ -388,17 +380,19 @@ class Dispatcher:
     def _bug(self, seq: int, error: Exception) -> Error:
         """Log an unexpected exception, and tell the client that the request failed."""
         self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
-        reply = Error(
-            seq=seq, code="internal", message="the server failed at this request; see its log"
-        )
+        message = "the server failed at this request; see its log"
+        reply = Error(seq=seq, code="internal", message=message)
         self._count(reply)
         return reply
 
     def _count(self, error: Error) -> None:
         self._metrics.refusals[error.code] += 1
-        self._refusals.report(
-            INFO, "refused", code=error.code, field=error.field, message=error.message
-        )
+        evidence: dict[str, Any] = {
+            "code": error.code,
+            "field": error.field,
+            "message": error.message,
+        }
+        self._refusals.report(INFO, "refused", **evidence)
 
 
 def _changes(request: AnyRequest | Named) -> dict[str, Any]:

@@ -6,29 +6,24 @@ public keys of admitted clients are also in `clients/`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from logging import INFO, WARNING
 from pathlib import Path
+from typing import NamedTuple
 
 from zmq.auth import create_certificates, load_certificate
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.service.logs import Throttle, report
 
 _KEY_LENGTH = 40
 """Length of a key as Z85."""
 
 
-@dataclass(frozen=True, slots=True)
-class ServerKeys:
-    """The keys of a server.
-
-    Attributes:
-        public: Public key, Z85.
-        secret: Secret key, Z85.
-    """
+class ServerKeys(NamedTuple):
+    """The public and the secret key of a server, Z85."""
 
     public: bytes
     secret: bytes
@@ -165,10 +160,11 @@ def read_token(file: Path) -> str:
 
     Raises:
         InvalidInputError: If it cannot be read, or if others can read it.
+        InvalidOptionsError: If it is not a token.
     """
     try:
         _check_private(file)
-        return file.read_text(encoding="utf-8").strip()
+        token = file.read_text(encoding="utf-8").strip()
     except OSError as error:
         raise _unreadable(file, error) from error
     except UnicodeDecodeError as error:
@@ -176,6 +172,11 @@ def read_token(file: Path) -> str:
             argument=str(file),
             problem="cannot be read: expected a token, got bytes that are not text",
         ) from error
+    if not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", token):
+        raise InvalidOptionsError(
+            option="web_token_file", expected="a token of 16 to 256 letters, digits, - and _"
+        )
+    return token
 
 
 def _unreadable(file: Path, error: OSError) -> InvalidInputError:

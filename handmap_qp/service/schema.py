@@ -19,12 +19,12 @@ from handmap_qp.client.messages import (
     Reply,
     Request,
 )
-from handmap_qp.human.verdict import RULES
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.decoding import LARGEST, LATEST
 from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
+from handmap_qp.service.settings import Settings
+from handmap_qp.stream.guard import RULES
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",
@@ -75,7 +75,7 @@ in right-handed worlds.
   TOKEN`. A page in a browser cannot set headers, so it offers the token as a subprotocol:
   `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.
 
-A message is at most {Caps().message_size} bytes long; a longer one ends its connection.
+A message is at most {Settings().message_size} bytes long; a longer one ends its connection.
 Coordinates [m] and angles [rad] are within {LARGEST:g} of 0, time stamps [s] within
 {LATEST:g}.
 

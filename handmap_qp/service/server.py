@@ -12,9 +12,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
+import importlib
+import json
+import os
+import resource
+import signal
+import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from logging import ERROR, INFO, WARNING
 from pathlib import Path
@@ -23,22 +29,21 @@ from typing import Any
 import zmq
 import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
+from zmq.utils.monitor import recv_monitor_message
 
-from handmap_qp.addresses import check_port, is_loopback
 from handmap_qp.client.messages import TOPIC_END
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.audit import AuditLog
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.connection_gate import ConnectionGate, cost_of
 from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.handshakes import report_handshakes
-from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys
-from handmap_qp.service.logs import Throttle, report
-from handmap_qp.service.metrics import Metrics, serve_metrics
+from handmap_qp.service.keys import ClientKeys, ServerKeys, read_server_keys, read_token
+from handmap_qp.service.logs import AuditLog, Throttle, log_to_stderr, report
+from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import HandCache
+from handmap_qp.service.pages import serve_metrics
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import Caller
 from handmap_qp.service.store import PostureStore
-from handmap_qp.service.websocket import WebSettings, WebSocketTransport
+from handmap_qp.service.websocket import WebSocketTransport
 
 TICK = 0.005
 """Time between checks of the watchdogs [s]."""
@@ -54,59 +59,16 @@ _ENVELOPE = 4096.0
 """What the largest message and its handshake take beside the message [bytes]."""
 _MOST_UNREAD = 500
 """High-water mark of replies, above which a slow client loses the others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Addresses, limits and files of a server.
-
-    Attributes:
-        host: Address to listen on; off loopback only with `keys`.
-        port: Port of requests and samples; 0 lets the system choose, as for the other ports.
-        stream_port: Port of the stream.
-        health_port: Port of `/metrics` and `/health`, always on loopback; None for neither.
-        keys: Folder that `handmap keys` made; None for unencrypted connections.
-        web: The WebSocket transport; None for none.
-        state: File that keeps the postures last commanded; None for none.
-        audit: File of the audit log; None for none.
-        hands: Further robot hands: paths of `hand.yaml` files.
-        caps: Limits of what clients may do.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 5570
-    stream_port: int = 5571
-    health_port: int | None = 5573
-    keys: Path | None = None
-    web: WebSettings | None = None
-    state: Path | None = None
-    audit: Path | None = None
-    hands: tuple[Path, ...] = ()
-    caps: Caps = field(default_factory=Caps)
-
-    def __post_init__(self) -> None:
-        """Reject unencrypted connections off loopback.
-
-        Raises:
-            InvalidInputError: If there is no such port.
-            InvalidOptionsError: If keys are missing, or that of a supervisor.
-        """
-        check_port("port", self.port)
-        check_port("stream_port", self.stream_port)
-        if self.health_port is not None:
-            check_port("health_port", self.health_port)
-        if not is_loopback(self.host) and self.keys is None:
-            raise InvalidOptionsError(
-                option="host",
-                problem=f"others could move the robot on {self.host}",
-                value=self.host,
-                advice="off loopback, give keys (handmap keys FOLDER makes them)",
-            )
-        files = () if self.keys is None else (self.keys / "clients").glob("*.key")
-        for name in set(self.caps.supervisors).difference(file.stem for file in files):
-            raise InvalidOptionsError(
-                option="supervisor", expected="the name of a client in keys", value=name
-            )
+_FAILURES = (
+    zmq.Event.HANDSHAKE_FAILED_NO_DETAIL,
+    zmq.Event.HANDSHAKE_FAILED_PROTOCOL,
+    zmq.Event.HANDSHAKE_FAILED_AUTH,
+)
+# Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
+# default is ten times longer.
+_SWITCH_INTERVAL = 5e-4
+# Idle connections must not use up the descriptors that clients need.
+_MOST_FILES = 65536
 
 
 class Server:
@@ -115,6 +77,10 @@ class Server:
     Args:
         settings: Addresses, limits and files.
 
+    Raises:
+        InvalidInputError: If a file cannot be used, or a setting.
+        InvalidOptionsError: With the setting at fault.
+
     Attributes:
         dispatcher: Answers messages.
         metrics: Counters.
@@ -122,22 +88,23 @@ class Server:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+        self.settings = settings = settings.checked()
+        files = () if settings.keys is None else (settings.keys / "clients").glob("*.key")
+        for name in set(settings.supervisor).difference(file.stem for file in files):
+            raise InvalidOptionsError(
+                option="supervisor", expected="the name of a client in keys", value=name
+            )
         self.metrics = Metrics()
         self.ports: dict[str, int] = {}
         self._closing = contextlib.AsyncExitStack()
-        cache = HandCache(settings.hands)
-        # Acquire the file lock last, after everything that can fail.
-        store = (
-            None
-            if settings.state is None
-            else self._closing.enter_context(PostureStore(settings.state))
-        )
+        cache = HandCache(settings.hand)
+        file = settings.web_token_file
+        self._token = None if file is None else read_token(file)
         self._audit = AuditLog(settings.audit)
         self._closing.callback(self._audit.close)
-        self.dispatcher = Dispatcher(
-            settings.caps, cache, self.metrics, store=store, audit=self._audit
-        )
+        # Acquire the file lock last, after everything that can fail.
+        store = self._closing.enter_context(PostureStore(settings.state))
+        self.dispatcher = Dispatcher(settings, cache, self.metrics, store=store, audit=self._audit)
         self._clients: ClientKeys | None = None
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -164,8 +131,8 @@ class Server:
         # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
         self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
-        host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.caps.sessions
-        credit = settings.caps.message_size + _ENVELOPE
+        host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.sessions
+        credit = settings.message_size + _ENVELOPE
         self._gate = ConnectionGate(
             "requests", host, settings.port, most, credit, self.metrics, evicts=True
         )
@@ -177,10 +144,10 @@ class Server:
         self.ports["stream"] = self.dispatcher.stream_port
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
-        if settings.web is not None:
-            transport = WebSocketTransport(settings.web, self.dispatcher, settings.caps)
+        if settings.web:
+            transport = WebSocketTransport(settings, self._token, self.dispatcher)
             self.ports["web"] = await self._closing.enter_async_context(transport)
-        if settings.health_port is not None:
+        if settings.health_port >= 0:
             try:
                 health = await serve_metrics(
                     "127.0.0.1", settings.health_port, self.metrics, self.health
@@ -192,12 +159,12 @@ class Server:
                     value=settings.health_port,
                 ) from error
             self._closing.callback(health.close)
-            self.ports["health"] = health.sockets[0].getsockname()[1]
+            self.ports["health"] = next(iter(health.sockets)).getsockname()[1]
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._router.FD, self._drain)
         self._closing.callback(self._loop.remove_reader, self._router.FD)
         watches = [
-            report_handshakes(context, socket, self.metrics)
+            _report_handshakes(context, socket, self.metrics)
             for socket in (self._router, self._stream)
         ]
         self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
@@ -227,7 +194,7 @@ class Server:
         socket = context.socket(kind)
         # Linger [ms]: send queued messages when the server stops.
         self._closing.callback(socket.close, 100)
-        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.caps.message_size)
+        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.message_size)
         socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
         socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
@@ -237,11 +204,8 @@ class Server:
         # newest message per reader, whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
         if (keys := self._keys) is not None:
-            socket.curve_publickey, socket.curve_secretkey, socket.curve_server = (
-                keys.public,
-                keys.secret,
-                True,
-            )
+            socket.curve_publickey, socket.curve_secretkey = keys
+            socket.curve_server = True
         return socket
 
     def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
@@ -340,3 +304,89 @@ class Server:
 
 def _ip(host: str) -> str:
     return "127.0.0.1" if host == "localhost" else host
+
+
+async def _report_handshakes(
+    context: zmq.asyncio.Context, socket: zmq.Socket, metrics: Metrics
+) -> None:
+    """Count and log the handshakes that fail on a socket, until cancelled.
+
+    libzmq reports them only through a socket monitor, neither to the server nor to the client.
+    """
+    address, failed = f"inproc://handshakes-{socket.FD}", Throttle()
+    with context.socket(zmq.PAIR) as events:
+        # No high-water mark: libzmq's I/O thread, which serves all connections, would block.
+        events.linger = events.rcvhwm = 0
+        socket.monitor(address, sum(_FAILURES))
+        try:
+            events.connect(address)
+            while True:
+                event = await recv_monitor_message(events)
+                metrics.refusals["handshake"] += 1
+                failed.report(INFO, "handshake", reason=_reason(event["event"], event["value"]))
+        finally:
+            socket.disable_monitor()
+
+
+def _reason(event: int, value: int) -> str:
+    """Return why a handshake failed, as far as libzmq reports it."""
+    if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
+        return "the client's key is not among the keys in clients/"
+    if (
+        event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
+        and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
+    ):
+        return "the client's server.key is another server's"
+    return "only one of client and server uses keys, or the client does not speak ZeroMQ"
+
+
+def run_server(settings: Settings, log_level: str = "info") -> None:
+    """Serve until SIGINT or SIGTERM.
+
+    Args:
+        settings: Addresses, limits and files.
+        log_level: Lowest level to log.
+
+    Raises:
+        InvalidInputError: If an address or file cannot be used.
+    """
+    log_to_stderr(log_level)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    _raise_file_limit()
+    if asyncio.run(_serve(settings)):
+        # Python would wait for the thread that loads a hand, for seconds if the hand is large.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+async def _serve(settings: Settings) -> bool:
+    """Serve; return whether a hand was being loaded at the end."""
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    # The first hand with meshes would import it, which delays running sessions. Leases count from
+    # when the server is made.
+    importlib.import_module("scipy.spatial")
+    server = Server(settings)
+    try:
+        await server.start()
+        # Exclude the objects that exist now from garbage collection: they stay.
+        gc.collect()
+        gc.freeze()
+        settings = server.settings
+        hosts = {"host": settings.host} | ({"web_host": settings.web_host} if settings.web else {})
+        print(json.dumps({"ready": True, **hosts, "ports": server.ports}), flush=True)
+        await ended.wait()
+    finally:
+        await server.stop()
+    return server.dispatcher.sessions.is_preparing
+
+
+def _raise_file_limit() -> None:
+    """Raise the limit of open files to the system's maximum, at most 65536."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # RLIM_INFINITY is -1.
+    wanted = min(hard, _MOST_FILES) if hard >= 0 else _MOST_FILES
+    if 0 <= soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

@@ -45,9 +45,8 @@ from handmap_qp.service.samples import (
     to_pose,
     to_row,
 )
-from handmap_qp.service.states import Event, MapperState, SessionState, next_state
+from handmap_qp.service.states import Event, MapperState, SessionState, Watchdog, next_state
 from handmap_qp.service.store import Record
-from handmap_qp.service.watchdog import Watchdog
 
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""

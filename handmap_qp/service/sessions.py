@@ -10,17 +10,17 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from logging import INFO
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.audit import AuditLog
-from handmap_qp.service.caps import Bucket, Caps
 from handmap_qp.service.decoding import encode_reply
-from handmap_qp.service.logs import report
+from handmap_qp.service.logs import AuditLog, report
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.service.rate_limit import Bucket
 from handmap_qp.service.session import Session
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import LEASE, Caller, refusal
 from handmap_qp.service.store import PostureStore, Record
 
@@ -55,7 +55,7 @@ class Sessions:
     """The open sessions.
 
     Args:
-        caps: Limits of what clients may do.
+        settings: Limits of what clients may do.
         cache: The hands that clients may open.
         metrics: Counters.
         store: Records of former sessions.
@@ -70,7 +70,7 @@ class Sessions:
 
     def __init__(
         self,
-        caps: Caps,
+        settings: Settings,
         cache: HandCache,
         metrics: Metrics,
         store: PostureStore,
@@ -81,16 +81,11 @@ class Sessions:
         self.publish: list[Publish] = []
         self.is_preparing = False
         self._audit = audit
-        self._caps, self._cache, self._metrics, self._store, self._clock = (
-            caps,
-            cache,
-            metrics,
-            store,
-            clock,
-        )
+        self._settings, self._cache, self._metrics = settings, cache, metrics
+        self._store, self._clock = store, clock
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
-        self._opens = Bucket(caps.opens, clock(), burst=caps.sessions)
+        self._opens = Bucket(settings.opens, clock(), burst=settings.sessions)
         self._names_opening: set[str] = set()
         self._ended: OrderedDict[str, str] = OrderedDict()
         # After a restart, owners are on their way back.
@@ -124,7 +119,7 @@ class Sessions:
         """
         session = self._find_named(name)
         if session is None:
-            raise RefusedError("invalid", f"no session {name!r}", field="name")
+            raise _invalid("name", f"no session {name!r}")
         return session
 
     async def open(self, request: Open, payload: bytes, by: Caller) -> Session:
@@ -143,7 +138,7 @@ class Sessions:
         self._names_opening.add(name)
         try:
             work = self._submit(lambda: self._prepare(request))
-            hands, meter = await asyncio.wrap_future(work)
+            hands, calibration = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
@@ -154,7 +149,7 @@ class Sessions:
                 hands,
                 name,
                 self._clock(),
-                calibration=meter,
+                calibration=calibration,
                 former=former,
                 owner=by.owner(request.session),
                 motion=None if running is None else running.motion,
@@ -164,26 +159,29 @@ class Sessions:
         # A stop also outlives a session that is not restored.
         if (last := self._store.records.get(name)) is not None and last.stop:
             session.stop(last.stop)
-        for secret in [
-            secret for secret, entry in self.entries.items() if entry.session.name == name
-        ]:
-            self.end(secret, "taken", "a client restored this session", by=by)
+        for secret, entry in list(self.entries.items()):
+            if entry.session.name == name:
+                self.end(secret, "taken", "a client restored this session", by=by)
         self._last_heard.pop(name, None)
         self.entries[request.session] = Entry(session, request.seq, payload)
+        self.note(session)
+        self._metrics.counts["opened"] += 1
+        event: dict[str, Any] = {
+            "session": name,
+            "robot": robot.name,
+            "restored": former is not None,
+        }
+        self._audit.note("opened", by, **event)
+        report(INFO, "opened", input=request.input, **event)
+        return session
+
+    def note(self, session: Session) -> None:
+        """Note where a session is, if that is to outlive the server.
+
+        Without a file, it is noted when the session ends.
+        """
         if self._store.is_persistent:
             self._store.note(session.record)
-        self._metrics.counts["opened"] += 1
-        is_restored = former is not None
-        self._audit.note("opened", by, session=name, robot=robot.name, restored=is_restored)
-        report(
-            INFO,
-            "opened",
-            session=name,
-            robot=robot.name,
-            input=request.input,
-            restored=is_restored,
-        )
-        return session
 
     def end(self, secret: str, code: str, reason: str, *, by: Caller | str = "server") -> None:
         """Close a session.
@@ -236,44 +234,30 @@ class Sessions:
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         if len(request.session) < _SHORTEST_SECRET:
-            raise RefusedError(
-                "invalid",
-                f"expected at least {_SHORTEST_SECRET} random characters",
-                field="session",
-            )
+            raise _invalid("session", f"expected at least {_SHORTEST_SECRET} random characters")
         last = self._find_named(request.name)
         held = self.entries.get(request.session)
         is_newer = held is not None and request.seq > held.seq
         if held is not None and not (request.restore and held.session is last and is_newer):
-            raise RefusedError(
-                "invalid", "a session with this secret exists: choose another one", field="session"
-            )
+            raise _invalid("session", "a session with this secret exists: choose another one")
         is_replacing = last is not None and request.restore
-        if len(self.entries) + len(self._names_opening) - is_replacing >= self._caps.sessions:
-            raise RefusedError("busy", f"all {self._caps.sessions} sessions are taken")
+        if len(self.entries) + len(self._names_opening) - is_replacing >= self._settings.sessions:
+            raise RefusedError("busy", f"all {self._settings.sessions} sessions are taken")
         if not self._opens.take(self._clock()):
-            raise RefusedError(
-                "rate", f"more than {self._caps.opens:g} sessions opened a second: try again later"
+            message = (
+                f"more than {self._settings.opens:g} sessions opened a second: try again later"
             )
-        if request.time_from == "client" and not self._caps.allows_client_time:
-            raise RefusedError(
-                "denied",
-                "the server uses its own clock (see handmap serve --simulated-time)",
-                field="time_from",
-            )
+            raise RefusedError("rate", message)
+        if request.time_from == "client" and not self._settings.simulated_time:
+            message = "the server uses its own clock (see handmap serve --simulated-time)"
+            raise RefusedError("denied", message, field="time_from")
         if request.name in self._names_opening:
             raise RefusedError("busy", f"session {request.name!r} is being opened", field="name")
         if last is not None and not request.restore:
-            raise RefusedError(
-                "invalid",
-                f"session {request.name!r} exists: restore=true takes it over",
-                field="name",
-            )
+            raise _invalid("name", f"session {request.name!r} exists: restore=true takes it over")
         self._check_owner(request, by)
         if request.restore and request.name is None:
-            raise RefusedError(
-                "invalid", "missing: restore needs the name of the session", field="name"
-            )
+            raise _invalid("name", "missing: restore needs the name of the session")
 
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
@@ -307,10 +291,14 @@ class Sessions:
         found = self._store.find(name, robot, joints)
         if found is None and request.robot_q is None:
             message = f"no record of a session {name!r}: give the robot's joint angles in robot_q"
-            raise RefusedError("invalid", message, field="restore")
+            raise _invalid("restore", message)
         return found
 
     def _new_name(self) -> str:
         """Return a name that is unique also over restarts, because others may watch it."""
         self._last_name += 1
         return f"session-{self._last_name}-{secrets.token_hex(3)}"
+
+
+def _invalid(field: str, message: str) -> RefusedError:
+    return RefusedError("invalid", message, field=field)

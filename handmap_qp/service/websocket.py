@@ -13,13 +13,11 @@ import asyncio
 import contextlib
 import hmac
 import http
-import logging
 import re
 import ssl
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from logging import ERROR
 from pathlib import Path
@@ -33,21 +31,18 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
-from handmap_qp.addresses import check_port, is_loopback
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import MOST_SESSIONS, Bucket, Caps
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.logs import log, report
+from handmap_qp.service.logs import report, websocket_log
 from handmap_qp.service.pages import page_response
+from handmap_qp.service.rate_limit import Bucket
 from handmap_qp.service.sessions import Sessions
+from handmap_qp.service.settings import MOST_SESSIONS, Settings
 from handmap_qp.service.states import Caller
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """Subprotocol that a browser offers besides `bearer.TOKEN`, because it cannot set headers."""
 _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d+)?")
-# Connections that send no handshake would fill the log with tracebacks.
-_LOG = logging.getLogger(f"{log.name}.websocket")
-_LOG.setLevel(logging.CRITICAL)
 _SEND_TIMEOUT = 5.0
 _CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
@@ -61,90 +56,43 @@ _ACTIVE = 1.0
 """Time after a message in which a connection keeps its place before silent ones [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class WebSettings:
-    """Address and access rules of the WebSocket transport.
-
-    Attributes:
-        host: Address to listen on; off loopback only with `token`, `certificate` and `key`.
-        port: Port; 0 lets the system choose.
-        token: Token that clients must present; None for none.
-        certificate: PEM file of the TLS certificate.
-        key: PEM file of its key.
-        origins: Origins of pages that may connect, besides those on loopback.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 5572
-    token: str | None = field(default=None, repr=False)
-    certificate: Path | None = None
-    key: Path | None = None
-    origins: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Reject connections off loopback without token and TLS.
-
-        Raises:
-            InvalidInputError: If there is no such port.
-            InvalidOptionsError: With the setting at fault.
-        """
-        check_port("web_port", self.port)
-        if (self.certificate is None) != (self.key is None):
-            raise InvalidOptionsError(
-                option="web_certificate" if self.certificate is None else "web_key",
-                problem="certificate and key go together",
-                advice="give both or neither",
-            )
-        if self.token is not None and not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", self.token):
-            raise InvalidOptionsError(
-                option="web_token_file", expected="a token of 16 to 256 letters, digits, - and _"
-            )
-        if not is_loopback(self.host) and (self.token is None or self.certificate is None):
-            raise InvalidOptionsError(
-                option="web_host",
-                problem=f"others could move the robot on {self.host}",
-                value=self.host,
-                advice="off loopback, give a token, a certificate and its key",
-            )
-
-
 class WebSocketTransport:
     """The listening WebSocket: an asynchronous context manager that returns the port in use.
 
     Args:
         settings: Address and access rules.
+        token: Token that clients must present; None for none.
         dispatcher: Answers messages.
-        caps: Limits of what clients may do.
     """
 
-    def __init__(self, settings: WebSettings, dispatcher: Dispatcher, caps: Caps) -> None:
-        self._settings, self._dispatcher, self._caps = settings, dispatcher, caps
+    def __init__(self, settings: Settings, token: str | None, dispatcher: Dispatcher) -> None:
+        self._settings, self._token, self._dispatcher = settings, token, dispatcher
         self._connections: set[_Outbox] = set()
         self._server: WebServer | None = None
 
     async def __aenter__(self) -> int:
         settings, tls = self._settings, None
         try:
-            if settings.certificate is not None and settings.key is not None:
-                tls = _read_tls(settings.certificate, settings.key)
+            if settings.web_certificate is not None and settings.web_key is not None:
+                tls = _read_tls(settings.web_certificate, settings.web_key)
             self._server = await serve(
                 self._handle,
-                settings.host,
-                settings.port,
+                settings.web_host,
+                settings.web_port,
                 ssl=tls,
                 process_request=self._check,
                 select_subprotocol=_choose_subprotocol,
                 create_connection=_Connection,
-                logger=_LOG,
+                logger=websocket_log,
                 compression=None,
-                max_size=self._caps.message_size,
+                max_size=self._settings.message_size,
                 max_queue=16,
                 open_timeout=5.0,
                 close_timeout=0.5 * _CLOSE_TIMEOUT,
             )
         except OSError as error:
             raise InvalidInputError(
-                argument=f"web {settings.host}:{settings.port}",
+                argument=f"web {settings.web_host}:{settings.web_port}",
                 problem=str(error.strerror or error),
             ) from error
         self._dispatcher.sessions.publish.append(self._publish)
@@ -166,14 +114,14 @@ class WebSocketTransport:
         """
         if (page := page_response(request)) is not None:
             return page
-        settings = self._settings
-        if settings.token is not None:
-            if not _has_token(request, settings.token):
+        if self._token is not None:
+            if not _has_token(request, self._token):
                 return connection.respond(http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n")
             return None
         origins = request.headers.get_all("Origin")
         if all(
-            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in settings.origins for origin in origins
+            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self._settings.web_origin
+            for origin in origins
         ):
             return None
         return connection.respond(
@@ -187,7 +135,7 @@ class WebSocketTransport:
         writer, and the reader would wait for those answers.
         """
         outbox = _Outbox(connection, self._dispatcher.sessions)
-        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._caps.sessions:
+        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._settings.sessions:
             # The new client may come to stop a robot.
             least = min(self._connections, key=_Outbox.use)
             least.connection.transport.abort()
@@ -196,7 +144,7 @@ class WebSocketTransport:
         tasks = {
             asyncio.create_task(self._read(connection, outbox)),
             asyncio.create_task(outbox.write()),
-            asyncio.create_task(outbox.idle(self._caps.idle)),
+            asyncio.create_task(outbox.idle(self._settings.idle)),
         }
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -364,11 +312,8 @@ def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> 
 def _has_token(request: Request, token: str) -> bool:
     given = [value.removeprefix("Bearer ") for value in request.headers.get_all("Authorization")]
     for value in request.headers.get_all("Sec-WebSocket-Protocol"):
-        given += [
-            part.strip().removeprefix("bearer.")
-            for part in value.split(",")
-            if part.strip().startswith("bearer.")
-        ]
+        offered = map(str.strip, value.split(","))
+        given += [part.removeprefix("bearer.") for part in offered if part.startswith("bearer.")]
     return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
 
 

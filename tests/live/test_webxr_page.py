@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
+from handmap_qp.trackers.layout import load_layout
+from handmap_qp.trackers.point_layout import PointLayout
 from live_cases import moving_hand
 from patience import wait_until
-from service_tools import address_of, client_of, in_loop, serving
+from service_tools import WEB, address_of, client_of, in_loop, serving, token_file
 
 from handmap_qp import hand_names
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
@@ -21,9 +23,6 @@ from handmap_qp.human.recording import recording_samples
 from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
-from handmap_qp.service.websocket import WebSettings
-from handmap_qp.trackers.layouts import load_layout
-from handmap_qp.trackers.layouts.points import PointLayout
 
 pytestmark = pytest.mark.slow
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")
@@ -33,8 +32,9 @@ LAYOUT = load_layout("webxr25")
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
-    with serving(web=WebSettings(port=0, token=TOKEN)) as server:
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    token = token_file(tmp_path_factory.mktemp("token"), TOKEN)
+    with serving(**WEB, web_token_file=token) as server:
         yield server
 
 

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from service_tools import client_of, connected, human_q, serving
+from service_tools import WEB, client_of, connected, human_q, serving
 from websockets.sync.client import connect
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.service.audit import AuditLog
 from handmap_qp.service.keys import make_keys
-from handmap_qp.service.websocket import WebSettings
+from handmap_qp.service.logs import AuditLog
 
 
 def lines(file: Path) -> list[dict[str, Any]]:
@@ -54,7 +53,7 @@ def test_who_opened_changed_and_stopped_a_session_is_kept(tmp_path: Path) -> Non
 
 def test_clients_without_keys_are_known_by_their_address(tmp_path: Path) -> None:
     file = tmp_path / "audit.jsonl"
-    with serving(audit=file, web=WebSettings(port=0)) as server:
+    with serving(audit=file, **WEB) as server:
         with connected(server):
             pass
         with connect(f"ws://127.0.0.1:{server.ports['web']}") as page:

@@ -22,17 +22,18 @@ from handmap_qp.client.messages import (
     Clear,
     Close,
     Clutch,
+    Open,
     Release,
     Request,
     Status,
     Stop,
 )
 from handmap_qp.service import sessions
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import LEASE, Caller, refusal
 from handmap_qp.service.store import PostureStore, Record
 
@@ -91,7 +92,7 @@ class World:
 
     def _start(self) -> None:
         supervisors = ("b",) if self.setting.has_supervisor else ()
-        caps = Caps(rate=1e9, opens=1e9, idle=1e9, supervisors=supervisors)
+        caps = Settings(rate=1e9, opens=1e9, idle=1e9, supervisor=supervisors)
         self.dispatcher = Dispatcher(
             caps, CACHE, Metrics(), store=self.store, clock=lambda: self.now
         )
@@ -111,14 +112,18 @@ class World:
     def send(self, client: str, request: Request) -> dict[str, Any]:
         """Send a request; return its answer."""
         answers: list[bytes] = []
+        payload, who = msgspec.msgpack.encode(request), self.caller(client)
 
         async def ask() -> None:
-            payload, who = msgspec.msgpack.encode(request), self.caller(client)
             self.dispatcher.receive(payload, client, answers.append, who=lambda: who)
             while not answers:
                 await asyncio.sleep(0.0)
 
-        self._loop.run_until_complete(ask())
+        if isinstance(request, Open):
+            self._loop.run_until_complete(ask())
+        else:
+            # All others are answered at once.
+            self.dispatcher.receive(payload, client, answers.append, who=lambda: who)
         return msgspec.msgpack.decode(answers[0])
 
     def _request(self, client: str, kind: str, *, by_name: bool) -> Request:
@@ -369,12 +374,12 @@ def _forgets_stops(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _lets_all_clear(monkeypatch: pytest.MonkeyPatch) -> None:
-    def make(**caps: Any) -> Caps:
-        caps["supervisors"] = CLIENTS
-        return whole(**caps)
+    def make(**choices: Any) -> Settings:
+        choices["supervisor"] = CLIENTS
+        return whole(**choices)
 
-    whole = Caps
-    monkeypatch.setattr(f"{__name__}.Caps", make)
+    whole = Settings
+    monkeypatch.setattr(f"{__name__}.Settings", make)
 
 
 @pytest.mark.parametrize(

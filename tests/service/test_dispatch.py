@@ -17,12 +17,12 @@ import pytest
 from service_tools import CACHE, PERIOD, SECRET, Sampler, human_q, make_session, opening, streamed
 
 from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.dispatch import Dispatcher
 from handmap_qp.service.logs import JsonLines, log
 from handmap_qp.service.metrics import Metrics
 from handmap_qp.service.session import Session
 from handmap_qp.service.sessions import Entry
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import LEASE, Caller
 from handmap_qp.service.store import PostureStore, Record
 
@@ -40,7 +40,7 @@ class Desk:
         self.published: list[dict[str, Any]] = []
         self.metrics, self.store = Metrics(), store or PostureStore(None)
         self.dispatcher = Dispatcher(
-            Caps(**caps), CACHE, self.metrics, store=self.store, clock=lambda: self.now
+            Settings(**caps), CACHE, self.metrics, store=self.store, clock=lambda: self.now
         )
         self.sessions = self.dispatcher.sessions
         self.sessions.publish.append(

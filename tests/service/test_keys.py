@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +11,15 @@ import numpy as np
 import pytest
 import zmq
 from patience import wait_until
-from service_tools import bare_connection, client_of, code_of, human_q, serving, skip
+from service_tools import LOCAL, bare_connection, client_of, code_of, human_q, serving, skip
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
 from handmap_qp.client import KeyFiles, ServiceError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.keys import ClientKeys, make_keys
-from handmap_qp.service.server import Server, Settings
+from handmap_qp.service.server import Server
+from handmap_qp.service.settings import Settings
 from handmap_qp.service.states import LEASE
 
 WRIST = np.eye(4)
@@ -146,7 +148,7 @@ def test_another_key_may_stop_a_robot_but_not_clear_or_lead_it(tmp_path: Path) -
     make_keys(tmp_path, ["alice", "bob", "chief"])
     alice, bob, chief = (keys_of(tmp_path, name) for name in ("alice", "bob", "chief"))
     with (
-        serving(keys=tmp_path, caps=Caps(supervisors=("chief",))) as server,
+        serving(keys=tmp_path, supervisor=("chief",)) as server,
         client_of(server, keys=alice) as tracker,
         client_of(server, keys=bob) as other,
         client_of(server, keys=chief) as supervisor,
@@ -207,12 +209,12 @@ def test_a_key_is_the_owner_with_another_secret_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["nobody", "", "../server"])
 def test_a_supervisor_must_have_a_key(tmp_path: Path, name: str) -> None:
     make_keys(tmp_path, ["alice"])
-    assert Settings(keys=tmp_path, caps=Caps(supervisors=("alice",)))
+    asyncio.run(Server(replace(LOCAL, keys=tmp_path, supervisor=("alice",))).stop())
     for keys in (tmp_path, None):
         with pytest.raises(
             InvalidOptionsError, match="supervisor: expected the name of a client in keys"
         ):
-            Settings(keys=keys, caps=Caps(supervisors=("alice", name)))
+            Server(Settings(keys=keys, supervisor=("alice", name)))
 
 
 def test_a_supervisor_without_a_key_is_one_line_at_the_command_line(

@@ -8,19 +8,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from service_tools import PATIENCE, serving
+from service_tools import PATIENCE, WEB, serving, token_file
 
 import handmap_qp.service
 from handmap_qp.service.server import Server
-from handmap_qp.service.websocket import WebSettings
 
 FILES = Path(handmap_qp.service.__file__).with_name("webxr")
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     # The page itself needs no token: the page's connection does.
-    with serving(web=WebSettings(port=0, token="a-token-of-the-tests")) as server:
+    token = token_file(tmp_path_factory.mktemp("token"), "a-token-of-the-tests")
+    with serving(**WEB, web_token_file=token) as server:
         yield server
 
 

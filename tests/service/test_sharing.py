@@ -10,7 +10,6 @@ from patience import wait_until
 from service_tools import client_of, code_of, connected, human_q, lose_sessions, serving
 
 from handmap_qp.client import ServiceError
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.server import Server
 
 WRIST = np.eye(4)
@@ -71,7 +70,7 @@ def test_watching_needs_a_session_and_a_client_without_one(server: Server) -> No
 
 def test_changes_of_options_are_capped() -> None:
     # One now, and the next one after a quarter of an hour.
-    with serving(caps=Caps(configures=1e-3)) as server, connected(server) as client:
+    with serving(configures=1e-3) as server, connected(server) as client:
         client.configure(mapping={"ridge": 0.2})
         with pytest.raises(ServiceError) as raised:
             client.configure(mapping={"ridge": 0.3})

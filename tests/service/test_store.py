@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import errno
-import os
-import struct
+import contextlib
+import sqlite3
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 from service_tools import LOCAL
 
 from handmap_qp.errors import InvalidInputError, RefusedError
 from handmap_qp.service.server import Server
+from handmap_qp.service.settings import MOST_SESSIONS
 from handmap_qp.service.store import PostureStore, Record
 
 Q = np.array([0.1, -0.2, 0.3])
@@ -47,26 +49,21 @@ def test_postures_survive_the_process(tmp_path: Path) -> None:
         assert store.find("middle", "hand", 3) is None
 
 
-def test_a_write_is_in_the_file_at_once(tmp_path: Path) -> None:
-    # A killed process closes nothing, so read the file while the store is open.
-    with PostureStore(tmp_path / "state") as store:
-        store.note(record("left", Q, WRIST))
-        (tmp_path / "copy").write_bytes((tmp_path / "state").read_bytes())
-    with PostureStore(tmp_path / "copy") as store:
-        assert store.find("left", "hand", 3) is not None
-
-
-def test_a_torn_write_leaves_the_posture_before_it(tmp_path: Path) -> None:
-    with PostureStore(tmp_path / "state") as store:
-        store.note(record("left", Q, None))
-        store.note(record("left", 2 * Q, None))
-    whole = (tmp_path / "state").read_bytes()
-    newest = whole.index(struct.pack(">d", 0.2))
-    (tmp_path / "state").write_bytes(whole[:newest] + b"torn" + whole[newest + 4 :])
+def test_a_write_survives_a_kill(tmp_path: Path) -> None:
+    code = (
+        "import os, signal\nfrom pathlib import Path\n"
+        "from handmap_qp.service.store import PostureStore, Record\n"
+        "store = PostureStore(Path('state'))\n"
+        "for epoch in range(500):\n"
+        "    store.note(Record('left', 'hand', (0.1, -0.2, 0.3), None, epoch))\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, timeout=PATIENCE)
     with PostureStore(tmp_path / "state") as store:
         found = store.find("left", "hand", 3)
         assert found is not None
-        assert np.array_equal(found.q, Q)
+        assert found.epoch == 499
+        np.testing.assert_array_equal(found.q, Q)
 
 
 @pytest.mark.parametrize("file", ["state", None])
@@ -80,19 +77,17 @@ def test_the_name_unheard_of_for_the_longest_time_gives_way(
         assert store.find("session-139", "hand", 3) is not None
 
 
-def test_a_name_that_gave_way_and_came_back_is_found_where_it_was_last(tmp_path: Path) -> None:
+def test_the_order_of_updates_outlives_the_process(tmp_path: Path) -> None:
     with PostureStore(tmp_path / "state") as store:
-        for name in ("a", "b", "c", "back", "back", "back"):
-            store.note(record(name, Q, None))
-        # Each is written once, so that its slot still holds an older copy of another name: that of
-        # `back` in the fourth slot.
-        for i in range(252):
-            store.note(record(f"session-{i}", Q * i, None))
-        assert store.find("back", "hand", 3) is None
-        # Now in the first slot.
-        store.note(record("back", 5.0 * Q, None))
+        for i in range(MOST_SESSIONS):
+            store.note(record(f"session-{i}", Q, None))
+        store.note(record("session-0", 5.0 * Q, None))
     with PostureStore(tmp_path / "state") as store:
-        back = store.find("back", "hand", 3)
+        store.note(record("other", Q, None))
+    with PostureStore(tmp_path / "state") as store:
+        assert len(store.records) == MOST_SESSIONS
+        assert store.find("session-1", "hand", 3) is None
+        back = store.find("session-0", "hand", 3)
         assert back is not None
         np.testing.assert_array_equal(back.q, 5.0 * Q)
 
@@ -117,51 +112,57 @@ def test_another_file_is_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "state").read_text(encoding="utf-8") == "something else"
 
 
-def test_a_file_of_the_right_size_that_is_none_is_left_alone(tmp_path: Path) -> None:
-    with PostureStore(tmp_path / "state"):
-        pass
-    noise = np.random.default_rng(1).bytes((tmp_path / "state").stat().st_size)
-    (tmp_path / "noise").write_bytes(noise)
-    with pytest.raises(InvalidInputError, match=r"noise: expected a state file of handmap"):
-        PostureStore(tmp_path / "noise")
-    assert (tmp_path / "noise").read_bytes() == noise
+def test_another_database_is_left_alone(tmp_path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(tmp_path / "state")) as other:
+        other.execute("CREATE TABLE postures (something)")
+    before = (tmp_path / "state").read_bytes()
+    with pytest.raises(InvalidInputError, match="expected a state file"):
+        PostureStore(tmp_path / "state")
+    assert (tmp_path / "state").read_bytes() == before
+
+
+def test_a_file_of_a_former_version_is_named_as_such_and_left_alone(tmp_path: Path) -> None:
+    former = b"handmap_qp postures 1\n" + bytes(1000)
+    (tmp_path / "state").write_bytes(former)
+    with pytest.raises(InvalidInputError, match=r"former version.*emergency stops"):
+        PostureStore(tmp_path / "state")
+    assert (tmp_path / "state").read_bytes() == former
+
+
+def test_only_the_owner_may_read_it(tmp_path: Path) -> None:
+    with PostureStore(tmp_path / "state") as store:
+        store.note(record("left", Q, None))
+        for file in tmp_path.iterdir():
+            assert file.stat().st_mode & 0o077 == 0
 
 
 def test_room_is_reserved_at_the_start(tmp_path: Path) -> None:
-    with PostureStore(tmp_path / "state"):
-        status = (tmp_path / "state").stat()
-        assert status.st_blocks * 512 >= status.st_size
+    def size() -> int:
+        return sum(file.stat().st_size for file in tmp_path.iterdir())
 
-
-def test_without_room_nothing_is_left_that_a_later_start_would_refuse(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fill_up(file: int, offset: int, length: int) -> None:
-        # Some file systems allocate the space that is left.
-        os.ftruncate(file, length // 2)
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as full:
-        full.setattr(os, "posix_fallocate", fill_up)
-        with pytest.raises(
-            InvalidInputError, match=r"state: expected room for \d+ bytes: No space left on device$"
-        ):
-            PostureStore(tmp_path / "state")
-    assert (tmp_path / "state").stat().st_size == 0
     with PostureStore(tmp_path / "state") as store:
-        store.note(record("left", Q, None))
+        before = size()
+        for i in range(20 * MOST_SESSIONS):
+            store.note(record(f"session-{i % MOST_SESSIONS}", np.arange(100.0), WRIST))
+        assert size() <= before
 
 
-def test_a_start_after_a_killed_start_succeeds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_room_it_is_said_and_nothing_is_left_that_a_later_start_would_refuse(
+    tmp_path: Path,
 ) -> None:
-    with monkeypatch.context() as killed:
-        killed.setattr(os, "posix_fallocate", lambda *_: sys.exit("killed"))
-        with pytest.raises(SystemExit):
-            PostureStore(tmp_path / "state")
-    # The end of a process would have released the file.
-    (tmp_path / "copy").write_bytes((tmp_path / "state").read_bytes())
-    with PostureStore(tmp_path / "copy") as store:
+    code = (
+        "import resource, signal\nfrom pathlib import Path\n"
+        "from handmap_qp.service.store import PostureStore\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "try: PostureStore(Path('state'))\n"
+        "except ValueError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, timeout=PATIENCE, capture_output=True, text=True
+    )
+    assert done.stdout.startswith("state: cannot be used"), done.stderr
+    with PostureStore(tmp_path / "state") as store:
         store.note(record("left", Q, None))
 
 
@@ -173,20 +174,28 @@ def test_lost_postures_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     )
     state = tmp_path / "state"
     with PostureStore(state) as store:
-        for name in ("left", "right", "right"):
+        for name in ("left", "right"):
             store.note(record(name, Q, None))
-    whole = state.read_bytes()
-    with PostureStore(state):
-        assert logged == []
-    state.write_bytes(whole.replace(b"left", b"lift"))
+    with contextlib.closing(sqlite3.connect(state)) as damaged, damaged:
+        damaged.execute("UPDATE postures SET record = x'c1' WHERE name = 'left'")
     with PostureStore(state) as store:
         assert store.find("right", "hand", 3) is not None
         assert store.find("left", "hand", 3) is None
     assert logged == [{"event": "state_damaged", "file": str(state), "postures_lost": 1}]
 
 
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    with PostureStore(state) as store:
+        store.note(record("left", Q, None))
+    whole = state.read_bytes()
+    state.write_bytes(whole[:200] + bytes(len(whole) - 200))
+    with pytest.raises(InvalidInputError, match="a damaged file"):
+        PostureStore(state)
+
+
 def test_a_server_that_cannot_be_made_leaves_the_file_to_others(tmp_path: Path) -> None:
     settings = replace(LOCAL, state=tmp_path / "state")
     with pytest.raises(ValueError, match=r"missing\.yaml"):
-        Server(replace(settings, hands=(Path("missing.yaml"),)))
+        Server(replace(settings, hand=(Path("missing.yaml"),)))
     asyncio.run(Server(settings).stop())

@@ -25,6 +25,7 @@ from msgspec.msgpack import decode, encode
 from patience import wait_until
 from service_tools import (
     LOCAL,
+    WEB,
     Sampler,
     address_of,
     bare_connection,
@@ -44,15 +45,12 @@ from handmap_qp.client.messages import PROTOCOL, Error
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.service import logs
 from handmap_qp.service import server as server_module
-from handmap_qp.service.caps import Caps
 from handmap_qp.service.connection_gate import cost_of, count_frames
 from handmap_qp.service.decoding import decode_request
 from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
-from handmap_qp.service.run import run_server
 from handmap_qp.service.schema import schema_text
-from handmap_qp.service.server import Server
+from handmap_qp.service.server import Server, run_server
 from handmap_qp.service.states import LEASE
-from handmap_qp.service.websocket import WebSettings
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -178,18 +176,16 @@ def test_a_host_that_cannot_be_listened_on_is_reported(tmp_path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize(
-    "web", [None, WebSettings(host="localhost", port=0)], ids=["zeromq", "web"]
-)
+@pytest.mark.parametrize("web", [{}, {**WEB, "web_host": "localhost"}], ids=["zeromq", "web"])
 def test_the_ready_line_tells_where_websocket_is(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, web: WebSettings | None
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, web: dict[str, Any]
 ) -> None:
     # Stop the server as soon as it is ready.
     monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
-    run_server(replace(LOCAL, web=web), "error")
+    run_server(replace(LOCAL, **web), "error")
     ready = json.loads(capsys.readouterr().out)
     assert ready["host"] == "127.0.0.1"
-    assert ready.get("web_host") == (None if web is None else "localhost")
+    assert ready.get("web_host") == web.get("web_host")
 
 
 @pytest.mark.parametrize("wrong", ["certificate", "key"])
@@ -197,13 +193,13 @@ def test_files_of_tls_that_cannot_be_used_are_named(tmp_path: Path, wrong: str) 
     files = {name: tmp_path / f"{name}.pem" for name in ("certificate", "key")}
     for file in files.values():
         file.touch()
-    settings = WebSettings(port=0, certificate=files["certificate"], key=files["key"])
+    settings = WEB | {"web_certificate": files["certificate"], "web_key": files["key"]}
     message = f"^{files['certificate']}, {files['key']}: expected a PEM certificate and its key"
-    with pytest.raises(InvalidInputError, match=message), serving(web=settings):
+    with pytest.raises(InvalidInputError, match=message), serving(LOCAL, **settings):
         pass
     files[wrong].unlink()
     message = f"^{files[wrong]}: cannot be read: No such file or directory$"
-    with pytest.raises(InvalidInputError, match=message), serving(web=settings):
+    with pytest.raises(InvalidInputError, match=message), serving(LOCAL, **settings):
         pass
 
 
@@ -302,7 +298,7 @@ def test_the_documentation_explains_tokens_and_the_length_of_messages(
 ) -> None:
     with pytest.raises(SystemExit):
         cli.main(["serve", "--help"])
-    assert f"at most {Caps().message_size} bytes" in schema_text()
+    assert f"at most {LOCAL.message_size} bytes" in schema_text()
     for text in (schema_text(), PAGE, capsys.readouterr().out):
         words = " ".join(text.replace("│", " ").split())
         assert "Authorization: Bearer TOKEN" in words
@@ -351,7 +347,7 @@ def test_a_flood_of_topics_ends_its_connection_and_disturbs_no_other() -> None:
 
 
 def test_readers_are_capped_and_counted_out() -> None:
-    with serving(caps=Caps(sessions=1)) as server, ExitStack() as sockets:
+    with serving(sessions=1) as server, ExitStack() as sockets:
         address = ("127.0.0.1", server.ports["stream"])
         readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(4)]
         assert all(reader.recv(1) for reader in readers)
@@ -437,9 +433,9 @@ def test_a_turn_reads_a_bounded_number_of_parts(monkeypatch: pytest.MonkeyPatch)
 
 def test_messages_within_the_limits_are_all_answered() -> None:
     request = {"type": "status", "protocol": PROTOCOL, "seq": 1, "session": ""}
-    with serving(caps=Caps(rate=1e7)) as server, bare_connection(server) as (bare, _):
+    with serving(rate=1e7) as server, bare_connection(server) as (bare, _):
         bare.rcvtimeo, bare.rcvhwm = int(1e3 * PATIENCE), 0
-        status, longest = encode(request), bytes(server.settings.caps.message_size)
+        status, longest = encode(request), bytes(server.settings.message_size)
         for payload in (status, longest, status):
             for _ in range(500):
                 bare.send_multipart([b"", payload])
@@ -486,7 +482,7 @@ def test_an_older_protocol_is_refused(greeting: bytes) -> None:
 
 def test_silent_connections_leave_a_place_for_the_stop() -> None:
     with (
-        serving(caps=Caps(sessions=1)) as server,
+        serving(sessions=1) as server,
         connected(server, name="lab") as client,
         ExitStack() as sockets,
     ):

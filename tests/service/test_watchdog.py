@@ -6,8 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.service.states import Event, SessionState, next_state
-from handmap_qp.service.watchdog import HEARTBEAT, RETURN_PERIOD, Watchdog
+from handmap_qp.service.states import (
+    HEARTBEAT,
+    RETURN_PERIOD,
+    Event,
+    SessionState,
+    Watchdog,
+    next_state,
+)
 
 TIMEOUT, RETURN_AFTER = 0.25, 1.0
 ACTIVE = (SessionState.FOLLOWING, SessionState.RELEASED)

@@ -19,7 +19,17 @@ from typing import Any
 import msgspec
 import pytest
 from patience import PATIENCE, wait_until
-from service_tools import SECRET, Sampler, human_q, opening, serving, streamed
+from service_tools import (
+    LOCAL,
+    SECRET,
+    WEB,
+    Sampler,
+    human_q,
+    opening,
+    serving,
+    streamed,
+    token_file,
+)
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.protocol import Protocol
@@ -27,14 +37,13 @@ from websockets.typing import Origin, Subprotocol
 
 from handmap_qp.client.messages import PROTOCOL, Close, Status, Stop, Subscribe
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.caps import MOST_SESSIONS, Caps
 from handmap_qp.service.server import Server
-from handmap_qp.service.websocket import WebSettings, _Outbox
+from handmap_qp.service.settings import MOST_SESSIONS, Settings
+from handmap_qp.service.websocket import _Outbox
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-WEB = WebSettings(port=0)
 TOKEN = "a-token-of-the-tests"
 HANDSHAKE = (
     b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -90,7 +99,7 @@ def test_a_session_over_websocket(is_json: bool) -> None:
         closed = await ask(connection, Close(protocol=PROTOCOL, seq=9, session=SECRET), is_json)
         assert closed["type"] == "done"
 
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         run(work, server)
 
 
@@ -114,7 +123,7 @@ def test_a_stream_over_websocket(is_json: bool) -> None:
             if command["time"] == 49.0:
                 break
 
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         run(work, server)
 
 
@@ -125,7 +134,7 @@ def test_garbage_is_answered_and_the_connection_stays() -> None:
             assert b"invalid" in (await connection.recv(decode=False))
         assert (await ask(connection, Status(protocol=PROTOCOL, seq=1)))["type"] == "state"
 
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         run(work, server)
 
 
@@ -135,7 +144,7 @@ def test_a_message_that_is_too_long_closes_its_connection() -> None:
         with pytest.raises(ConnectionClosed):
             await connection.recv()
 
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         run(work, server)
         run(nothing, server)
 
@@ -153,7 +162,7 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
                 break
             await asyncio.sleep(0.01)
 
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         run(vanish, server)
         run(look, server)
 
@@ -171,7 +180,7 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
     ],
 )
 def test_pages_from_elsewhere_may_not_connect(origin: str | None, is_admitted: bool) -> None:
-    with serving(web=WebSettings(port=0, origins=("https://headset.example",))) as server:
+    with serving(**WEB, web_origin=("https://headset.example",)) as server:
         if is_admitted:
             run(nothing, server, origin=None if origin is None else Origin(origin))
         else:
@@ -180,8 +189,8 @@ def test_pages_from_elsewhere_may_not_connect(origin: str | None, is_admitted: b
             assert raised.value.response.status_code == 403
 
 
-def test_a_token_is_asked_for() -> None:
-    with serving(web=WebSettings(port=0, token=TOKEN)) as server:
+def test_a_token_is_asked_for(tmp_path: Path) -> None:
+    with serving(**WEB, web_token_file=token_file(tmp_path, TOKEN)) as server:
         for headers in ({}, {"Authorization": "Bearer something-else-altogether"}):
             with pytest.raises(InvalidStatus) as raised:
                 run(nothing, server, additional_headers=headers)
@@ -210,7 +219,8 @@ def test_tls(tmp_path: Path) -> None:
         check=True,
         capture_output=True,
     )
-    with serving(web=WebSettings(port=0, token=TOKEN, certificate=certificate, key=key)) as server:
+    files = {"web_certificate": certificate, "web_key": key}
+    with serving(**WEB, **files, web_token_file=token_file(tmp_path, TOKEN)) as server:
         trusting = ssl.create_default_context(cafile=str(certificate))
         run(nothing, server, ssl=trusting, additional_headers={"Authorization": f"Bearer {TOKEN}"})
         with pytest.raises(ssl.SSLError):
@@ -218,14 +228,14 @@ def test_tls(tmp_path: Path) -> None:
 
 
 def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
+    certificate = {"web_certificate": tmp_path / "certificate.pem"}
     with pytest.raises(InvalidOptionsError, match="together"):
-        WebSettings(certificate=tmp_path / "certificate.pem")
-    with pytest.raises(InvalidOptionsError, match="16"):
-        WebSettings(token="short")
-    missing = WebSettings(
-        port=0, certificate=tmp_path / "certificate.pem", key=tmp_path / "key.pem"
-    )
-    with pytest.raises(InvalidInputError, match="cannot be read"), serving(web=missing):
+        Settings(**WEB, **certificate).checked()
+    short = token_file(tmp_path, "short")
+    with pytest.raises(InvalidOptionsError, match="16"), serving(**WEB, web_token_file=short):
+        pass
+    missing = WEB | certificate | {"web_key": tmp_path / "key.pem"}
+    with pytest.raises(InvalidInputError, match="cannot be read"), serving(LOCAL, **missing):
         pass
 
 
@@ -246,7 +256,7 @@ def test_idle_connections_leave_a_place_for_the_stop() -> None:
                 pass
             await asyncio.gather(*(connection.wait_closed() for connection in idle[:2]))
 
-    with serving(web=WEB, caps=Caps(sessions=64)) as server:
+    with serving(**WEB, sessions=64) as server:
         asyncio.run(work(server))
 
 
@@ -261,7 +271,7 @@ def test_a_connection_that_does_nothing_is_ended() -> None:
             await idle.wait_closed()
         assert (await ask(reader, Status(protocol=PROTOCOL, seq=3)))["type"] == "state"
 
-    with serving(web=WEB, caps=Caps(idle=1.0)) as server:
+    with serving(**WEB, idle=1.0) as server:
         run(work, server)
 
 
@@ -284,7 +294,7 @@ def test_a_flood_of_empty_frames_ends_its_connection(
         receive(protocol, data)
 
     monkeypatch.setattr(Protocol, "receive_data", count)
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         with socket.create_connection(("127.0.0.1", server.ports["web"])) as raw:
             raw.settimeout(PATIENCE)
             raw.sendall(HANDSHAKE)
@@ -309,7 +319,7 @@ def test_fragments_and_pings_within_the_limits_are_taken() -> None:
         for _ in range(40):
             await (await connection.ping())
 
-    with serving(web=WEB) as server:
+    with serving(**WEB) as server:
         run(work, server)
 
 
@@ -332,7 +342,7 @@ def test_clients_that_vanish_with_answers_outstanding_leave_no_connection() -> N
         return True
 
     # Two connections are allowed, so two that are not released shut out all others.
-    with serving(web=WEB, caps=Caps(sessions=1)) as server:
+    with serving(**WEB, sessions=1) as server:
         for count in range(1, 31):
             wait_until(lambda: can_connect(server))
             ask_and_reset(server.ports["web"], count)
@@ -340,7 +350,7 @@ def test_clients_that_vanish_with_answers_outstanding_leave_no_connection() -> N
 
 
 def test_a_handshake_that_stays_away_does_not_hold_up_the_stop() -> None:
-    with contextlib.ExitStack() as sockets, serving(web=WEB) as server:
+    with contextlib.ExitStack() as sockets, serving(**WEB) as server:
         for half in (b"", b"GET / HTTP/1.1\r\nHost:"):
             raw = socket.create_connection(("127.0.0.1", server.ports["web"]))
             sockets.enter_context(raw).sendall(half)

@@ -1,60 +1,11 @@
-"""Limits of what clients may do: caps, and rate limits."""
+"""Rate limits of what clients may do."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
-from dataclasses import dataclass
 
-from handmap_qp.errors import InvalidOptionsError
-
-MOST_SESSIONS = 128
-"""Number of postures that the store keeps; every open session must have one."""
 _MOST_PEERS = 1024
-
-
-@dataclass(frozen=True, slots=True)
-class Caps:
-    """Limits of what clients may do.
-
-    Attributes:
-        sessions: Open sessions, 1 to 128.
-        rate: Messages per second from one connection.
-        opens: Sessions opened per second, after a burst of `sessions`.
-        configures: Changes of options per second, in all sessions together. Each takes about 1 ms;
-            a change to teleoperation takes up to 10 ms on hands with many links.
-        message_size: Length of a message [bytes].
-        idle: Time without a request after which a session is closed, and without a message after
-            which a WebSocket is that reads no stream [s].
-        supervisors: Names of the keys that may clear every emergency stop.
-        allows_client_time: Whether sessions may use the client's time stamps for speed limits
-            (simulations).
-    """
-
-    sessions: int = 64
-    rate: float = 2000.0
-    opens: float = 20.0
-    configures: float = 60.0
-    message_size: int = 16384
-    idle: float = 60.0
-    supervisors: tuple[str, ...] = ()
-    allows_client_time: bool = False
-
-    def __post_init__(self) -> None:
-        """Reject caps out of range.
-
-        Raises:
-            InvalidOptionsError: With the cap at fault.
-        """
-        if not 1 <= self.sessions <= MOST_SESSIONS:
-            raise InvalidOptionsError(
-                option="sessions", expected=f"1 to {MOST_SESSIONS}", value=self.sessions
-            )
-        for name in ("rate", "opens", "configures", "message_size", "idle"):
-            value = getattr(self, name)
-            # `not a > b` also rejects NaN.
-            if not value > 0.0:
-                raise InvalidOptionsError(option=name, expected="a number > 0", value=value)
 
 
 class Bucket:
