@@ -13,7 +13,7 @@ from live_cases import moving_hand, save_recording
 from service_tools import address_of, serving
 
 from handmap_qp import cli
-from handmap_qp.live.recorder import Recorder
+from handmap_qp.live.source import Recorder
 from handmap_qp.trackers.recording import read_recording
 from handmap_qp.trackers.sample import HumanSample
 

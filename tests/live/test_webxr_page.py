@@ -17,7 +17,7 @@ from service_tools import address_of, client_of, in_loop, serving
 
 from handmap_qp import hand_names
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
-from handmap_qp.live.service_source import ServiceSource
+from handmap_qp.live.service import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 from handmap_qp.service.websocket import WebSettings
