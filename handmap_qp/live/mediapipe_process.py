@@ -123,19 +123,12 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     if not capture.isOpened():
         _stop(f"the video {source} cannot be read" if is_file else f"there is no camera {source}")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
-    start, count, lost = time.monotonic(), 0, 0
-    while True:
-        is_there, picture = capture.read()
-        if not is_there:
-            lost += 1
-            if is_file or lost > _LOST_FRAMES:
-                break
-            continue
-        lost = 0
+    start, count = time.monotonic(), 0
+    for picture in _read(capture, 0 if is_file else _LOST_FRAMES):
         stamp = start + count / rate if is_file else time.monotonic()
         count += 1
-        if arguments.paced and is_file and (wait := stamp - time.monotonic()) > 0.0:
-            time.sleep(wait)
+        if arguments.paced and is_file:
+            time.sleep(max(0.0, stamp - time.monotonic()))
         if arguments.mirrored:
             picture = cv2.flip(picture, 1)
         yield stamp, cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -144,6 +137,16 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
         _stop(f"{source} holds no pictures")
     if not is_file:
         _stop(f"camera {source} gives no more pictures")
+
+
+def _read(capture: Any, most_lost: int) -> Iterator[np.ndarray]:
+    """Yield pictures until more than `most_lost` in a row are missing."""
+    lost = 0
+    while lost <= most_lost:
+        is_there, picture = capture.read()
+        lost = 0 if is_there else lost + 1
+        if is_there:
+            yield picture
 
 
 def printed(stamp: float, hand: TrackedHand | None) -> None:
