@@ -19,9 +19,8 @@ sys.path.insert(0, str(DOCS.parent / "tests"))
 from browser import Browser, find_chromium  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from handmap_qp.viewer.app import ReplayViewer  # noqa: E402
 from handmap_qp.viewer.cli import View  # noqa: E402
-from handmap_qp.viewer.page import replay_page, write_page  # noqa: E402
+from handmap_qp.viewer.replay import ReplayViewer  # noqa: E402
 from handmap_qp.viewer.serving import serving  # noqa: E402
 
 ROBOT, RECORDING = "allegro_right", Path("demo")
@@ -50,7 +49,7 @@ def main() -> None:
         stop()
         with tempfile.TemporaryDirectory() as folder:
             page = Path(folder) / "page.html"
-            write_page(page, replay_page(replay))
+            page.write_bytes(replay.page())
             browser.resize(1000, 800)
             browser.open(page.as_uri(), offline=True)
             browser.wait_for("!!document.querySelector('[role=slider]')")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -55,8 +56,15 @@ def closing_recording() -> Recording:
 
 def make_replay(robot: str = "three_finger", preset: str = "paper", **changes: Any) -> Replay:
     """Map the motion to a robot, with options by name."""
+    replay = copy(_mapped(robot, preset, tuple(sorted(changes.items()))))
+    replay.switches = {}
+    return replay
+
+
+@cache
+def _mapped(robot: str, preset: str, changes: tuple[tuple[str, Any], ...]) -> Replay:
     motion = closing_motion()
-    choice = preset_choice(preset).with_changes(changes)
+    choice = preset_choice(preset).with_changes(dict(changes))
     return Replay(closing_recording(), motion, motion.human, load_hand(robot), choice)
 
 

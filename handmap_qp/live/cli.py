@@ -5,23 +5,23 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import tyro
+from rich.console import Console
 
 from handmap_qp.arguments import KeyFiles, OpenSession
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.person import read_person
+from handmap_qp.live.mediapipe_source import MediapipeSource, install_environment
+from handmap_qp.live.source import Recorder, Replay, Sink, Source, run
 from handmap_qp.tables import print_table
-
-if TYPE_CHECKING:
-    from handmap_qp.live.source import Sink, Source
-
-_REPORT_PERIOD = 0.2
-"""Period of the line that shows the present state [s]."""
+from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.injection import parse_faults
 
 _RARE = ("not_in_order", "hand_lost", "flags", "refusals", "last_refusal", "unanswered", "reopened")
 """Rows of the table that are left out if there is nothing to count."""
@@ -103,12 +103,9 @@ class Target:
     def _sinks(self, source: Source) -> list[Sink]:
         sinks: list[Sink] = []
         if self.record is not None:
-            from handmap_qp.live.recorder import Recorder
-
             sinks.append(Recorder(self.record, "--record"))
         if self.to is not None and self.robot is not None:
-            from handmap_qp.human.person import read_person
-            from handmap_qp.live.service_sink import ServiceSink
+            from handmap_qp.live.service import ServiceSink
 
             sinks.append(
                 ServiceSink(
@@ -158,21 +155,15 @@ class TrackReplay:
 
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
-        from handmap_qp.live.replay import Replay
-        from handmap_qp.trackers.formats import read_recording
-        from handmap_qp.trackers.injection import parse_faults
-
         self.target.check()
-        faults = () if self.faults is None else parse_faults(self.faults)
-        self.target.lead(
-            Replay(
-                read_recording(self.recording),
-                speed=self.speed,
-                loop=self.loop,
-                faults=faults,
-                seed=self.seed,
-            )
+        source = Replay(
+            read_recording(self.recording),
+            speed=self.speed,
+            loop=self.loop,
+            faults=() if self.faults is None else parse_faults(self.faults),
+            seed=self.seed,
         )
+        self.target.lead(source)
 
 
 @dataclass(frozen=True)
@@ -210,9 +201,6 @@ class TrackMediapipe:
 
     def run(self) -> None:
         """Track until the video ends or Ctrl-C."""
-        from handmap_qp.live.mediapipe_environment import install_environment
-        from handmap_qp.live.mediapipe_source import MediapipeSource
-
         if self.install:
             print(f"MediaPipe is ready in {install_environment(print)}")
             return
@@ -258,8 +246,7 @@ class TrackRecord:
 
     def run(self) -> None:
         """Record until the session ends or Ctrl-C."""
-        from handmap_qp.live.recorder import Recorder
-        from handmap_qp.live.service_source import ServiceSource
+        from handmap_qp.live.service import ServiceSource
 
         recorder = Recorder(self.out, "OUT")
         source = ServiceSource(self.source, session=self.session, keys=self.keys)
@@ -268,10 +255,10 @@ class TrackRecord:
 
 def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> dict[str, Any]:
     """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
-    from handmap_qp.live.source import run
-
-    with _terminated_like_interrupted(), _status_line() as report:
-        summary = run(source, sinks, report)
+    # The state in one line on stderr, if stderr is a terminal.
+    line = Console(stderr=True).status("waiting for the first sample")
+    with _terminated_like_interrupted(), line:
+        summary = run(source, sinks, line.update)
     if is_json:
         print(json.dumps(summary))
     else:
@@ -293,36 +280,12 @@ def _terminated_like_interrupted() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-@contextlib.contextmanager
-def _status_line() -> Iterator[Callable[[str], None]]:
-    """Show the present state in one line on stderr, if stderr is a terminal."""
-    import time
-
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda _: None
-        return
-    with console.status("waiting for the first sample") as line:
-        shown = 0.0
-
-        def report(text: str) -> None:
-            nonlocal shown
-            if (now := time.monotonic()) - shown >= _REPORT_PERIOD:
-                line.update(text)
-                shown = now
-
-        yield report
-
-
 def _table(summary: dict[str, Any]) -> dict[str, Any]:
     """Return the rows of a table: labels in words, counts by name in one line."""
-    rows = {}
-    for name, value in summary.items():
-        if name in _RARE and not value:
-            continue
-        if isinstance(value, dict):
-            value = ", ".join(f"{text}: {count}" for text, count in value.items())
-        rows[name.replace("_", " ")] = value
-    return rows
+    return {
+        name.replace("_", " "): ", ".join(f"{text}: {count}" for text, count in value.items())
+        if isinstance(value, dict)
+        else value
+        for name, value in summary.items()
+        if value or name not in _RARE
+    }

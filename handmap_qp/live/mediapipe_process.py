@@ -36,18 +36,6 @@ _LOST_FRAMES = 30
 """Pictures in a row that a camera may fail to give."""
 
 
-class Picture(NamedTuple):
-    """A picture of a camera or a video.
-
-    Attributes:
-        time: Instant [s].
-        pixels: Red, green and blue, shape (height, width, 3), bytes.
-    """
-
-    time: float
-    pixels: np.ndarray
-
-
 class TrackedHand(NamedTuple):
     """What MediaPipe finds of a hand in a picture.
 
@@ -95,9 +83,7 @@ class HandTracker:
 
     def __init__(self, side: str, fov: float) -> None:
         try:
-            from mediapipe.python.solutions.hands import (
-                Hands,
-            )
+            from mediapipe.python.solutions.hands import Hands
         except ImportError as error:
             _stop(f"mediapipe cannot be imported: {error}")
         self._side, self._fov = side, fov
@@ -106,22 +92,17 @@ class HandTracker:
     def find(self, pixels: np.ndarray) -> TrackedHand | None:
         """Return the hand in a picture; None if it is not there."""
         result = self._hands.process(pixels)
-        if not result.multi_hand_world_landmarks:
-            return None
-        best: TrackedHand | None = None
-        for named, image, world in zip(
-            result.multi_handedness,
-            result.multi_hand_landmarks,
-            result.multi_hand_world_landmarks,
-            strict=True,
-        ):
-            kind = named.classification[0]
-            if _OTHER.get(kind.label) != self._side:
-                continue
-            if best is None or kind.score > best.confidence:
-                landmarks = self._place(_rows(world), _rows(image), pixels.shape)
-                best = TrackedHand(landmarks, min(1.0, max(0.0, float(kind.score))))
-        return best
+        found = [
+            TrackedHand(self._place(_rows(world), _rows(image), pixels.shape), min(1.0, kind.score))
+            for named, image, world in zip(
+                result.multi_handedness or (),
+                result.multi_hand_landmarks or (),
+                result.multi_hand_world_landmarks or (),
+                strict=True,
+            )
+            if _OTHER.get((kind := named.classification[0]).label) == self._side
+        ]
+        return max(found, key=lambda hand: hand.confidence, default=None)
 
     def _place(self, shape: np.ndarray, image: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
         height, width = size[:2]
@@ -132,8 +113,8 @@ class HandTracker:
         return (shape + position) * _UPRIGHT
 
 
-def pictures(arguments: argparse.Namespace) -> Iterator[Picture]:
-    """Yield the pictures of the camera or the video, unmirrored."""
+def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]]:
+    """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
     is_file = arguments.video is not None
@@ -142,22 +123,15 @@ def pictures(arguments: argparse.Namespace) -> Iterator[Picture]:
     if not capture.isOpened():
         _stop(f"the video {source} cannot be read" if is_file else f"there is no camera {source}")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
-    start, count, lost = time.monotonic(), 0, 0
-    while True:
-        is_there, picture = capture.read()
-        if not is_there:
-            lost += 1
-            if is_file or lost > _LOST_FRAMES:
-                break
-            continue
-        lost = 0
+    start, count = time.monotonic(), 0
+    for picture in _read(capture, 0 if is_file else _LOST_FRAMES):
         stamp = start + count / rate if is_file else time.monotonic()
         count += 1
-        if arguments.paced and is_file and (wait := stamp - time.monotonic()) > 0.0:
-            time.sleep(wait)
+        if arguments.paced and is_file:
+            time.sleep(max(0.0, stamp - time.monotonic()))
         if arguments.mirrored:
             picture = cv2.flip(picture, 1)
-        yield Picture(stamp, cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
+        yield stamp, cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     capture.release()
     if not count:
         _stop(f"{source} holds no pictures")
@@ -165,9 +139,19 @@ def pictures(arguments: argparse.Namespace) -> Iterator[Picture]:
         _stop(f"camera {source} gives no more pictures")
 
 
-def printed(time_stamp: float, hand: TrackedHand | None) -> None:
+def _read(capture: Any, most_lost: int) -> Iterator[np.ndarray]:
+    """Yield pictures until more than `most_lost` in a row are missing."""
+    lost = 0
+    while lost <= most_lost:
+        is_there, picture = capture.read()
+        lost = 0 if is_there else lost + 1
+        if is_there:
+            yield picture
+
+
+def printed(stamp: float, hand: TrackedHand | None) -> None:
     """Print a sample as one line of JSON."""
-    sample: dict[str, Any] = {"time": time_stamp, "valid": hand is not None}
+    sample: dict[str, Any] = {"time": stamp, "valid": hand is not None}
     if hand is not None:
         sample |= {"landmarks": hand.landmarks.tolist(), "confidence": hand.confidence}
     print(json.dumps(sample), flush=True)
@@ -178,18 +162,18 @@ def sent(
 ) -> Callable[[float, TrackedHand | None], None]:
     """Open a session of the service until `closing`; return a function that sends samples to it."""
     client = _client_module()
-    session = client.Client(arguments.to)
-    closing.callback(session.close)
+    session = closing.enter_context(client.Client(arguments.to))
+    failures = client.ServiceError, client.ServiceTimeoutError
     try:
         session.open(arguments.robot, input="landmarks", side=arguments.side, has_detail=True)
-    except (client.ServiceError, client.ServiceTimeoutError) as error:
+    except failures as error:
         _stop(str(error))
 
-    def send(time_stamp: float, hand: TrackedHand | None) -> None:
-        given = {} if hand is None else {"landmarks": hand.landmarks, "confidence": hand.confidence}
+    def send(stamp: float, hand: TrackedHand | None) -> None:
+        given = {} if hand is None else hand._asdict()
         try:
-            session.send(time=time_stamp, valid=hand is not None, **given)
-        except (client.ServiceError, client.ServiceTimeoutError) as error:
+            session.send(time=stamp, valid=hand is not None, **given)
+        except failures as error:
             print(f"mediapipe_process: {error}", file=sys.stderr)
 
     return send
@@ -203,8 +187,8 @@ def main() -> None:
         emit = printed if arguments.to is None else sent(arguments, closing)
         # Ctrl-C and a reader that has gone end this process without a traceback.
         with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
-            for picture in pictures(arguments):
-                emit(picture.time, tracker.find(picture.pixels))
+            for stamp, pixels in pictures(arguments):
+                emit(stamp, tracker.find(pixels))
 
 
 def _parse() -> argparse.Namespace:

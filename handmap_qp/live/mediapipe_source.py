@@ -1,29 +1,116 @@
-"""`MediapipeSource`: a hand in a camera's picture or a video, tracked by a process of its own."""
+"""MediaPipe as a source (`MediapipeSource`), in an environment of its own (`install_environment`).
+
+MediaPipe 0.10.21 is the last version that brings its hand model, so that it works offline. It needs
+numpy below 2 and about 1 GB of packages, so it gets a virtual environment of its own, which
+`handmap track mediapipe --install` makes once.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
-from handmap_qp.live.mediapipe_environment import environment_python
 
+VARIABLE = "HANDMAP_MEDIAPIPE"
+"""Environment variable that names another folder."""
+REQUIREMENTS = ("mediapipe==0.10.21", "numpy<2")
+"""What the environment holds."""
+PYTHONS = ((3, 10), (3, 12))
+"""First and last Python that MediaPipe 0.10.21 and our program run on."""
+_OTHER_PYTHONS = ("python3.12", "python3.11", "python3.10")
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
 _END = 5.0
 """Longest wait for the process to end [s]."""
 _UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
 
 
+def environment_folder() -> Path:
+    """Return the folder: of `HANDMAP_MEDIAPIPE`, or `handmap/mediapipe` in the user's data."""
+    if named := os.environ.get(VARIABLE):
+        return Path(named).resolve()
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(data) / "handmap" / "mediapipe"
+
+
+def environment_python() -> Path:
+    """Return the environment's interpreter.
+
+    Raises:
+        InvalidInputError: If the environment has not been made.
+    """
+    python = environment_folder() / "bin" / "python"
+    if not python.exists():
+        raise InvalidInputError(
+            problem=f"MediaPipe is not installed in {environment_folder()}",
+            advice="install it once (1 GB) by handmap track mediapipe --install",
+        )
+    return python
+
+
+def install_environment(report: Callable[[str], object]) -> Path:
+    """Make the environment, or make it again.
+
+    Args:
+        report: Called with a line before each step.
+
+    Returns:
+        Its folder.
+
+    Raises:
+        InvalidInputError: If there is no Python that MediaPipe runs on, or pip fails.
+    """
+    folder, python = environment_folder(), _find_python()
+    report(f"making {folder}")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    _run([python, "-m", "venv", "--clear", str(folder)], "the environment cannot be made")
+    report(f"installing {' '.join(REQUIREMENTS)} (about 1 GB)")
+    pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install"]
+    try:
+        _run([*pip, "--quiet", *REQUIREMENTS], "pip cannot install MediaPipe")
+    except InvalidInputError:
+        # Half an environment would pass for a whole one.
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+def _find_python() -> str:
+    low, high = PYTHONS
+    if low <= sys.version_info[:2] <= high:
+        return sys.executable
+    if found := next(filter(None, map(shutil.which, _OTHER_PYTHONS)), None):
+        return found
+    raise InvalidInputError(
+        argument="--install",
+        expected=f"Python {low[0]}.{low[1]} to {high[0]}.{high[1]} for MediaPipe",
+        got=f"{sys.version_info[0]}.{sys.version_info[1]} and none of {', '.join(_OTHER_PYTHONS)}",
+    )
+
+
+def _run(command: list[str], problem: str) -> None:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise InvalidInputError(argument="--install", problem=f"{problem}: {error}") from error
+    if done.returncode:
+        lines = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()
+        errors = [line for line in lines if line.startswith("ERROR:")]
+        raise InvalidInputError(argument="--install", problem=f"{problem}: {(errors or lines)[-1]}")
+
+
 class MediapipeSource:
-    """Tracks one hand with MediaPipe, in the environment of `mediapipe_environment`.
+    """Tracks one hand in a camera's picture or a video with MediaPipe, in its environment.
 
     Landmarks are in metres in upright axes of the camera: x right in the picture, y up, z towards
     the camera, which is the origin.
@@ -36,10 +123,17 @@ class MediapipeSource:
         is_mirrored: Whether pictures are mirrored, as a selfie's are.
         is_paced: Whether a video is played at its own speed, instead of as fast as possible.
 
+    Attributes:
+        name: The camera, or the name of the video.
+        side: The hand that is tracked.
+        rate: 0: the camera or the file decides.
+
     Raises:
         InvalidInputError: If MediaPipe is not installed, there is no such file, or the field of
             view is out of its range.
     """
+
+    rate: float = 0.0
 
     def __init__(
         self,
@@ -59,24 +153,14 @@ class MediapipeSource:
             raise InvalidInputError(argument="--camera", expected="0 or more", value=camera)
         if not 1.0 <= fov <= 170.0:
             raise InvalidInputError(argument="--fov", expected="1 to 170 degrees", value=fov)
-        self._side: Side = side
+        self.side: Side = side
         self.name = f"camera {camera}" if video is None else video.stem
         self._argument = "--camera" if video is None else "--video"
-        source = ["--camera", str(camera)] if video is None else ["--video", str(video)]
-        choices = [*(["--mirrored"] if is_mirrored else []), *(["--paced"] if is_paced else [])]
-        options = ["--side", side, "--fov", str(fov)]
         program = [str(environment_python()), "-u", str(_PROGRAM)]
+        source = [self._argument, str(camera if video is None else video)]
+        options = ["--side", side, "--fov", str(fov)]
+        choices = ["--mirrored"] * is_mirrored + ["--paced"] * is_paced
         self._command = [*program, *source, *options, *choices]
-
-    @property
-    def side(self) -> Side:
-        """The hand that is tracked."""
-        return self._side
-
-    @property
-    def rate(self) -> float:
-        """0: the camera or the file decides."""
-        return 0.0
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield a sample for each picture.
@@ -84,44 +168,38 @@ class MediapipeSource:
         Raises:
             InvalidInputError: If the camera or the file cannot be read, or MediaPipe fails.
         """
-        with tempfile.TemporaryFile(mode="w+") as complaints:
-            process = subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=complaints, text=True
-            )
+        with (
+            tempfile.TemporaryFile(mode="w+") as messages,
+            subprocess.Popen(
+                self._command, stdout=subprocess.PIPE, stderr=messages, text=True
+            ) as process,
+        ):
             try:
-                if process.stdout is not None:
-                    yield from map(self._sample, process.stdout)
+                for line in process.stdout or ():
+                    yield self._sample(**json.loads(line))
                 code = process.wait()
             finally:
-                _end(process)
+                # Also where the samples are no longer read.
+                process.terminate()
+                try:
+                    process.wait(_END)
+                except subprocess.TimeoutExpired:
+                    process.kill()
             if code:
-                raise self._error(complaints)
+                messages.seek(0)
+                lines = [line.strip() for line in messages if line.strip()]
+                own = [line for line in lines if line.startswith("mediapipe_process: ")]
+                text = (own or lines or ["MediaPipe ended without a message"])[-1]
+                raise InvalidInputError(
+                    argument=self._argument, problem=text.removeprefix("mediapipe_process: ")
+                )
 
-    def _sample(self, line: str) -> HumanSample:
-        given = json.loads(line)
-        if not given["valid"]:
-            return HumanSample(given["time"], self._side, _UNSEEN, valid=False, confidence=0.0)
-        landmarks = np.array(given["landmarks"])
-        return HumanSample(given["time"], self._side, landmarks, confidence=given["confidence"])
-
-    def _error(self, complaints: IO[str]) -> InvalidInputError:
-        """Return the process's own last line as an error."""
-        complaints.seek(0)
-        lines = [line.strip() for line in complaints if line.strip()]
-        own = [line for line in lines if line.startswith("mediapipe_process: ")]
-        text = (own or lines or ["MediaPipe ended without a message"])[-1]
-        return InvalidInputError(
-            argument=self._argument, problem=text.removeprefix("mediapipe_process: ")
-        )
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    """End the process, also where its samples are no longer read."""
-    if process.stdout is not None:
-        process.stdout.close()
-    process.terminate()
-    try:
-        process.wait(_END)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    def _sample(
+        self,
+        time: float,
+        valid: bool,
+        landmarks: list[list[float]] | None = None,
+        confidence: float = 0.0,
+    ) -> HumanSample:
+        points = _UNSEEN if landmarks is None else np.array(landmarks)
+        return HumanSample(time, self.side, points, valid=valid, confidence=confidence)

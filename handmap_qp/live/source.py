@@ -1,16 +1,32 @@
-"""`Source` and `Sink`: where human samples come from and go to, and the loop between them."""
+"""`Source` and `Sink`: where human samples come from and go to, and the loop between them.
+
+`Replay` is a recording as a source, `Recorder` a sink that writes one.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol, Self
 
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.output_files import check_output
+from handmap_qp.trackers.formats import write_recordings
+from handmap_qp.trackers.injection import Fault, inject
 
+SPEEDS = (0.01, 100.0)
+"""Least and largest speed of a replay."""
+SUFFIXES = (".npz", ".csv")
+"""Files that hold everything of a sample, and whose writing needs no further package."""
 _RATE_SAMPLES = 60
 """Number of samples that the rate is measured over."""
 
@@ -18,26 +34,18 @@ _RATE_SAMPLES = 60
 class Source(Protocol):
     """A tracker, a file or anything else that gives human samples in the order of their arrival.
 
-    Iterating waits for the next sample, ends when the source ends, and may be left at any time.
+    Attributes:
+        name: Name to show.
+        side: The hand that all samples are of.
+        rate: Samples per second that it gives if nothing fails [Hz]; 0 if not known.
     """
 
-    @property
-    def name(self) -> str:
-        """Name to show."""
-        ...
-
-    @property
-    def side(self) -> Side:
-        """The hand that all samples are of."""
-        ...
-
-    @property
-    def rate(self) -> float:
-        """Samples per second that it gives if nothing fails [Hz]; 0 if not known."""
-        ...
+    name: str
+    side: Side
+    rate: float
 
     def __iter__(self) -> Iterator[HumanSample]:
-        """Yield the samples."""
+        """Yield samples as they arrive, until the source ends or its reader leaves."""
         ...
 
 
@@ -60,40 +68,9 @@ class Sink(Protocol):
         """Start."""
         ...
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-        /,
-    ) -> None:
+    def __exit__(self, kind: Any, error: Any, traceback: Any, /) -> None:
         """Finish, also after an exception."""
         ...
-
-
-class _Tally:
-    """Counts and rate of the samples that passed."""
-
-    def __init__(self, expected_rate: float) -> None:
-        self.count = self.seen = 0
-        self._expected = f" of {expected_rate:.0f}" if expected_rate else ""
-        self._times: deque[float] = deque(maxlen=_RATE_SAMPLES)
-
-    def add(self, sample: HumanSample) -> None:
-        """Count a sample."""
-        self.count += 1
-        self.seen += sample.valid
-        self._times.append(sample.time)
-
-    @property
-    def rate(self) -> float:
-        """Rate of the last samples by their time stamps [Hz]; 0 before the second."""
-        elapsed = self._times[-1] - self._times[0] if self._times else 0.0
-        return (len(self._times) - 1) / elapsed if elapsed > 0.0 else 0.0
-
-    def __str__(self) -> str:
-        share = f", hand seen in {self.seen / self.count:.0%}" if self.count else ""
-        return f"{self.count} samples at {self.rate:.0f}{self._expected} Hz{share}"
 
 
 def run(
@@ -109,17 +86,164 @@ def run(
     Returns:
         What was done, by label: of the source, then of each sink.
     """
-    tally = _Tally(source.rate)
+    count = seen = 0
+    expected = f" of {source.rate:.0f}" if source.rate else ""
+    times: deque[float] = deque(maxlen=_RATE_SAMPLES)
     with contextlib.ExitStack() as open_sinks:
         for sink in sinks:
             open_sinks.enter_context(sink)
         with contextlib.suppress(KeyboardInterrupt):
             for sample in source:
-                tally.add(sample)
+                count, seen = count + 1, seen + sample.valid
+                times.append(sample.time)
                 for sink in sinks:
                     sink.put(sample)
-                report(" | ".join([f"{source.name}: {tally}", *(s.status() for s in sinks)]))
-    summary: dict[str, Any] = {"samples": tally.count, "hand_seen": tally.seen}
+                elapsed = times[-1] - times[0]
+                rate = (len(times) - 1) / elapsed if elapsed > 0.0 else 0.0
+                state = f"{source.name}: {count} samples at {rate:.0f}{expected} Hz"
+                state += f", hand seen in {seen / count:.0%}"
+                report(" | ".join([state, *(sink.status() for sink in sinks)]))
+    summary: dict[str, Any] = {"samples": count, "hand_seen": int(seen)}
     for sink in sinks:
         summary |= sink.summary()
     return summary
+
+
+class Replay:
+    """A recording that arrives as if it were live.
+
+    Args:
+        recording: The recording.
+        speed: Factor on the speed of time, from 0.01 to 100; the motion is as much faster.
+        loop: Start again at the end, until interrupted.
+        faults: Faults to put in; their times count from the first sample of the replay.
+        seed: Seed of the faults' random numbers.
+
+    Raises:
+        InvalidInputError: If the speed is out of its range.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        speed: float = 1.0,
+        loop: bool = False,
+        faults: tuple[Fault, ...] = (),
+        seed: int = 0,
+    ) -> None:
+        low, high = SPEEDS
+        if not low <= speed <= high:
+            raise InvalidInputError(
+                argument="speed", expected=f"a factor from {low} to {high}", value=speed
+            )
+        self.name, self.side = recording.name, recording.side
+        self.rate = speed / float(np.median(recording.steps))
+        self._recording, self._speed, self._loop = recording, speed, loop
+        self._faults, self._seed = faults, seed
+
+    def __iter__(self) -> Iterator[HumanSample]:
+        """Yield each sample when its time has come.
+
+        Time stamps are on this machine's monotonic clock, unless a fault changes them.
+        """
+        return inject(_paced(self._timed()), self._faults, self._seed)
+
+    def _timed(self) -> Iterator[HumanSample]:
+        """Yield samples with time stamps that start at 0 and keep increasing through all loops."""
+        recording, offset = self._recording, 0.0
+        duration = recording.time[-1] - recording.time[0] + np.median(recording.steps)
+        while True:
+            for sample in recording_samples(recording):
+                elapsed = sample.time - recording.time[0] + offset
+                yield replace(sample, time=float(elapsed / self._speed))
+            if not self._loop:
+                return
+            offset += duration
+
+
+def _paced(samples: Iterable[HumanSample]) -> Iterator[HumanSample]:
+    """Yield each sample at its time after the first one, stamped by the monotonic clock."""
+    start = time.monotonic()
+    for sample in samples:
+        due = start + sample.time
+        if (wait := due - time.monotonic()) > 0.0:
+            time.sleep(wait)
+        yield replace(sample, time=due)
+
+
+class Recorder:
+    """Collects samples, and writes them to a file at the end.
+
+    Samples whose time stamps do not increase are left out and counted, because recordings are in
+    the order of time.
+
+    Args:
+        file: The file to write, `.npz` or `.csv`; one that exists is replaced at the end. `handmap
+            convert` makes other formats of it.
+        argument: Argument or option that names it, for errors.
+
+    Raises:
+        InvalidInputError: If the file cannot be written there.
+    """
+
+    def __init__(self, file: Path, argument: str = "file") -> None:
+        self.file, self._argument = check_output(argument, file, SUFFIXES), argument
+        self._samples: list[HumanSample] = []
+        self._disordered = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Write the file.
+
+        Raises:
+            InvalidInputError: If the hand was never seen, or the file cannot be written.
+        """
+        samples = self._samples
+        if not any(sample.valid for sample in samples):
+            if kind is not None:
+                # The exception of the source comes before the complaint that nothing was seen.
+                return
+            raise InvalidInputError(
+                argument=self._argument,
+                problem=f"the hand was not seen in any of {len(samples)} samples",
+                advice="nothing was written",
+            )
+        recording = Recording(
+            name=self.file.stem,
+            time=np.array([sample.time for sample in samples]) - samples[0].time,
+            landmarks=np.array([sample.landmarks for sample in samples]),
+            valid=np.array([sample.valid for sample in samples]),
+            side=samples[0].side,
+            source="handmap track",
+            confidence=np.array([sample.confidence for sample in samples]),
+        )
+        write_recordings([recording], self.file)
+
+    def put(self, sample: HumanSample) -> None:
+        """Keep a sample.
+
+        Raises:
+            InvalidInputError: If it is of the other hand than the first one.
+        """
+        if self._samples and sample.side != self._samples[0].side:
+            raise InvalidInputError(
+                argument="side",
+                expected=f"samples of the {self._samples[0].side} hand",
+                value=sample.side,
+            )
+        if self._samples and sample.time <= self._samples[-1].time:
+            self._disordered += 1
+        else:
+            self._samples.append(sample)
+
+    def status(self) -> str:
+        """Return the number of samples kept."""
+        return f"recording {len(self._samples)}"
+
+    def summary(self) -> dict[str, Any]:
+        """Return the file and counts."""
+        counts = {"recorded": len(self._samples), "not_in_order": self._disordered}
+        return counts | {"record": str(self.file)}

@@ -19,12 +19,12 @@ from handmap_qp.client.messages import (
     Reply,
     Request,
 )
+from handmap_qp.human.verdict import RULES
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.service.decoding import LARGEST, LATEST
 from handmap_qp.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.service.settings import Settings
-from handmap_qp.stream.guard import RULES
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import webbrowser
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,11 +22,17 @@ from handmap_qp.arguments import (
     fit_side,
 )
 from handmap_qp.errors import InvalidInputError, MissingExtraError, did_you_mean
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.person import read_person
+from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.output_files import check_output, replaced_file
+from handmap_qp.stream.measurement import measure_person
+from handmap_qp.viewer.live import LiveViewer
+from handmap_qp.viewer.replay import Replay, ReplayViewer
+from handmap_qp.viewer.serving import run_frames, serving
 
 if TYPE_CHECKING:
     import viser
-
-    from handmap_qp.viewer.replay import Replay
 
 
 @dataclass(frozen=True)
@@ -117,111 +124,89 @@ class View:
 
     def _refuse_unused_options(self) -> None:
         """Refuse options that would have no effect."""
-        if self.live is not None:
-            self._refuse("html", problem="needs a recording: a running session has no end")
-            self._refuse("mirror", "compare", problem="needs a recording")
-            for name in ("layout", "side"):
-                if getattr(self.inputs, name) is not None:
-                    raise InvalidInputError(argument=f"--{name}", problem="needs a recording")
-            self._refuse("person", problem="needs a recording: the service's client chooses it")
-            for option in self.arguments.changed():
-                raise InvalidInputError(
-                    argument=option, problem="needs a recording: the service's client chooses it"
-                )
-            return
+        given = {name for name in vars(self) if getattr(self, name) != getattr(View, name, None)}
+        given |= {name for name, value in vars(self.inputs).items() if value is not None}
+        problems = dict.fromkeys(("session", "keys"), "needs --live")
         if self.html is not None:
-            self._refuse("host", "port", "open", problem="has no effect with --html")
-        self._refuse("session", "keys", problem="needs --live")
-
-    def _refuse(self, *names: str, problem: str) -> None:
-        for name in names:
-            if getattr(self, name) != getattr(View, name):
-                raise InvalidInputError(argument=f"--{name}", problem=problem)
+            problems |= dict.fromkeys(("host", "port", "open"), "has no effect with --html")
+        if self.live is not None:
+            problems = dict.fromkeys(("mirror", "compare", "layout", "side"), "needs a recording")
+            problems["html"] = "needs a recording: a running session has no end"
+            chosen = "needs a recording: the service's client chooses it"
+            problems |= dict.fromkeys(("person", *self.arguments.changed()), chosen)
+            given.update(self.arguments.changed())
+        for name, problem in problems.items():
+            if name in given:
+                option = f"--{name.removeprefix('--')}"
+                raise InvalidInputError(argument=option, problem=problem)
 
     def _show_recording(self, file: Path, robot: str) -> None:
-        from handmap_qp.viewer.app import ReplayViewer
-        from handmap_qp.viewer.page import check_page, replay_page, write_page
-        from handmap_qp.viewer.serving import serving
-
-        page = None if self.html is None else check_page(self.html)
-        replay = self.replay(file, robot)
-        if page is not None:
-            write_page(page, replay_page(replay))
-            print(f"wrote {page}")
+        if self.html is not None:
+            check_output("--html", self.html, (".html", ".htm"))
+            page = self.replay(file, robot).page()
+            with replaced_file(self.html, "--html") as stream:
+                stream.write(page)
+            print(f"wrote {self.html}")
             return
-        with serving(self.host, self.port) as server:
-            viewer = ReplayViewer(server, replay)
-            self._announce(server)
-            with contextlib.suppress(KeyboardInterrupt):
-                viewer.run()
+        replay = self.replay(file, robot)
+        with self._serving() as server:
+            run_frames(ReplayViewer(server, replay).tick)
 
     def _show_live(self, live: str) -> None:
-        from handmap_qp.viewer.live import LiveSource, show_live
         from handmap_qp.viewer.remote import ServiceSession
-        from handmap_qp.viewer.serving import serving
 
         # Connect before serving, so that a missing session is reported at once.
-        first = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
-
-        def next_source(before: LiveSource | None) -> LiveSource:
-            return (
-                first
-                if before is None
-                else ServiceSession(live, session=first.name, robot=self.robot, keys=self.keys)
-            )
-
+        source = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
         try:
-            with serving(self.host, self.port) as server:
-                self._announce(server)
-                with contextlib.suppress(KeyboardInterrupt):
-                    show_live(server, next_source)
+            with self._serving() as server:
+                while True:
+                    viewer = LiveViewer(server, source)
+                    try:
+                        viewer.run()
+                    finally:
+                        viewer.close()
+                    # Its hands have changed.
+                    server.gui.reset()
+                    server.scene.reset()
+                    source = ServiceSession(
+                        live, session=source.name, robot=self.robot, keys=self.keys
+                    )
         finally:
-            first.close()
+            source.close()
 
-    def _announce(self, server: viser.ViserServer) -> None:
-        """Print the address, and open the browser if requested."""
-        host = server.get_host()
-        address = f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
-        print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
-        if self.open:
-            webbrowser.open(address)
+    @contextlib.contextmanager
+    def _serving(self) -> Iterator[viser.ViserServer]:
+        """Serve until Ctrl-C; print the address, and open the browser if requested."""
+        with serving(self.host, self.port) as server:
+            host = server.get_host()
+            address = f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+            print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
+            if self.open:
+                webbrowser.open(address)
+            with contextlib.suppress(KeyboardInterrupt):
+                yield server
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""
-        from handmap_qp.human.fit import fit_recording
-        from handmap_qp.human.person import read_person
-        from handmap_qp.mapping.presets import possible_presets
-        from handmap_qp.stream.measurement import measure_person
-        from handmap_qp.viewer.replay import Replay
-
         robot = self.arguments.load_robot(name)
         recording = self.inputs.read(file, robot.spec.side, self.person)
         recording = fit_side(recording, robot, mirror=self.mirror)
         person = measure_person(recording) if self.person is None else read_person(self.person)
         motion = fit_recording(recording, lengths=person.lengths)
-        human = motion.human.with_points(self.arguments.human_points)
-        gap = person.contact_gap
-        if self.compare is not None:
-            self._check_compared(self.compare, possible_presets(human, robot))
+        human, gap = motion.human.with_points(self.arguments.human_points), person.contact_gap
+        names = possible_presets(human, robot)
+        if self.compare is not None and self.compare not in names:
+            raise InvalidInputError(
+                argument="--compare",
+                expected=f"one of {', '.join(names)}",
+                value=self.compare,
+                advice=did_you_mean(self.compare, names),
+            )
+        choice = self.arguments.preset_for(human, robot, gap)
+        smoothing = self.arguments.smoothing
         replay = Replay(
-            recording,
-            motion,
-            human,
-            robot,
-            self.arguments.preset_for(human, robot, gap),
-            smoothing=self.arguments.smoothing,
-            contact_gap=gap,
+            recording, motion, human, robot, choice, smoothing=smoothing, contact_gap=gap
         )
         if self.compare is not None:
             replay.compare(replay.preset(self.compare))
         return replay
-
-    def _check_compared(self, name: str, names: tuple[str, ...]) -> None:
-        """Reject a method that the hands cannot be mapped with."""
-        if name not in names:
-            raise InvalidInputError(
-                argument="--compare",
-                expected=f"one of {', '.join(names)}",
-                value=name,
-                advice=did_you_mean(name, names),
-            )

@@ -1,100 +1,45 @@
-"""A running mapping in the browser: `LiveViewer` shows and steers a `LiveSource`."""
+"""A running mapping in the browser: `LiveViewer` shows and steers a `ServiceSession`."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.options_file import options_text
-from handmap_qp.mapping.presets import Choice, possible_presets
-from handmap_qp.viewer.controls import DisplayControls, SteeringControls
-from handmap_qp.viewer.export import ExportControls
-from handmap_qp.viewer.frames import GAUGES_PERIOD, Throttle, run_frames
+from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.viewer.controls import (
+    DisplayControls,
+    ExportControls,
+    SteeringControls,
+    add_panels,
+)
 from handmap_qp.viewer.gauges import Gauges, gauge_row
 from handmap_qp.viewer.page import make_page
-from handmap_qp.viewer.panels import Panels
 from handmap_qp.viewer.sample import Variant, ViewSample
 from handmap_qp.viewer.scene import HandScene
+from handmap_qp.viewer.serving import GAUGES_PERIOD, run_frames
 
 if TYPE_CHECKING:
     import viser
+
+    from handmap_qp.viewer.remote import ServiceSession
 
 # Length of the plots' time axis [s].
 _SPAN = 10.0
 # The view reports that no sample arrives after this time [s].
 _SILENCE = 1.0
-
-
-class LiveSource(Protocol):
-    """A mapping that runs elsewhere.
-
-    The thread that iterates carries out requests in order. The attributes show their outcome.
-
-    Attributes:
-        human: The human hand of the samples.
-        robot: The robot hand.
-        choice: Preset and options in force there, whichever client set them.
-        is_shared: Whether it can be steered from here.
-        is_released: Whether the robot is released.
-        stop_number: Number of the emergency stop in force; 0 for none.
-        is_outdated: Whether it has ended because other hands are mapped there now.
-        last_error: Why the last request failed; None if it succeeded.
-    """
-
-    human: Hand
-    robot: Hand
-    choice: Choice
-    is_shared: bool
-    is_released: bool
-    stop_number: int
-    is_outdated: bool
-    last_error: HandmapError | None
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether requests are pending."""
-        ...
-
-    def __iter__(self) -> Iterator[ViewSample]:
-        """Yield samples as they arrive until the source ends; may raise `HandmapError`."""
-        ...
-
-    def release(self) -> None:
-        """Request that the robot is released."""
-        ...
-
-    def clutch(self) -> None:
-        """Request that mapping resumes."""
-        ...
-
-    def stop(self) -> None:
-        """Request an emergency stop, which works also where nothing else can be steered."""
-        ...
-
-    def clear(self, stop_number: int) -> None:
-        """Request that an emergency stop ends; the robot is then released."""
-        ...
-
-    def configure(self, changes: dict[str, Any]) -> None:
-        """Request another preset or other values of some options, as of `Choice`."""
-        ...
-
-    def close(self) -> None:
-        """Stop; a running iteration ends soon."""
-        ...
+# Number of samples that the rate is measured over.
+_RATE_SAMPLES = 60
 
 
 class LiveViewer:
     """Show a mapping that runs elsewhere.
 
     Args:
-        server: A running viser server.
         source: What to show; a thread reads it from here on.
         patience: How long to wait for the first sample [s].
 
@@ -102,8 +47,7 @@ class LiveViewer:
         scene: The hands.
         gauges: Numbers, plots and joint bars.
         sample: The newest one.
-        rows: `gauge_row` of each sample of the last 10 s.
-        recent: These samples.
+        recent: The samples of the last 10 s, each with its `gauge_row`.
         status_text: The sample rate, or that no sample arrives.
         stop: Button of the emergency stop.
         clear: Button that ends the stop in force; shown while there is one, for a source that can
@@ -118,11 +62,10 @@ class LiveViewer:
     """
 
     def __init__(
-        self, server: viser.ViserServer, source: LiveSource, *, patience: float = 10.0
+        self, server: viser.ViserServer, source: ServiceSession, *, patience: float = 10.0
     ) -> None:
         self._source = source
-        self.rows: deque[tuple[float, ...]] = deque()
-        self.recent: deque[ViewSample] = deque()
+        self.recent: deque[tuple[ViewSample, tuple[float, ...]]] = deque()
         self.sample: ViewSample
         self._has_sample, self._has_ended = threading.Event(), threading.Event()
         self._error: HandmapError | None = None
@@ -140,38 +83,33 @@ class LiveViewer:
         variant = self._variant()
         self._shown = self._start
         self.scene = HandScene(server, source.human, [variant])
-        panels = Panels(server)
+        control, show, save = add_panels(server)
         self.gauges = Gauges(server, [variant])
-        with panels.control:
+        with control:
             self.status_text = server.gui.add_markdown("")
             self.stop = server.gui.add_button(
                 "Stop the robot",
                 color="red",
                 hint="Emergency stop: the robot holds until the stop is cleared",
             )
-            self.stop.on_click(lambda _: source.stop())
             self.clear = server.gui.add_button(
                 "Clear the stop",
                 hint="End the emergency stop; the robot stays where it is until Clutch is pressed",
                 visible=False,
             )
+            self.stop.on_click(lambda _: source.request("stop"))
             self._stop_number = 0
             # The number that was shown, so that a later stop is not cleared unseen.
-            self.clear.on_click(lambda _: source.clear(self._stop_number))
-            self.steering = (
-                SteeringControls(
-                    server,
-                    self._start,
-                    possible_presets(source.human, source.robot),
-                )
-                if source.is_shared
-                else None
-            )
-        with panels.show:
+            self.clear.on_click(lambda _: source.request("clear", self._stop_number))
+            self.steering = None
+            if source.is_shared:
+                presets = possible_presets(source.human, source.robot)
+                self.steering = SteeringControls(server, self._start, presets)
+        with show:
             self.display = DisplayControls(server)
-        with panels.save:
+        with save:
             self.exports = ExportControls(server, lambda: options_text(source.choice), self._page)
-        self._gauges_throttle = Throttle(GAUGES_PERIOD)
+        self._gauges_due = 0.0
 
     def tick(self) -> None:
         """Pass on the user's requests, and draw the newest sample.
@@ -183,24 +121,31 @@ class LiveViewer:
             raise self._error
         if self.steering is not None:
             self._steer(self.steering)
-        sample, rows = self.sample, tuple(self.rows)
-        self._show_choice()
-        self._show_stop()
+        # The copy is one operation, so the thread that reads needs no lock.
+        sample, rows = self.sample, [row for _, row in tuple(self.recent)]
+        if self._source.choice != self._shown:
+            # Another preset or options, whichever client chose them.
+            self._shown = self._source.choice
+            self.scene.set_variants([self._variant()])
+            self.gauges.set_variants([self._variant()])
+        self._stop_number = self._source.stop_number
+        self.clear.visible = self._stop_number != 0 and self._source.is_shared
         self.display.apply_to(self.scene)
-        is_gauges_due = self._gauges_throttle.is_due()
-        if is_gauges_due:
-            self.scene.make_room([sample])
+        self.scene.make_room([sample])
         self.scene.draw([sample])
         self.scene.cameras.update()
-        if is_gauges_due:
+        if (now := time.monotonic()) >= self._gauges_due:
+            self._gauges_due = now + GAUGES_PERIOD
             self.gauges.set_rows(rows, latest=_SPAN)
             self.gauges.draw([sample], len(rows) - 1)
         if self._has_ended.is_set():
             self.status_text.content = "**The source has ended.**"
-        elif time.monotonic() - self._last_arrival > _SILENCE:
+        elif now - self._last_arrival > _SILENCE:
             self.status_text.content = "**No sample arrives.**"
         else:
-            self.status_text.content = f"{1.0 / max(_period(rows), 1e-6):.0f} samples per second"
+            span = rows[-1][0] - rows[-_RATE_SAMPLES:][0][0]
+            rate = min(len(rows) - 1, _RATE_SAMPLES - 1) / max(span, 1e-6)
+            self.status_text.content = f"{rate:.0f} samples per second"
 
     def run(self) -> None:
         """Draw frames until interrupted, until the source fails, or until its hands change."""
@@ -218,18 +163,18 @@ class LiveViewer:
         # While requests are pending, the controls keep the requested values.
         if source.is_busy:
             return
-        in_force, preset = source.choice, steering.take_preset()
+        in_force, preset = source.choice, steering.take_lists().get("preset")
         if preset is None:
             steering.show_choice(in_force)
         # Send only what was changed here: other clients may have changed other options.
         changes = steering.options.take_changes()
-        if preset is not None and preset != in_force.preset:
+        if preset not in (None, in_force.preset):
             changes = {"preset": preset}
         for request in steering.take_requests():
             if request == "release":
-                source.release()
+                source.request("release")
             elif request == "clutch" or source.is_released:
-                source.clutch()
+                source.request("clutch")
             if request == "reset":
                 changes = in_force.changes_to(self._start)
         if changes:
@@ -240,36 +185,19 @@ class LiveViewer:
         source, choice = self._source, self._source.choice
         return Variant(choice.preset, source.robot, choice, [self.sample])
 
-    def _show_choice(self) -> None:
-        """Show another preset or options, whichever client chose them."""
-        if self._source.choice != self._shown:
-            self._shown = self._source.choice
-            variant = self._variant()
-            self.scene.set_variants([variant])
-            self.gauges.set_variants([variant])
-
-    def _show_stop(self) -> None:
-        """Offer to clear the stop in force."""
-        self._stop_number = self._source.stop_number
-        is_offered = self._stop_number != 0 and self._source.is_shared
-        if self.clear.visible != is_offered:
-            self.clear.visible = is_offered
-
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""
         variant, source = self._variant(), self._source
         title = f"{source.robot.name}, {variant.label}"
-        return make_page(title, source.human, [replace(variant, samples=tuple(self.recent))])
+        samples = [sample for sample, _ in tuple(self.recent)]
+        return make_page(title, source.human, [replace(variant, samples=samples)])
 
     def _read(self) -> None:
         try:
             for sample in self._source:
                 self.sample = sample
-                # `tick` copies `rows` in one operation, so no lock is needed.
-                self.rows.append(gauge_row(sample))
-                self.recent.append(sample)
-                while not 0.0 <= sample.time - self.rows[0][0] <= _SPAN:
-                    self.rows.popleft()
+                self.recent.append((sample, gauge_row(sample)))
+                while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
                     self.recent.popleft()
                 self._last_arrival = time.monotonic()
                 self._has_sample.set()
@@ -289,33 +217,3 @@ class LiveViewer:
                     f"no sample arrived within {patience:g} s",
                     advice="check that a client sends samples to this session",
                 )
-
-
-def show_live(
-    server: viser.ViserServer, make_source: Callable[[LiveSource | None], LiveSource]
-) -> None:
-    """Show a mapping until interrupted, and restart the view whenever its hands change.
-
-    Args:
-        server: A running viser server.
-        make_source: Creates the source; its argument is the previous source, None at first.
-
-    Raises:
-        HandmapError: If the source cannot be created or shown, or fails.
-    """
-    source = None
-    while True:
-        source = make_source(source)
-        viewer = LiveViewer(server, source)
-        try:
-            viewer.run()
-        finally:
-            viewer.close()
-        server.gui.reset()
-        server.scene.reset()
-
-
-def _period(rows: tuple[tuple[float, ...], ...]) -> float:
-    """Return the mean period of the newest samples [s]."""
-    newest = rows[-60:]
-    return (newest[-1][0] - newest[0][0]) / max(len(newest) - 1, 1)

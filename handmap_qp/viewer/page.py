@@ -1,57 +1,37 @@
-"""Hands as an HTML file that plays without a server: `make_page`, `write_page`."""
+"""Hands as an HTML file that plays without a server: `make_page`."""
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
-from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.output_files import check_output, replaced_file
-from handmap_qp.viewer.gauges import SCENE_COLOURS, InstantGauges
-from handmap_qp.viewer.html_film import html_film
-from handmap_qp.viewer.markup import css, legend
-from handmap_qp.viewer.option_table import option_table
-from handmap_qp.viewer.replay import Replay
+from handmap_qp.viewer.gauges import (
+    ORANGE,
+    SCENE_LEGEND,
+    InstantGauges,
+    bin_starts,
+    error_entries,
+    gauge_row,
+    legend,
+    round_up,
+)
 from handmap_qp.viewer.sample import Variant, ViewSample
 from handmap_qp.viewer.scene import HandScene, Solid
 from handmap_qp.viewer.serving import serving
-from handmap_qp.viewer.time_plot import error_plot
 
 # Most samples per second in a page, and most gauges [1/s].
 _RATE, _GAUGES_RATE = 30.0, 10.0
-
-
-def check_page(path: Path) -> Path:
-    """Check that a page can be written there, before any work is done.
-
-    Raises:
-        InvalidInputError: If it does not end in .html, is a folder, or its folder does not exist.
-    """
-    return check_output("--html", path, (".html", ".htm"))
-
-
-def write_page(path: Path, page: bytes) -> None:
-    """Write a page to a file.
-
-    Raises:
-        InvalidInputError: If the file cannot be written.
-    """
-    with replaced_file(path, "--html") as file:
-        file.write(page)
-
-
-def replay_page(replay: Replay) -> bytes:
-    """Return a recording as a page, with the mapping that it is compared with."""
-    methods = " against ".join(variant.label for variant in replay.variants)
-    return make_page(
-        f"{replay.name} on {replay.robot.name}, {methods}",
-        replay.human,
-        replay.variants,
-        contact_gap=replay.contact_gap,
-    )
+_WIDTH, _HEIGHT, _LEFT, _TOP = 228.0, 86.0, 30.0, 8.0
+# A line of the plot has at most this many points.
+_MOST_POINTS = 456
 
 
 def make_page(
@@ -64,7 +44,7 @@ def make_page(
 ) -> bytes:
     """Return one HTML file that plays samples in real time, without a server or the network.
 
-    The page has the title, the hands, the gauges and the options (`Variant.options`).
+    The page has the title, the hands, the gauges and the options.
 
     Args:
         title: Title of the page.
@@ -87,12 +67,11 @@ def make_page(
             serializer.insert_sleep(samples[0].time - shown)
             scene.draw(samples)
             shown = samples[0].time
-        page = serializer.as_html()
-        view = scene.cameras.view
-    page = page.replace("<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1)
-    head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
-    page = page.replace("</head>", head + "</head>", 1)
+        page, view = serializer.as_html(), scene.cameras.view
     body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), contact_gap)
+    head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
+    page = page.replace("<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1)
+    page = page.replace("</head>", head + "</head>", 1)
     start = page.index(">", page.index("<body")) + 1
     return (page[:start] + body + page[start:]).encode()
 
@@ -108,24 +87,94 @@ def _body(
     start, end = instants[0][0].time, instants[-1][0].time
     count = len(variants[0].samples)
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
-    film = {
+    shown = {
         "time": [round(samples[0].time - start, 3) for samples in instants],
-        "table": html_film([gauges.table(samples) for samples in instants]),
-        "bars": html_film([gauges.bars(samples) for samples in instants]),
+        "table": [gauges.table(samples) for samples in instants],
+        "bars": [gauges.bars(samples) for samples in instants],
     }
     parts = {
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
-        "__LEGEND__": legend([(name, css(colour)) for name, colour in SCENE_COLOURS]),
-        "__PLOT__": error_plot(variants),
-        "__OPTIONS__": "".join(option_table(variant) for variant in variants),
-        # A text that ends the script must not do so here.
-        "__GAUGES__": json.dumps(film, separators=(",", ":")).replace("</", "<\\/"),
+        "__LEGEND__": SCENE_LEGEND,
+        "__PLOT__": _error_plot(variants),
+        "__OPTIONS__": "".join(_option_table(variant) for variant in variants),
+        # Instants are much alike, so they are small when compressed.
+        "__GAUGES__": base64.b64encode(gzip.compress(json.dumps(shown).encode())).decode(),
     }
     body = _part("page_body.html")
     for name, text in parts.items():
         body = body.replace(name, text, 1)
     return body
+
+
+def _option_table(variant: Variant) -> str:
+    """Return the options of a robot's method as HTML; those that are no defaults are marked."""
+    parts = (variant.choice.method, variant.choice.ik)
+    rows = "".join(
+        f"<tr{' class=changed' if name in type(part)().changes_to(part) else ''}>"
+        f"<td>{escape(name.replace('_', ' '))}</td><td>{escape(_text(value))}</td></tr>"
+        for part in parts
+        for name, value in part.values.items()
+    )
+    return (
+        f"<details open><summary>options: {escape(variant.label)}</summary>"
+        f'<table class="options">{rows}</table></details>'
+    )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value or "none")
+
+
+def _error_plot(variants: Sequence[Variant]) -> str:
+    """Return the mean point error of each robot, and the first one's largest, as HTML.
+
+    The line with the id `handmap-now` marks the time. It is to be moved by up to `data-width`.
+    """
+    rows = [np.array([gauge_row(sample) for sample in variant.samples]).T for variant in variants]
+    time, errors = rows[0][0], [rows[0][1], rows[0][2], *(row[1] for row in rows[1:])]
+    if not np.isfinite(errors).any():
+        return ""
+    span = max(float(time[-1] - time[0]), 1e-3)
+    top = round_up(max(float(np.nanmax(errors)), 1e-3), (1.0, 2.0, 4.0, 6.0, 8.0))
+    x, entries = _WIDTH * (time - time[0]) / span, error_entries(variants)
+    lines = "".join(
+        f'<path d="{_path(x, _HEIGHT * (1.0 - error / top))}" fill="none" stroke="{colour}"/>'
+        for error, (_, colour) in reversed(list(zip(errors, entries, strict=True)))
+    )
+    grid = "".join(
+        f'<g transform="translate(0 {_HEIGHT * (1 - share):.1f})"><path d="M0 0h{_WIDTH}" '
+        f'stroke="#e6e8eb"/><text x="-4" y="3.5" text-anchor="end">{share * top:g}</text></g>'
+        for share in (0.0, 0.5, 1.0)
+    )
+    times = "".join(
+        f'<text x="{_WIDTH * share:.1f}" y="{_HEIGHT + 13}" text-anchor="{anchor}">'
+        f"{share * span:.1f}{unit}</text>"
+        for share, anchor, unit in ((0.0, "start", ""), (0.5, "middle", ""), (1.0, "end", " s"))
+    )
+    return (
+        '<div style="padding:4px 14px 0;font-size:11px;font-weight:600">point error [mm]</div>'
+        f'<svg viewBox="0 0 {_LEFT + _WIDTH + 14} {_TOP + _HEIGHT + 18}" style="width:100%;'
+        'display:block;font:10px system-ui,sans-serif" fill="#666">'
+        f'<g transform="translate({_LEFT} {_TOP})">{grid}{times}{lines}'
+        f'<path id="handmap-now" data-width="{_WIDTH}" d="M0 0v{_HEIGHT}" stroke="{ORANGE}" '
+        f'stroke-width="2"/></g></svg>{legend(entries)}'
+    )
+
+
+def _path(x: np.ndarray, y: np.ndarray) -> str:
+    """Return an SVG path with gaps where y is NaN; each bin of samples gives its highest point."""
+    starts = bin_starts(len(x), _MOST_POINTS)
+    words, pen = [], "M"
+    for i, height in zip(starts, np.fmin.reduceat(y, starts), strict=True):
+        if np.isnan(height):
+            pen = "M"
+        else:
+            words.append(f"{pen}{x[i]:.1f} {height:.1f}")
+            pen = "L"
+    return "".join(words)
 
 
 def _at_rate(

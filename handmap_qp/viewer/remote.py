@@ -1,4 +1,4 @@
-"""A session of the mapping service as a `LiveSource`: `ServiceSession`."""
+"""A session of the mapping service, shown and steered from here: `ServiceSession`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +25,23 @@ from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import rigid_fit
 from handmap_qp.viewer.sample import ViewSample
 
+try:
+    import zmq
+
+    from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError
+    from handmap_qp.client.messages import Pose
+except ModuleNotFoundError as missing:
+    raise MissingExtraError(str(missing.name), "service") from missing
+
+_FAILURES = (
+    ServiceError,
+    ServiceTimeoutError,
+    zmq.ZMQError,
+    msgspec.MsgspecError,
+    OSError,
+    ValueError,
+    TypeError,
+)
 _TIMEOUT = 1.0
 # Timeout of the first replies, longer because the service may still be starting [s].
 _FIRST_TIMEOUT = 3.0
@@ -73,23 +91,7 @@ class ServiceSession:
         keys: tuple[Path, Path] | None = None,
         patience: float = 10.0,
     ) -> None:
-        try:
-            import zmq
-
-            from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
-        except ImportError as error:
-            raise MissingExtraError("pyzmq", "service") from error
         self._host = host
-        self._refusal = ServiceError
-        self._failures = (
-            ServiceError,
-            ServiceTimeoutError,
-            zmq.ZMQError,
-            msgspec.MsgspecError,
-            OSError,
-            ValueError,
-            TypeError,
-        )
         self._is_closed, self._is_read = threading.Event(), False
         self._start: float | None = None
         self._detail: dict[str, Any] = {}
@@ -97,7 +99,7 @@ class ServiceSession:
         self.is_outdated, self.is_released, self.stop_number = False, False, 0
         self.last_error: HandmapError | None = None
         address = service_address("--live", host)
-        self._client = self._try(lambda: Client(address, timeout=_FIRST_TIMEOUT, keys=keys))
+        self._client = self._try(Client, address, timeout=_FIRST_TIMEOUT, keys=keys)
         try:
             about = self._find_session(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
@@ -108,20 +110,17 @@ class ServiceSession:
                 )
             self._about = {name: about[name] for name in _HANDS}
             self.choice = _choice(about)
-            lengths = about["lengths"] and HumanLengths(
-                **{name: np.array(rows) for name, rows in about["lengths"].items()}
-            )
+            lengths = None
+            if about["lengths"] is not None:
+                lengths = HumanLengths(**{k: np.array(v) for k, v in about["lengths"].items()})
             self.human = load_hand(
-                human_name(about["side"]), points=about["human_points"], lengths=lengths or None
+                human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
             self._given_robot = self._load_robot(robot or about["robot"], about)
             self.robot = self._with_method_points()
             # Landmarks are mapped as they are; joint angles are fitted for drawing only.
-            self._fitter = (
-                LandmarkFitter(about["side"], lengths or None)
-                if about["input"] == "landmarks"
-                else None
-            )
+            is_tracked = about["input"] == "landmarks"
+            self._fitter = LandmarkFitter(about["side"], lengths) if is_tracked else None
         except BaseException:
             self._client.close()
             raise
@@ -145,10 +144,10 @@ class ServiceSession:
                     next_status = time.monotonic() + _STATUS_PERIOD
                 try:
                     command = client.latest(_WAIT)
-                except self._refusal:
+                except ServiceError:
                     # The service refused a sample of its client; the client gets the error.
                     continue
-                if command is None or command.wrist is None:
+                if command is None:
                     continue
                 if not self._is_as_before(command):
                     self._update_status()
@@ -161,8 +160,7 @@ class ServiceSession:
                         )
                 if self.is_outdated:
                     return
-                sample = self._sample(command)
-                if sample is not None:
+                if (sample := self._sample(command)) is not None:
                     yield sample
 
     @property
@@ -176,21 +174,12 @@ class ServiceSession:
         if not self._is_read:
             self._client.close()
 
-    def release(self) -> None:
-        """Request that the robot is released."""
-        self._requests.append(self._client.release)
+    def request(self, name: str, *values: Any) -> None:
+        """Request what a method of `Client` does: `release`, `clutch`, `stop` or `clear`.
 
-    def clutch(self) -> None:
-        """Request that mapping resumes."""
-        self._requests.append(self._client.clutch)
-
-    def stop(self) -> None:
-        """Request an emergency stop, which works also where nothing else can be steered."""
-        self._requests.append(self._client.stop)
-
-    def clear(self, stop_number: int) -> None:
-        """Request that an emergency stop ends; the robot is then released."""
-        self._requests.append(lambda: self._client.clear(stop_number))
+        A stop works also where nothing else can be steered. After `clear`, the robot is released.
+        """
+        self._requests.append(partial(getattr(self._client, name), *values))
 
     def configure(self, changes: dict[str, Any]) -> None:
         """Request another preset or other values of some options, as of `Choice`."""
@@ -222,7 +211,7 @@ class ServiceSession:
             before, self.choice = self.choice, _choice(about)
             if type(before.method) is not type(self.choice.method):
                 self.robot = self._with_method_points()
-        except (*self._failures, LookupError):
+        except (*_FAILURES, LookupError):
             return
         self.is_released, self.stop_number = state.is_released, state.stop
 
@@ -237,7 +226,7 @@ class ServiceSession:
             self.name = session or "".join(names)
             problem, advice = "no session is open there", "start a client that opens one"
             if self.name:
-                state = self._try(lambda: self._client.watch(self.name))
+                state = self._try(self._client.watch, self.name)
                 self.is_released = state.is_released
                 about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
@@ -261,7 +250,7 @@ class ServiceSession:
         """Return the robot hand with the reference points that the method in force moves."""
         return self.choice.method.bind(self.human, self._given_robot).robot
 
-    def _is_as_before(self, command: Any) -> bool:
+    def _is_as_before(self, command: Command) -> bool:
         """Return whether a command fits the session properties read last."""
         if command.detail is None and command.point_error and self.is_shared:
             # The client reopened the session, which lost the request for details.
@@ -273,60 +262,56 @@ class ServiceSession:
             and len(command.point_error) in (0, len(self.robot.reference_points))
         )
 
-    def _sample(self, command: Any) -> ViewSample | None:
+    def _sample(self, command: Command) -> ViewSample | None:
         """Convert a command to a sample; None if it has nothing to show."""
         self.is_released = "released" in command.flags
         # Commands of a held robot have no detail: keep the last one.
-        self._detail = command.detail or self._detail
-        if not self._detail:
+        self._detail = detail = command.detail or self._detail
+        if not detail or command.wrist is None:
             return None
         if self._start is None:
             self._start = command.server_time
-        detail, q, wrist = self._detail, np.array(command.q), command.wrist.matrix
-        human_points, targets = np.array(detail["human_points"]), np.array(detail["targets"])
-        human_q, human_wrist = self._human_posture(detail, human_points, type(command.wrist))
+        q, wrist = np.array(command.q), command.wrist.matrix
+        targets, landmarks = np.array(detail["targets"]), detail["landmarks"]
+        human_q, human_wrist = self._human_posture(detail)
         # The last detail of a held robot may be of another method.
         has_targets = len(targets) == len(self.robot.reference_points) and not self.is_released
         return ViewSample(
             time=command.server_time - self._start,
             human_q=human_q,
             human_wrist=human_wrist,
-            human_points=human_points,
-            landmarks=None if detail["landmarks"] is None else np.array(detail["landmarks"]),
+            human_points=np.array(detail["human_points"]),
+            landmarks=None if landmarks is None else np.array(landmarks),
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),
             targets=targets if has_targets else None,
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
-            is_limited=np.array([name in command.at_limit for name in self.robot.joint_names]),
+            is_limited=np.isin(self.robot.joint_names, command.at_limit),
             status=f"{command.status}: {command.rule}" if command.rule else command.status,
             duration=command.solve_time,
             is_seen=command.detail is not None,
         )
 
-    def _human_posture(
-        self, detail: dict[str, Any], points: np.ndarray, pose: type[Any]
-    ) -> tuple[np.ndarray | None, np.ndarray]:
+    def _human_posture(self, detail: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
         q, wrist, landmarks = (detail[name] for name in ("human_q", "human_wrist", "landmarks"))
         if landmarks is not None and self._fitter is not None:
             with suppress(InvalidInputError):
-                fitted_q, fitted_wrist, _ = self._fitter.fit(np.array(landmarks))
-                return fitted_q, fitted_wrist
-        known = (
-            self._estimate_wrist(points) if wrist is None else msgspec.convert(wrist, pose).matrix
-        )
-        return None if q is None else np.array(q), known
+                return self._fitter.fit(np.array(landmarks))[:2]
+        if wrist is None:
+            # Estimate it by a rigid fit of the hand at rest.
+            pose = rigid_fit(self._rest_points, np.array(detail["human_points"]))
+        else:
+            pose = msgspec.convert(wrist, Pose).matrix
+        return None if q is None else np.array(q), pose
 
-    def _estimate_wrist(self, points: np.ndarray) -> np.ndarray:
-        """Estimate the wrist pose from points (n, 3) by a rigid fit of the hand at rest, (4, 4)."""
-        return rigid_fit(self._rest_points, points)
-
-    def _try(self, call: Callable[[], _T]) -> _T:
+    def _try(self, call: Callable[..., _T], *values: Any, **settings: Any) -> _T:
+        """Return the result of a call; a failure of the service is one of `--live`."""
         try:
-            return call()
-        except self._failures as error:
+            return call(*values, **settings)
+        except _FAILURES as error:
             raise self._error(str(error)) from error
 
     def _error(self, problem: str, advice: str = "") -> InvalidInputError:

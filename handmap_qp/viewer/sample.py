@@ -9,7 +9,6 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import Choice
-from handmap_qp.mapping.step import MapStep
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -58,10 +57,9 @@ class ViewSample:
 
     @property
     def point_error(self) -> np.ndarray:
-        """Distances of the robot points from their targets [m], shape (n_r,); empty if none."""
-        if self.targets is None:
-            return np.empty(0)
-        return np.linalg.norm(self.targets - self.robot_points, axis=1)
+        """Distances of the robot points from their targets [m], shape (n_r,); NaN without."""
+        targets = np.nan if self.targets is None else self.targets
+        return np.linalg.norm(targets - self.robot_points, axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,46 +77,3 @@ class Variant:
     robot: Hand
     choice: Choice
     samples: Sequence[ViewSample]
-
-
-def view_sample(
-    time: float,
-    step: MapStep,
-    *,
-    human_q: np.ndarray,
-    human_wrist: np.ndarray,
-    landmarks: np.ndarray | None = None,
-    is_seen: bool = True,
-) -> ViewSample:
-    """Return what the view shows of one step of a mapper.
-
-    Args:
-        time: Time since the start [s].
-        step: Result of the step.
-        human_q: Joint angles of the human, to draw it [rad], shape (n_human,).
-        human_wrist: Its wrist pose, shape (4, 4).
-        landmarks: Its landmarks as they were tracked [m], shape (21, 3).
-        is_seen: Whether the robot followed the sample.
-
-    Returns:
-        The sample.
-    """
-    results, is_released = step.diagnostics, step.status == "released"
-    return ViewSample(
-        time=time,
-        robot_q=step.command.q,
-        robot_wrist=step.command.wrist,
-        robot_points=step.points,
-        targets=None if is_released else step.targets,
-        wrist_target=None if is_released else step.wrist_target,
-        human_q=human_q,
-        human_wrist=human_wrist,
-        human_points=step.human_points,
-        landmarks=landmarks,
-        deformation=results["motion_deformation"][:3, :3] if "motion" in results else None,
-        pivot=results["pivot_image"] if "motion" in results else None,
-        is_limited=step.at_bound,
-        status=f"{step.status}: {step.rule}" if step.rule else step.status,
-        duration=step.duration,
-        is_seen=is_seen,
-    )

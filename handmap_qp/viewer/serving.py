@@ -1,4 +1,4 @@
-"""The web server of the view, which accepts connections from its own page only."""
+"""The web server of the view, which accepts its own page only, and the loop that draws frames."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import contextlib
 import http
 import io
 import socket
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -15,6 +16,13 @@ from handmap_qp.errors import InvalidInputError, MissingExtraError
 
 if TYPE_CHECKING:
     import viser
+
+FRAME_PERIOD = 1.0 / 30.0
+"""Least time between two frames [s]."""
+GAUGES_PERIOD = 0.1
+"""Least time between two updates of plots and joint bars [s]; they cost more than poses."""
+# Largest time step passed to a frame [s]: playback pauses while a long recording is mapped.
+_LONGEST_STEP = 0.2
 
 
 @contextlib.contextmanager
@@ -106,3 +114,34 @@ def is_own_page(host: str, asked: str, origins: list[str]) -> bool:
     return (names_loopback(asked) or not is_loopback(host)) and all(
         urlsplit(origin).netloc == asked for origin in origins
     )
+
+
+def run_frames(draw: Callable[[float], None], is_over: Callable[[], bool] = lambda: False) -> None:
+    """Draw frames at most 30 times a second.
+
+    Args:
+        draw: Draws one frame; called with the time since the previous one [s], at most 0.2.
+        is_over: Checked before each frame; ends the loop.
+    """
+    before = time.monotonic()
+    while not is_over():
+        now = time.monotonic()
+        with skip_wakeup_race():
+            draw(min(now - before, _LONGEST_STEP))
+        before = now
+        time.sleep(max(0.0, FRAME_PERIOD - (time.monotonic() - now)))
+
+
+@contextlib.contextmanager
+def skip_wakeup_race() -> Iterator[None]:
+    """Drop a frame in which viser's wake-up fails; the next frame draws the same state.
+
+    viser 1.1 wakes its own thread with an `asyncio.Event` that it sets in the calling thread. If
+    that thread starts to wait at the same moment, `set` fails because its list of waiters changes.
+    By then the update itself has been queued.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        if "mutated during iteration" not in str(error):
+            raise

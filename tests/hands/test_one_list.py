@@ -19,7 +19,7 @@ from handmap_qp.hands import library
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, list_hands, missing_hands
 from handmap_qp.service.opening import HandCache, prepare_hands
 from handmap_qp.service.server import Server
-from handmap_qp.viewer.hand_model import LinkTree
+from handmap_qp.viewer.figure import link_meshes
 
 INSTALLED = hand_names()
 ROBOTS = [name for name in INSTALLED if name not in HUMAN_HANDS]
@@ -66,7 +66,7 @@ def test_it_is_the_installed_hands_and_the_missing_ones() -> None:
 def test_every_installed_hand_loads_and_can_be_drawn(name: str) -> None:
     hand = load_hand(name)
     assert hand.name == name
-    assert LinkTree(hand).shapes
+    assert link_meshes(hand)
 
 
 def test_every_command_that_takes_a_hand_is_here() -> None:

@@ -14,7 +14,7 @@ from service_tools import address_of, serving
 
 from handmap_qp import cli
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.live.recorder import Recorder
+from handmap_qp.live.source import Recorder
 from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

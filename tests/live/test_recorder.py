@@ -13,9 +13,7 @@ from handmap_qp import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.live.recorder import Recorder
-from handmap_qp.live.replay import Replay
-from handmap_qp.live.source import run
+from handmap_qp.live.source import Recorder, Replay, run
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults
 
@@ -23,14 +21,10 @@ from handmap_qp.trackers.injection import inject, parse_faults
 class Listed:
     """A source of samples from a list, which ends by an exception if one is given."""
 
-    name, rate = "listed", 0.0
-
     def __init__(self, samples: list[HumanSample], end: BaseException | None = None) -> None:
         self._samples, self._end = samples, end
-
-    @property
-    def side(self) -> Side:
-        return "right"
+        self.name, self.rate = "listed", 0.0
+        self.side: Side = "right"
 
     def __iter__(self) -> Iterator[HumanSample]:
         yield from self._samples

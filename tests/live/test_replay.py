@@ -14,8 +14,8 @@ from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.live import replay
-from handmap_qp.live.replay import Replay
+from handmap_qp.live import source
+from handmap_qp.live.source import Replay
 from handmap_qp.trackers.injection import parse_faults
 
 
@@ -36,7 +36,7 @@ class Clock:
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(replay, "time", clock)
+    monkeypatch.setattr(source, "time", clock)
     return clock
 
 

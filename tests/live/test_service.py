@@ -15,11 +15,8 @@ from service_tools import PATIENCE, address_of, client_of, connected, lose_sessi
 from handmap_qp import InvalidInputError
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.live.recorder import Recorder
-from handmap_qp.live.replay import Replay
-from handmap_qp.live.service_sink import ServiceSink
-from handmap_qp.live.service_source import ServiceSource
-from handmap_qp.live.source import run
+from handmap_qp.live.service import ServiceSink, ServiceSource
+from handmap_qp.live.source import Recorder, Replay, run
 from handmap_qp.service.server import Server
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording
@@ -60,8 +57,8 @@ def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path
     assert 5 <= summary["commands"] <= summary["sent"]
     assert not summary["refusals"]
     assert "calibrating" not in summary["statuses"]
-    assert sink._command is not None
-    assert np.abs(np.subtract(sink._command.q, before)).max() > 0.1
+    assert sink.command is not None
+    assert np.abs(np.subtract(sink.command.q, before)).max() > 0.1
     with pytest.raises(InvalidInputError, match="no session") as refused:
         ServiceSource(address_of(server), session="chain")
     assert refused.value.argument == "--session"
@@ -99,8 +96,8 @@ def test_a_lost_session_is_opened_again(server: Server, person: Person) -> None:
                 lost = sample.time
             sink.put(sample)
     assert sink.summary()["reopened"] == 1
-    assert sink._command is not None
-    assert sink._command.time > lost
+    assert sink.command is not None
+    assert sink.command.time > lost
 
 
 def test_a_session_is_recorded_from_the_service(
@@ -154,8 +151,7 @@ def test_sessions_that_cannot_be_recorded_are_refused(server: Server) -> None:
 def test_a_service_that_is_not_there_is_one_line(
     server: Server, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handmap_qp.live.service_sink.TIMEOUT", 0.2)
-    monkeypatch.setattr("handmap_qp.live.service_source.TIMEOUT", 0.2)
+    monkeypatch.setattr("handmap_qp.live.service.TIMEOUT", 0.2)
     nobody = f"127.0.0.1:{free_port}"
     with pytest.raises(InvalidInputError, match=r"--to: .*handmap serve"):
         ServiceSink(nobody, "three_finger", "right")
@@ -177,9 +173,9 @@ def test_the_status_says_that_the_service_is_silent(
 
         def send() -> bool:
             sink.put(next(samples))
-            return sink._command is not None
+            return sink.command is not None
 
         wait_until(send)
         assert "three_finger" in sink.status()
-        monkeypatch.setattr("handmap_qp.live.service_sink._SILENCE", -1.0)
+        monkeypatch.setattr("handmap_qp.live.service._SILENCE", -1.0)
         assert "no answer" in sink.status()

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
-from handmap_qp.trackers.layout import load_layout
-from handmap_qp.trackers.point_layout import PointLayout
 from live_cases import moving_hand
 from patience import wait_until
 from service_tools import WEB, address_of, client_of, in_loop, serving, token_file
@@ -20,9 +18,11 @@ from service_tools import WEB, address_of, client_of, in_loop, serving, token_fi
 from handmap_qp import hand_names
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.live.service_source import ServiceSource
+from handmap_qp.live.service import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
+from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.points import PointLayout
 
 pytestmark = pytest.mark.slow
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")

@@ -121,7 +121,7 @@ import numpy as np
 import viser
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.mapping.presets import PRESETS, preset_choice
-from handmap_qp.viewer.option_controls import OptionControls
+from handmap_qp.viewer.controls import OptionControls
 from service_tools import make_session, Sampler
 
 human, robot = load_hand("human"), load_hand("three_finger")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, Literal
 
 import numpy as np
@@ -18,26 +17,23 @@ from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
-from handmap_qp.viewer.app import ReplayViewer
-from handmap_qp.viewer.camera import BrowserCameras
 from handmap_qp.viewer.controls import KEPT, NOTHING
-from handmap_qp.viewer.landmark_figure import BONES
+from handmap_qp.viewer.figure import BONES
 from handmap_qp.viewer.page import make_page
+from handmap_qp.viewer.replay import ReplayViewer
 from handmap_qp.viewer.sample import Variant, ViewSample
-from handmap_qp.viewer.scene import HandScene, Solid
-from handmap_qp.viewer.serving import serving
+from handmap_qp.viewer.scene import BrowserCameras, HandScene, Solid
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def viewer() -> Iterator[ReplayViewer]:
+def viewer(server: Any) -> ReplayViewer:
     """A viewer paused at its first sample."""
-    with serving() as server:
-        shown = ReplayViewer(server, make_replay())
-        shown.play_bar.toggle()
-        yield shown
+    shown = ReplayViewer(server, make_replay())
+    shown.play_bar.toggle()
+    return shown
 
 
 def node(viewer: ReplayViewer, name: str) -> Any:
@@ -58,9 +54,9 @@ def seek(viewer: ReplayViewer, index: int) -> None:
 def test_a_second_robot_follows_the_same_samples_by_its_own_method(viewer: ReplayViewer) -> None:
     compare, robot, replay = viewer.steering.compare, load_hand("three_finger"), viewer.replay
     assert compare is not None
-    assert set(compare.choice.options) == {NOTHING, KEPT, *PRESETS}
+    assert set(compare.options) == {NOTHING, KEPT, *PRESETS}
     before = [sample.robot_q for sample in replay.samples]
-    compare.choice.value = "finger-vectors"
+    compare.value = "finger-vectors"
     seek(viewer, COUNT - 1)
     method, ik = METHODS["finger-vectors"](), PRESETS["object"].ik
     mapper = HandMapper(closing_motion().human, robot, method, ik=ik)
@@ -86,7 +82,7 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(viewer: Repla
     press(viewer.steering.release)
     viewer.tick(0.0)
     assert {v.samples[-1].status for v in replay.variants} == {"released"}
-    compare.choice.value = NOTHING
+    compare.value = NOTHING
     viewer.tick(0.0)
     assert len(replay.variants) == 1
     assert not node(viewer, "/robot_2").visible
@@ -96,7 +92,7 @@ def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
     compare, replay = viewer.steering.compare, viewer.replay
     assert compare is not None
     before = replay.samples
-    press(compare.keep)
+    press(viewer.steering.keep)
     viewer.tick(0.0)
     viewer.steering.options.handles["deformation_gain"].value = 0.0
     viewer.tick(0.0)
@@ -108,7 +104,7 @@ def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
 
 
 def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(viewer: ReplayViewer) -> None:
-    assert node(viewer, "/landmarks") is None
+    assert not node(viewer, "/landmarks").visible
     viewer.display.landmarks.value = True
     seek(viewer, 40)
     landmarks = closing_recording().landmarks[40]
@@ -153,7 +149,7 @@ def test_trails_are_the_paths_of_the_tips_until_they_are_cleared(
     assert not node(viewer, "/human/trail").visible
 
 
-def test_a_page_of_a_robot_and_an_object_needs_no_human_hand() -> None:
+def test_a_page_of_a_robot_and_an_object_needs_no_human_hand(server: Any) -> None:
     robot = load_hand("three_finger")
     cube = Solid(np.eye(3), np.array([[0, 1, 2]]))
     pose = affine(np.eye(3), np.array([0.1, 0.2, 0.3]))
@@ -168,25 +164,22 @@ def test_a_page_of_a_robot_and_an_object_needs_no_human_hand() -> None:
         for i in range(3)
     ]
     variant = Variant("squeeze", robot, preset_choice("paper"), samples)
-    with serving() as server:
-        scene = HandScene(server, None, [variant], cube)
-        scene.draw([samples[-1]])
-        solid = server.scene.get_handle_by_name("/robot/object")
-        assert solid is not None
-        np.testing.assert_allclose(solid.position, 0.2 * pose[:3, 3])
+    scene = HandScene(server, None, [variant], cube)
+    scene.draw([samples[-1]])
+    solid = server.scene.get_handle_by_name("/robot/object")
+    np.testing.assert_allclose(solid.position, 0.2 * pose[:3, 3])
     page = make_page("A <cube>", None, [variant], solid=cube).decode()
     assert "<title>A &lt;cube&gt; - handmap view</title>" in page
     assert "0.2 s, 3 samples" in page
 
 
 @pytest.mark.parametrize("window", [(1440, 900), (500, 600), (240, 900), (1000, 200)])
-def test_the_box_and_the_names_below_fit_every_window(window: tuple[int, int]) -> None:
+def test_the_box_and_the_names_below_fit_every_window(server: Any, window: tuple[int, int]) -> None:
     size = np.array([0.5, 0.3, 0.2])
-    with serving() as server:
-        cameras = BrowserCameras(server)
-        cameras.fit(*size)
-        distance, low = cameras._view(*window)
-        direction, fov = cameras.view["direction"], cameras.view["fov"]
+    cameras = BrowserCameras(server)
+    cameras.fit(*size)
+    distance, low = cameras._view(*window)
+    direction, fov = cameras.view["direction"], cameras.view["fov"]
     eye = distance * np.array(direction) + (0.0, low, 0.0)
     forward = -np.array(direction)
     right = np.array([-1.0, 0.0, 0.0])

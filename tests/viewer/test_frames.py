@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from handmap_qp.viewer import frames
-from handmap_qp.viewer.frames import FRAME_PERIOD, Throttle, run_frames
+from handmap_qp.viewer import serving
+from handmap_qp.viewer.serving import FRAME_PERIOD, run_frames
 
 
 class Clock:
@@ -24,7 +24,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     simulated = Clock()
-    monkeypatch.setattr(frames, "time", simulated)
+    monkeypatch.setattr(serving, "time", simulated)
     return simulated
 
 
@@ -58,11 +58,3 @@ def test_a_frame_lost_to_visers_race_is_drawn_again_and_other_errors_end_the_loo
     with pytest.raises(RuntimeError, match="another mistake"):
         run_frames(draw)
     assert drawn == messages
-
-
-def test_a_throttle_is_due_at_first_and_after_its_period(clock: Clock) -> None:
-    throttle = Throttle(0.1)
-    due = []
-    for clock.now in (0.0, 0.05, 0.11, 0.15, 0.22):
-        due.append(throttle.is_due())
-    assert due == [True, False, True, False, True]

@@ -18,9 +18,9 @@ from viewer_cases import make_replay, press
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import rotation_from_quat_wxyz
-from handmap_qp.viewer.live import LiveViewer, show_live
+from handmap_qp.viewer.cli import View
+from handmap_qp.viewer.live import LiveViewer
 from handmap_qp.viewer.sample import ViewSample
-from handmap_qp.viewer.serving import serving
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -48,18 +48,13 @@ class Source:
                 raise item
             yield item
 
-    def release(self) -> None:
-        self.is_released = True
-
-    def clutch(self) -> None:
-        self.is_released = False
-
-    def stop(self) -> None:
-        self.is_stopped = True
-        self.stop_number = 7
-
-    def clear(self, stop_number: int) -> None:
-        self.stop_number -= stop_number
+    def request(self, name: str, *values: int) -> None:
+        if name == "stop":
+            self.is_stopped, self.stop_number = True, 7
+        elif name == "clear":
+            self.stop_number -= values[0]
+        else:
+            self.is_released = name == "release"
 
     def configure(self, changes: dict[str, Any]) -> None:
         self.asked.append(changes)
@@ -82,21 +77,15 @@ def source() -> Iterator[Source]:
     source.close()
 
 
-@pytest.fixture
-def server() -> Iterator[Any]:
-    with serving() as running:
-        yield running
-
-
 def test_the_newest_sample_is_drawn_and_all_are_plotted(
-    server: Any, source: Source, monkeypatch: pytest.MonkeyPatch
+    server: Any, source: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", PATIENCE)
     for sample in source.samples[:39]:
         source.given.put(sample)
     viewer = LiveViewer(server, source)
     source.given.put(source.samples[39])
-    wait_until(lambda: len(viewer.rows) == 40)
+    wait_until(lambda: len(viewer.recent) == 40)
     viewer.tick()
     for i, point in enumerate(source.samples[39].robot_points):
         np.testing.assert_array_equal(
@@ -110,7 +99,7 @@ def test_the_newest_sample_is_drawn_and_all_are_plotted(
 
 @pytest.mark.slow
 def test_missing_samples_are_reported(
-    server: Any, source: Source, monkeypatch: pytest.MonkeyPatch
+    server: Any, source: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
@@ -121,7 +110,7 @@ def test_missing_samples_are_reported(
 
 
 def test_the_end_of_the_source_is_reported_and_its_last_sample_stays(
-    server: Any, source: Source
+    server: Any, source: Any
 ) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
@@ -131,7 +120,7 @@ def test_the_end_of_the_source_is_reported_and_its_last_sample_stays(
     assert "has ended" in viewer.status_text.content
 
 
-def test_what_the_source_raises_reaches_the_user(server: Any, source: Source) -> None:
+def test_what_the_source_raises_reaches_the_user(server: Any, source: Any) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     source.given.put(InvalidInputError("the service has gone"))
@@ -140,13 +129,13 @@ def test_what_the_source_raises_reaches_the_user(server: Any, source: Source) ->
         viewer.tick()
 
 
-def test_a_source_without_samples_is_given_up(server: Any, source: Source) -> None:
+def test_a_source_without_samples_is_given_up(server: Any, source: Any) -> None:
     with pytest.raises(InvalidInputError, match="no sample arrived"):
         LiveViewer(server, source, patience=0.1)
 
 
 @pytest.mark.slow
-def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source: Source) -> None:
+def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source: Any) -> None:
     source.given.put(replace(source.samples[-1], targets=None, deformation=None, pivot=None))
     viewer = LiveViewer(server, source)
     viewer.tick()
@@ -157,7 +146,7 @@ def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source:
 
 
 @pytest.mark.parametrize("is_shared", [True, False])
-def test_a_stop_reaches_every_source(server: Any, source: Source, is_shared: bool) -> None:
+def test_a_stop_reaches_every_source(server: Any, source: Any, is_shared: bool) -> None:
     source.is_shared = is_shared
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
@@ -178,7 +167,7 @@ def test_a_stop_reaches_every_source(server: Any, source: Source, is_shared: boo
     viewer.close()
 
 
-def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -> None:
+def test_clutch_and_options_reach_a_shared_source(server: Any, source: Any) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     assert viewer.steering is not None
@@ -211,7 +200,7 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Source) -
 
 
 def test_the_preset_reaches_a_shared_source_and_that_of_others_is_shown(
-    server: Any, source: Source
+    server: Any, source: Any
 ) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
@@ -238,7 +227,7 @@ def test_the_preset_reaches_a_shared_source_and_that_of_others_is_shown(
     viewer.close()
 
 
-def test_a_preset_that_the_source_refuses_is_explained(server: Any, source: Source) -> None:
+def test_a_preset_that_the_source_refuses_is_explained(server: Any, source: Any) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     steering = viewer.steering
@@ -257,7 +246,7 @@ def test_a_preset_that_the_source_refuses_is_explained(server: Any, source: Sour
 
 
 def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
-    server: Any, source: Source
+    server: Any, source: Any
 ) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
@@ -272,7 +261,10 @@ def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
     }
     source.choice = source.choice.with_changes(theirs)
     viewer.tick()
-    assert {name: handles[name].value for name in theirs} == theirs | {"alignment": "as given"}
+    assert {name: handles[name].value for name in theirs} == theirs | {
+        "alignment": "as given",
+        "pivot_point": "0.0, 1.0, 0.0",
+    }
     assert source.asked == []
     handles["scale"].value = 1.5
     viewer.tick()
@@ -281,9 +273,7 @@ def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
     viewer.close()
 
 
-def test_controls_keep_requested_values_while_the_source_is_busy(
-    server: Any, source: Source
-) -> None:
+def test_controls_keep_requested_values_while_the_source_is_busy(server: Any, source: Any) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     assert viewer.steering is not None
@@ -299,13 +289,13 @@ def test_controls_keep_requested_values_while_the_source_is_busy(
 
 
 @pytest.mark.slow
-def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: Source) -> None:
-    for i in range(12000):
+def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: Any) -> None:
+    for i in range(2400):
         source.given.put(
-            replace(source.samples[0], time=1e-3 * i, duration=1.0 if i == 7000 else 1e-4)
+            replace(source.samples[0], time=5e-3 * i, duration=1.0 if i == 1400 else 1e-4)
         )
     viewer = LiveViewer(server, source)
-    wait_until(lambda: viewer.sample.time >= 11.999)
+    wait_until(lambda: viewer.sample.time >= 11.99)
     viewer.tick()
     time, step, _ = viewer.gauges.timing.data
     assert len(time) <= 600
@@ -316,7 +306,7 @@ def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: 
 
 
 @pytest.mark.slow
-def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> None:
+def test_hands_that_travel_stay_in_the_picture(server: Any, source: Any) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     viewer.display.follow.value = "world"
@@ -339,7 +329,7 @@ def test_hands_that_travel_stay_in_the_picture(server: Any, source: Source) -> N
     viewer.close()
 
 
-def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Source) -> None:
+def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Any) -> None:
     first = replace(
         source.samples[0],
         human_q=None,
@@ -361,27 +351,27 @@ def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Source) -> 
 
 
 @pytest.mark.slow
-def test_the_view_restarts_when_the_hands_change(server: Any) -> None:
-    made: list[Source] = []
+def test_the_view_restarts_when_the_hands_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
 
-    def make_source(before: Any) -> Source:
-        assert before is (made[-1] if made else None)
+    def make_source(host: str, session: str | None, **_: Any) -> Any:
+        assert (host, session) == ("lab-pc", "lab" if made else None)
         if len(made) == 2:
             raise InvalidInputError("enough")
         made.append(Source("three_finger" if made else "allegro_right"))
         made[-1].given.put(made[-1].samples[0])
         # The view ends as soon as it runs.
-        made[-1].is_outdated = True
+        made[-1].is_outdated, made[-1].name = True, "lab"
         return made[-1]
 
+    monkeypatch.setattr("handmap_qp.viewer.remote.ServiceSession", make_source)
     with pytest.raises(InvalidInputError, match="enough"):
-        show_live(server, make_source)
+        View(live="lab-pc", port=0).run()
     assert [source.robot.name for source in made] == ["allegro_right", "three_finger"]
-    assert server.scene.get_handle_by_name("/robot") is None
 
 
 @pytest.mark.slow
-def test_a_source_that_is_not_shared_has_no_controls(server: Any, source: Source) -> None:
+def test_a_source_that_is_not_shared_has_no_controls(server: Any, source: Any) -> None:
     source.is_shared = False
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)

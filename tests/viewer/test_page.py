@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import json
 import re
 import threading
 import time
@@ -10,7 +13,7 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,9 +34,8 @@ from handmap_qp import (
     RecordingError,
 )
 from handmap_qp.arguments import MappingArguments, MethodFlags
-from handmap_qp.viewer.app import ReplayViewer
 from handmap_qp.viewer.cli import View
-from handmap_qp.viewer.page import replay_page, write_page
+from handmap_qp.viewer.replay import ReplayViewer
 from handmap_qp.viewer.serving import serving
 
 # The area of the hands between the panels, and the fewest of its 420 x 540 pixels that are skin.
@@ -58,6 +60,13 @@ def test_the_command_writes_one_page_that_needs_no_network(
     title = re.search("<title>(.*)</title>", text)
     assert title is not None
     assert re.fullmatch(r"\w+ on three_finger, \w+ - handmap view", title[1])
+    packed = re.search(r'atob\("(.*?)"\)', text)
+    assert packed is not None
+    gauges = json.loads(gzip.decompress(base64.b64decode(packed[1])))
+    assert gauges["time"][0] == 0.0
+    assert {len(texts) for texts in gauges.values()} == {len(gauges["time"])}
+    assert "pinch gaps" in gauges["table"][-1]
+    assert "position limit" in gauges["bars"][-1]
     for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):
         assert attribute not in text
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closing.npz", "page.html"]
@@ -154,15 +163,6 @@ def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> Non
     assert View(recording, "three_finger").host == "127.0.0.1"
     with serving() as server:
         assert server.get_host() == "127.0.0.1"
-
-
-@pytest.mark.slow
-def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "taken.html"
-    folder.mkdir()
-    with pytest.raises(InvalidInputError, match=r"taken\.html"):
-        write_page(folder, b"")
-    assert list(tmp_path.iterdir()) == [folder]
 
 
 # -- in a browser
@@ -316,7 +316,7 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
         get_render=client.get_render,
         send_file_download=lambda name, content: sent.append(content),
     )
-    viewer.exports.send_picture(cast(Any, SimpleNamespace(client=capturing)))
+    viewer.exports.send("handmap.png", capturing)
     picture = np.asarray(Image.open(BytesIO(sent[0])))
     assert picture.shape == (client.camera.image_height, client.camera.image_width, 3)
     assert skin(picture) > FEWEST_PIXELS
@@ -382,7 +382,7 @@ def has_both_hands(pixels: np.ndarray) -> bool:
 @pytest.mark.slow
 def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    write_page(page, replay_page(make_replay()))
+    page.write_bytes(make_replay().page())
     # A small window, because software rendering of an animation is slow.
     browser.resize(600, 400)
     browser.open(page.as_uri(), offline=True)

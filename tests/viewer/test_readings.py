@@ -7,21 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
 from handmap_qp import load_hand
+from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.offline.surface_gaps import measure_gaps
 from handmap_qp.se3 import affine, rotation_from_rpy
-from handmap_qp.viewer.export import on_white
-from handmap_qp.viewer.html_film import html_film
-from handmap_qp.viewer.reading_table import reading_table
-from handmap_qp.viewer.readings import RobotReader, human_pinches
-from handmap_qp.viewer.sample import ViewSample
+from handmap_qp.viewer.controls import on_white
+from handmap_qp.viewer.gauges import InstantGauges
+from handmap_qp.viewer.sample import Variant, ViewSample
 
 ROBOT = load_hand("three_finger")
+GAUGES = InstantGauges([Variant("paper", ROBOT, preset_choice("paper"), [])], contact_gap=0.012)
 
 
 def sample_of(q: np.ndarray, **values: Any) -> ViewSample:
@@ -40,51 +38,26 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
     shifts = np.zeros_like(points)
     shifts[0, 2] = 0.03
     target = affine(rotation_from_rpy((0.0, 0.2, 0.0)), np.array([0.003, 0.0, -0.004]))
-    readings = RobotReader(ROBOT).read(sample_of(q, targets=points + shifts, wrist_target=target))
-    assert readings.error == pytest.approx((0.03 / len(points), 0.03))
-    assert readings.wrist == pytest.approx((0.005, 0.2))
+    sample = sample_of(q, targets=points + shifts, wrist_target=target)
+    readings = GAUGES.read(sample)
+    assert readings[:4] == pytest.approx((0.03 / len(points), 0.03, 0.005, 0.2))
     gaps = measure_gaps(ROBOT, q[None]).pinches
     assert readings.pinches == pytest.approx({name: gap[0] for name, gap in gaps.items()})
-    table = reading_table(["paper"], [readings], {"index": 0.0123})
-    text = re.sub("<[^>]*>", " ", table)
+    text = re.sub("<[^>]*>", " ", GAUGES.table([sample]))
     assert "30.0 mm" in text
     assert "5.0 mm" in text
     assert "11.5°" in text
     finger, gap = next(iter(readings.pinches.items()))
     assert re.search(rf"{finger}\s+\S+\s+{1e3 * gap:.0f}\b", text)
-    unknown = RobotReader(ROBOT).read(sample_of(q))
-    assert (unknown.error, unknown.wrist) == (None, None)
+    assert np.isnan(GAUGES.read(sample_of(q))[:4]).all()
 
 
 def test_a_touch_of_the_human_reads_zero() -> None:
     landmarks = np.zeros((21, 3))
     landmarks[[8, 12, 16, 20], 0] = 0.010, 0.012, 0.052, 0.072
-    gaps = human_pinches(sample_of(ROBOT.rest, landmarks=landmarks), 0.012)
+    gaps = GAUGES.human_pinches(sample_of(ROBOT.rest, landmarks=landmarks))
     assert gaps == pytest.approx({"index": 0.0, "middle": 0.0, "ring": 0.04, "little": 0.06})
-    assert human_pinches(sample_of(ROBOT.rest), 0.012) == {}
-
-
-@given(
-    st.lists(
-        st.tuples(
-            st.sampled_from(("<b>{}</b>", '<i style="width:{}%;top:1px">{}</i>')),
-            st.integers(0, 99),
-        ),
-        min_size=1,
-        max_size=8,
-    )
-)
-def test_a_film_gives_every_frame_back(frames: list[tuple[str, int]]) -> None:
-    texts = [shape.format(value, value) for shape, value in frames]
-    film = html_film(texts)
-    for text, (kind, values) in zip(texts, film["rows"], strict=True):
-        parts = list(film["kinds"][kind]["parts"])
-        for place, value in zip(film["kinds"][kind]["places"], values, strict=True):
-            parts[place] = value
-        assert "".join(parts) == text
-    # What stays is kept once.
-    if len(set(texts)) == 1:
-        assert all(values == [] for _, values in film["rows"])
+    assert GAUGES.human_pinches(sample_of(ROBOT.rest)) == {}
 
 
 def test_a_picture_is_put_on_white() -> None:
