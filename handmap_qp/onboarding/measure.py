@@ -154,7 +154,7 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     generator = np.random.default_rng(0)
     size = (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
-    postures = np.where(fingers, _across(hand, shares), hand.rest)
+    postures = np.where(fingers, across(hand, shares), hand.rest)
     places = np.array([hand.points(q) for q in postures])
     jacobian = hand.point_jacobian(hand.rest)[:, fingers]
     rows = []
@@ -170,7 +170,7 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     return tuple(rows)
 
 
-def _across(hand: Hand, shares: np.ndarray) -> np.ndarray:
+def across(hand: Hand, shares: np.ndarray) -> np.ndarray:
     """Return the postures at shares of the joints' ranges, shape (..., n)."""
     return hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
 
@@ -187,7 +187,7 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     """
     if hand.is_floating or not hand.has_moving_wrist:
         return None
-    postures = _across(hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest))))
+    postures = across(hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest))))
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
     moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
     lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
@@ -241,7 +241,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         pin.computeCollisions(model, data, geometry, results, vector, False)
         return np.array([result.isCollision() for result in results.collisionResults], dtype=bool)
 
-    others = _across(hand, np.random.default_rng(0).random((8, len(q))))
+    others = across(hand, np.random.default_rng(0).random((8, len(q))))
     # Shapes that overlap in most postures overlap by design: ignore them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]

@@ -16,22 +16,12 @@ import msgspec
 import yaml
 
 from handmap_qp.errors import HandError, without_errno
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.hands.urdf.xml_text import decode_xml
 from handmap_qp.onboarding.detect import Detection, detect
 from handmap_qp.onboarding.robot import Robot
+from handmap_qp.trackers.sample import LANDMARK_NAMES
 
-# Names of MediaPipe's landmarks, which dex-retargeting counts from the wrist.
-_THUMB_JOINTS, _FINGER_JOINTS = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
-_LANDMARKS = (
-    "wrist",
-    *(
-        f"{finger}_{joint}"
-        for finger in FINGERS
-        for joint in (_THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS)
-    ),
-)
 _TIPS = (4, 8, 12, 16, 20)
 # Settings without a counterpart, and what takes their place.
 _ELSEWHERE = {
@@ -183,7 +173,7 @@ def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:
 
 def _by_landmark(links: Sequence[str], indices: Sequence[int]) -> dict[str, str]:
     """Return links by landmark names; the wrist's own is not a reference point."""
-    return {_LANDMARKS[i]: link for i, link in zip(indices, links, strict=True) if i != 0}
+    return {LANDMARK_NAMES[i]: link for i, link in zip(indices, links, strict=True) if i != 0}
 
 
 def _names(table: dict[str, Any], field: str, file: Path) -> list[str]:

@@ -47,31 +47,19 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     given = str(robot).replace("package:/", "package://", 1).replace(":///", "://")
     source = source_path(given)
     path = robot if source is None else source
-    # MuJoCo takes a second to load.
-    if not _is_mjcf(path):
-        return RobotSource(path, None if source is None else given)
-    from handmap_qp.hands.mjcf.cache import cached_urdf
-    from handmap_qp.hands.mjcf.convert import convert_mjcf
-
-    if source is not None:
-        return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
-    return _convert(path, folder, overwrite)
-
-
-def _is_mjcf(path: Path) -> bool:
     if path.suffix not in (".xml", ".mjcf"):
-        return False
-    from handmap_qp.hands.mjcf.compile import is_mjcf
-
-    return is_mjcf(path)
-
-
-def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
-    """Convert an MJCF file, and write its URDF and meshes into a folder."""
+        return RobotSource(path, None if source is None else given)
+    # MuJoCo takes a second to load.
+    from handmap_qp.hands.mjcf.cache import cached_urdf
     from handmap_qp.hands.mjcf.comparison import kinematics_difference
+    from handmap_qp.hands.mjcf.compile import is_mjcf
     from handmap_qp.hands.mjcf.convert import convert_mjcf, write_converted
 
-    urdf = folder / f"{file.stem}.urdf"
+    if not is_mjcf(path):
+        return RobotSource(path, None if source is None else given)
+    if source is not None:
+        return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
+    urdf = folder / f"{path.stem}.urdf"
     if urdf.exists() and not overwrite:
         raise InvalidInputError(
             argument="--out",
@@ -79,13 +67,11 @@ def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
             value=str(urdf),
             advice="give --overwrite to replace it, or another folder",
         )
-    converted = convert_mjcf(file, f"{file.stem}_meshes")
+    converted = convert_mjcf(path, f"{path.stem}_meshes")
     difference = kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
-        raise HandError(
-            f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m: please report it",
-            file=file,
-        )
+        problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
+        raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
         write_converted(converted, urdf)
     return RobotSource(urdf, None, converted.notes, (urdf,))
