@@ -29,10 +29,6 @@ _BY_DESIGN = 0.5
 def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
     """Add the pairs of links to keep apart to a detected hand.
 
-    Args:
-        found: The detection.
-        hand: Its hand.
-
     Returns:
         The detection with `collision`; with a note instead if there are no shapes.
     """
@@ -50,9 +46,6 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
 
     Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most
     postures, and pairs that never come near each other are left out.
-
-    Args:
-        hand: The hand.
 
     Returns:
         The pairs; None if there are none.

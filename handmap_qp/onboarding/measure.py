@@ -144,9 +144,6 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
 
     Args:
         hand: The hand; an arm stays at rest.
-
-    Returns:
-        One entry per point.
     """
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     arm = {hand.model.joints[joint].idx_v for joint in hand.model.supports[wrist]}
@@ -177,9 +174,6 @@ def across(hand: Hand, shares: np.ndarray) -> np.ndarray:
 
 def measure_arm(hand: Hand) -> np.ndarray | None:
     """Measure how far an arm moves the wrist from rest, by random postures.
-
-    Args:
-        hand: The hand.
 
     Returns:
         Distance that it reaches in each of 26 directions around rest [m]; 0 where rest is at the
@@ -222,9 +216,6 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         hand: The hand.
         q: Joint angles [rad], shape (n,).
 
-    Returns:
-        Pairs of link names.
-
     Raises:
         HandError: If a shape cannot be read.
     """
@@ -252,14 +243,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
 
 
 def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
-    """Map a standard motion of a human hand: from rest to each of `standard_postures`.
-
-    Args:
-        hand: The robot hand.
-
-    Returns:
-        One entry per posture.
-    """
+    """Map a standard motion of a human hand: from rest to each of `standard_postures`."""
     human = load_hand("human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH)
     rigid = "wrist" if hand.has_moving_wrist else "none"
     parts = []
@@ -338,9 +322,6 @@ def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
 
 def make_fist(hand: Hand) -> Fist | None:
     """Compare the way in which the fingers, but the thumb, close with the palm's axes.
-
-    Args:
-        hand: The hand.
 
     Returns:
         The directions; None if fewer than two fingers close, or they close about different axes.
