@@ -19,6 +19,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.person import read_person
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import (
@@ -30,7 +31,11 @@ from handmap_qp.mapping.presets import (
     preset_with,
 )
 from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
-from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.formats import read_hands, read_recording
+from handmap_qp.trackers.formats.base import SIDES
+from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
+from handmap_qp.trackers.plausibility import check_recording
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
@@ -87,16 +92,10 @@ class InputArguments:
             InvalidInputError: If it is in another order, of the other hand, in other units or the
                 like (`handmap_qp.trackers.plausibility`).
         """
-        from handmap_qp.trackers.layouts import load_layout
-        from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
-        from handmap_qp.trackers.plausibility import check_recording
-
         if self.layout is not None:
             return read_with_layout(path, load_layout(self.layout), self.side, _lengths_of(person))
-        if self.side is not None and self.side != wanted:
-            wanted = self.side
         try:
-            recording = read_recording(path, wanted)
+            recording = read_recording(path, self.side or wanted)
         except RecordingError as error:
             hint = layout_hint(path)
             if not hint:
@@ -122,14 +121,8 @@ class InputArguments:
         Raises:
             HandmapError: As of `read`.
         """
-        from handmap_qp.trackers.formats import read_hands
-        from handmap_qp.trackers.layouts import load_layout
-        from handmap_qp.trackers.layouts.files import read_with_layout
-        from handmap_qp.trackers.plausibility import check_recording
-
         if self.side is not None:
             raise InvalidInputError(argument="--side", problem="has no effect on both hands")
-        sides: tuple[Side, Side] = ("left", "right")
         if self.layout is None:
             hands = read_hands(paths)
             for recording in hands.values():
@@ -142,13 +135,11 @@ class InputArguments:
         layout, lengths = load_layout(self.layout), _lengths_of(person)
         return {
             side: read_with_layout(path, layout, side, lengths)
-            for side, path in zip(sides, (paths[0], paths[-1]), strict=True)
+            for side, path in zip(SIDES, (paths[0], paths[-1]), strict=True)
         }
 
 
 def _lengths_of(person: Path | None) -> HumanLengths | None:
-    from handmap_qp.human.person import read_person
-
     return None if person is None else read_person(person).lengths
 
 
@@ -206,7 +197,9 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
         settings = tyro.conf.arg(help=" ".join(texts), help_behavior_hint="")
         items.append((option, Annotated[kind, settings], field(default=None)))
-    return make_dataclass(name, items, frozen=True, namespace={"__doc__": about})
+    # The module lets copies of it be pickled.
+    own = {"__doc__": about, "__module__": __name__}
+    return make_dataclass(name, items, frozen=True, namespace=own)
 
 
 def _default(option: Any) -> str:

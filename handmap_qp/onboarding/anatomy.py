@@ -102,9 +102,6 @@ def find_anatomy(
         hints: Names that may contain a side: of the robot, its file and its palm.
         side: The side, if known.
         thumb: Index of the thumb, if known.
-
-    Returns:
-        Directions, side and finger names.
     """
     hand = _Evidence(flexion, names, thumb)
     distal, distal_clue = hand.find_distal()

@@ -28,9 +28,9 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
-from handmap_qp.hands.urdf import MOVABLE, edges, origin_of, parse_urdf, urdf_with_mesh_paths
+from handmap_qp.hands.urdf import parse_urdf, urdf_with_mesh_paths
 from handmap_qp.onboarding.anatomy import FINGERS, angle_between
-from handmap_qp.onboarding.detect import WRIST_REACH, detect_text
+from handmap_qp.onboarding.detect import detect_text, left_out_wrist
 from handmap_qp.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.onboarding.measure import (
     colliding_links,
@@ -321,17 +321,10 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
     is_on_arm = spec.arm is not None or (hand.has_moving_wrist and not hand.is_floating)
     if spec.root is None or is_on_arm or urdf_path(spec).suffix != ".urdf":
         return
-    above = {child: (joint, parent) for joint, parent, child in edges(parse_urdf(read_urdf(spec)))}
-    link, distance, left_out, base = spec.root, 0.0, [], ""
-    # The link turns about its own origin: count the way from there to the hand.
-    while link in above and distance <= WRIST_REACH:
-        joint, link = above[link]
-        if joint.get("type") in MOVABLE:
-            left_out.append(joint.get("name", ""))
-            base = link
-        distance += float(np.linalg.norm(origin_of(joint)[:3, 3]))
-    if left_out:
-        what = f"wrist joints are left out: {', '.join(reversed(left_out))}"
+    robot = Robot(read_urdf(spec), urdf_path(spec))
+    joints, base = left_out_wrist(robot, spec.root)
+    if joints:
+        what = f"wrist joints are left out: {joints}"
         yield Finding("advice", "root", what, f"keep them with `hands init --base {base}`")
 
 

@@ -11,9 +11,33 @@ import tyro
 
 from handmap_qp.arguments import HandName, InputArguments
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import describe_hand, list_hands, load_hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.onboarding.check import check_hand
+from handmap_qp.onboarding.collision_pairs import with_collision_pairs
+from handmap_qp.onboarding.detect import Detection, detect
+from handmap_qp.onboarding.match import (
+    check_robot,
+    draw_match,
+    match_hand,
+    own_file,
+    write_matched,
+)
+from handmap_qp.onboarding.migrate import migrate, read_dex_configuration
+from handmap_qp.onboarding.source import open_source
+from handmap_qp.onboarding.write import check_free, write_hand
 from handmap_qp.output_files import check_output
 from handmap_qp.tables import print_rows, print_table
+
+
+def _print_written(hand: Hand, found: Detection, rows: list[dict[str, Any]], out: Path) -> None:
+    """Print what was found of a hand, and where it was written."""
+    followers = hand.all_joint_roles.count("follower")
+    print_rows(f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows)
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"wrote {out}; check it with: handmap hands check {out}")
 
 
 def _optional(metavar: str, default: str) -> Any:
@@ -36,8 +60,6 @@ class HandsList:
 
     def run(self) -> None:
         """Print the list."""
-        from handmap_qp.hands.library import list_hands
-
         rows = list_hands()
         if self.json:
             print(json.dumps(rows))
@@ -65,8 +87,6 @@ class HandsShow:
 
     def run(self) -> None:
         """Print the description."""
-        from handmap_qp.hands.library import describe_hand
-
         rows = describe_hand(self.hand)
         if self.json:
             print(json.dumps(rows))
@@ -120,12 +140,6 @@ class HandsInit:
 
     def run(self) -> None:
         """Find the hand, write its description, load it, and print how each part was found."""
-        from handmap_qp.hands.library import load_hand
-        from handmap_qp.onboarding.collision_pairs import with_collision_pairs
-        from handmap_qp.onboarding.detect import detect
-        from handmap_qp.onboarding.source import open_source
-        from handmap_qp.onboarding.write import check_free, write_hand
-
         check_free(self.out, overwrite=self.overwrite)
         source = open_source(self.urdf, self.out.parent, overwrite=self.overwrite)
         found = detect(
@@ -145,21 +159,12 @@ class HandsInit:
             for c in found.clues
         ]
         if self.json:
-            document: dict[str, Any] = {
-                "name": hand.name,
-                "out": str(self.out),
-                "found": rows,
-                "notes": list(found.notes),
-            }
-            print(json.dumps(document))
+            notes, out = list(found.notes), str(self.out)
+            print(json.dumps({"name": hand.name, "out": out, "found": rows, "notes": notes}))
             return
-        followers = hand.all_joint_roles.count("follower")
-        print_rows(f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows)
-        for note in found.notes:
-            print(f"note: {note}")
         for path in source.written:
             print(f"wrote {path}, with the kinematics of {self.urdf}")
-        print(f"wrote {self.out}; check it with: handmap hands check {self.out}")
+        _print_written(hand, found, rows, self.out)
 
 
 @dataclass(frozen=True)
@@ -191,10 +196,6 @@ class HandsMigrate:
 
     def run(self) -> None:
         """Read the configuration, write the description, and print what was taken over."""
-        from handmap_qp.hands.library import load_hand
-        from handmap_qp.onboarding.migrate import migrate, read_dex_configuration
-        from handmap_qp.onboarding.write import check_free, write_hand
-
         check_free(self.out, overwrite=self.overwrite)
         configuration = read_dex_configuration(self.config)
         urdf = self.urdf or self.config.parent / configuration.urdf
@@ -202,10 +203,7 @@ class HandsMigrate:
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
         rows = [{"reference point": point.name, "link": point.link} for point in hand.spec.points]
-        print_rows(f"{hand.name}: {len(hand.joint_names)} joints", rows)
-        for note in found.notes:
-            print(f"note: {note}")
-        print(f"wrote {self.out}; check it with: handmap hands check {self.out}")
+        _print_written(hand, found, rows, self.out)
 
 
 @dataclass(frozen=True)
@@ -236,7 +234,7 @@ class HandsCheck:
 
     def run(self) -> None:
         """Check the hand, draw it, and print the findings."""
-        from handmap_qp.onboarding.check import check_hand
+        # Drawing belongs to an extra, and takes a second to load.
         from handmap_qp.onboarding.picture import draw_hand, picture_path
 
         report = check_hand(self.hand, has_motion=self.motion)
@@ -251,7 +249,7 @@ class HandsCheck:
         else:
             for title, rows in report.tables().items():
                 print_rows(title, rows)
-            if picture is not None and report.hand is not None:
+            if picture is not None:
                 print(f"wrote {picture}")
         report.raise_if_unusable()
 
@@ -287,15 +285,6 @@ class HandsMatch:
 
     def run(self) -> None:
         """Solve the posture, print it, and draw or write it if requested."""
-        from handmap_qp.hands.library import load_hand
-        from handmap_qp.onboarding.match import (
-            check_robot,
-            draw_match,
-            match_hand,
-            own_file,
-            write_matched,
-        )
-
         robot = check_robot(load_hand(self.hand))
         file = own_file(self.hand) if self.write else None
         if self.picture is not None:

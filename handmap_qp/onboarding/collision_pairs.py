@@ -15,6 +15,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.onboarding.detect import Detection
+from handmap_qp.onboarding.measure import across
 
 MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""
@@ -27,10 +28,6 @@ _BY_DESIGN = 0.5
 
 def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
     """Add the pairs of links to keep apart to a detected hand.
-
-    Args:
-        found: The detection.
-        hand: Its hand.
 
     Returns:
         The detection with `collision`; with a note instead if there are no shapes.
@@ -49,9 +46,6 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
 
     Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most
     postures, and pairs that never come near each other are left out.
-
-    Args:
-        hand: The hand.
 
     Returns:
         The pairs; None if there are none.
@@ -100,8 +94,7 @@ def _is_wanted(one: str, other: str, fingers: list[str]) -> bool:
 def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:
     """Return the distance of each pair at rest and in random postures [m], shape (1 + n, k)."""
     data, geometry_data = hand.model.createData(), pairs.geometry.createData()
-    parts = np.random.default_rng(0).random((_SAMPLES, len(hand.rest)))
-    random = hand.lower_limits + parts * (hand.upper_limits - hand.lower_limits)
+    random = across(hand, np.random.default_rng(0).random((_SAMPLES, len(hand.rest))))
     found = []
     for q in (hand.rest, *random):
         vector = hand.configuration_vector(q)

@@ -31,8 +31,8 @@ from handmap_qp.se3 import inverse_pose, transform_points
 _REST_SHARE, _REST_MOST = 0.4, 0.75
 # A middle joint's point is its link's origin if that is this near to the finger's plane [m].
 _OFF_AXIS = 0.0015
-WRIST_REACH = 0.25
-"""A joint this near to the palm is one of its wrist [m]."""
+# A joint this near to the palm is one of its wrist [m].
+_WRIST_REACH = 0.25
 # A joint that spreads fingers and has its zero within this share of its range from a limit rests
 # this share away from it.
 _AT_LIMIT, _SPREAD = 0.05, 0.3
@@ -89,9 +89,6 @@ def detect(
         thumb: A link or joint of the thumb; detected if omitted.
         name: The hand's name; that of the robot if omitted.
 
-    Returns:
-        The hand.
-
     Raises:
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
@@ -117,7 +114,9 @@ def detect_text(
     structure, notes = find_structure(robot), []
     if root is None and (structure.above or structure.palm != robot.root):
         if base is None:
-            notes = _wrist_note(robot, structure)
+            joints, above = left_out_wrist(robot, structure.palm)
+            left_out = f"wrist joints are left out, and the wrist floats: {joints}"
+            notes = [f"{left_out}; keep them with --base {above}"] if joints else []
         robot = Robot(text, urdf, root=structure.palm)
         structure = find_structure(robot)
     fingers = fingers_of(robot, structure)
@@ -317,19 +316,16 @@ class _FoundHand:
         self.clues.append(Clue(what, answer, how, confidence))
 
 
-def _wrist_note(robot: Robot, structure: Structure) -> list[str]:
-    """Name the actuated wrist joints that are left out, and the option that keeps them."""
+def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
+    """Name the actuated wrist joints above a palm, and the base that keeps them; else nothing."""
     near = [
         (joint, link)
-        for joint, link in robot.chain(structure.palm, robot.root)
-        if joint in robot.active
-        and np.linalg.norm(robot.pose_in(link, structure.palm)[:3, 3]) < WRIST_REACH
+        for joint, link in robot.chain(palm, robot.root)
+        if joint in robot.active and np.linalg.norm(robot.pose_in(link, palm)[:3, 3]) < _WRIST_REACH
     ]
     if not near:
-        return []
-    joints, base = ", ".join(joint for joint, _ in near), robot.parent[near[0][1]][1]
-    left_out = f"wrist joints are left out, and the wrist floats: {joints}"
-    return [f"{left_out}; keep them with --base {base}"]
+        return "", ""
+    return ", ".join(joint for joint, _ in near), robot.parent[near[0][1]][1]
 
 
 def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec, list[str]]:

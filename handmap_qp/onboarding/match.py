@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +15,11 @@ from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
 from handmap_qp.hands.sources import urdf_directory
+from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.human.landmarks import human_name, scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture
+from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
@@ -118,32 +118,23 @@ def write_matched(match: Match, file: Path) -> None:
     An existing key `matched` is replaced, else the text is appended. The result is loaded before it
     takes the file's place.
 
-    Args:
-        match: The posture.
-        file: The file.
-
     Raises:
         InvalidInputError: If the file cannot be written, or would not load with the new key.
     """
     try:
-        with file.open(encoding="utf-8", newline="") as stream:
-            text = stream.read()
-        handle, name = tempfile.mkstemp(prefix=".matched_", suffix=".yaml", dir=file.parent)
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8
-        raise _cannot_write(file, str(error)) from error
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            stream.write(_with_block(text, match.text))
-        written = load_hand(temporary).matched
-        if written is None or not np.array_equal(written, match.q):
-            raise _cannot_write(file, "it would not hold the posture")
-        temporary.chmod(file.stat().st_mode & 0o777)
-        temporary.replace(file.resolve())
-    except (OSError, HandError, yaml.YAMLError) as error:
-        raise _cannot_write(file, " ".join(str(error).split())) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        with replaced_path(file.resolve(), "--write") as temporary:
+            text = _with_block(file.read_bytes().decode(), match.text)
+            temporary.write_bytes(text.encode())
+            written = load_hand(read_hand_spec(temporary)).matched
+            if written is None or not np.array_equal(written, match.q):
+                raise HandError("it would not hold the posture", file=file)
+    except (HandError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InvalidInputError(
+            argument="--write",
+            problem=f"cannot write {file}: {' '.join(str(error).split())}",
+            value=str(file),
+            advice="paste the text by hand",
+        ) from error
 
 
 def draw_match(match: Match, path: Path) -> None:
@@ -226,12 +217,3 @@ def _ends(node: yaml.Node) -> Iterator[yaml.Node]:
             yield from _ends(value)
     else:
         yield node
-
-
-def _cannot_write(file: Path, problem: str) -> InvalidInputError:
-    return InvalidInputError(
-        argument="--write",
-        problem=f"cannot write {file}: {problem}",
-        value=str(file),
-        advice="paste the text by hand",
-    )

@@ -144,9 +144,6 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
 
     Args:
         hand: The hand; an arm stays at rest.
-
-    Returns:
-        One entry per point.
     """
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     arm = {hand.model.joints[joint].idx_v for joint in hand.model.supports[wrist]}
@@ -154,7 +151,7 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     generator = np.random.default_rng(0)
     size = (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
-    postures = np.where(fingers, _across(hand, shares), hand.rest)
+    postures = np.where(fingers, across(hand, shares), hand.rest)
     places = np.array([hand.points(q) for q in postures])
     jacobian = hand.point_jacobian(hand.rest)[:, fingers]
     rows = []
@@ -170,7 +167,7 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
     return tuple(rows)
 
 
-def _across(hand: Hand, shares: np.ndarray) -> np.ndarray:
+def across(hand: Hand, shares: np.ndarray) -> np.ndarray:
     """Return the postures at shares of the joints' ranges, shape (..., n)."""
     return hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
 
@@ -178,16 +175,13 @@ def _across(hand: Hand, shares: np.ndarray) -> np.ndarray:
 def measure_arm(hand: Hand) -> np.ndarray | None:
     """Measure how far an arm moves the wrist from rest, by random postures.
 
-    Args:
-        hand: The hand.
-
     Returns:
         Distance that it reaches in each of 26 directions around rest [m]; 0 where rest is at the
         edge of its range. None without an arm.
     """
     if hand.is_floating or not hand.has_moving_wrist:
         return None
-    postures = _across(hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest))))
+    postures = across(hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest))))
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
     moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
     lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
@@ -222,9 +216,6 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         hand: The hand.
         q: Joint angles [rad], shape (n,).
 
-    Returns:
-        Pairs of link names.
-
     Raises:
         HandError: If a shape cannot be read.
     """
@@ -241,7 +232,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
         pin.computeCollisions(model, data, geometry, results, vector, False)
         return np.array([result.isCollision() for result in results.collisionResults], dtype=bool)
 
-    others = _across(hand, np.random.default_rng(0).random((8, len(q))))
+    others = across(hand, np.random.default_rng(0).random((8, len(q))))
     # Shapes that overlap in most postures overlap by design: ignore them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
@@ -252,14 +243,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
 
 
 def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
-    """Map a standard motion of a human hand: from rest to each of `standard_postures`.
-
-    Args:
-        hand: The robot hand.
-
-    Returns:
-        One entry per posture.
-    """
+    """Map a standard motion of a human hand: from rest to each of `standard_postures`."""
     human = load_hand("human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH)
     rigid = "wrist" if hand.has_moving_wrist else "none"
     parts = []
@@ -338,9 +322,6 @@ def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
 
 def make_fist(hand: Hand) -> Fist | None:
     """Compare the way in which the fingers, but the thumb, close with the palm's axes.
-
-    Args:
-        hand: The hand.
 
     Returns:
         The directions; None if fewer than two fingers close, or they close about different axes.

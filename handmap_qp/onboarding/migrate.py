@@ -7,31 +7,20 @@ are found in the URDF, as by `handmap hands init`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import yaml
 
 from handmap_qp.errors import HandError, without_errno
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.sources import decode_xml
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.human.sample import LANDMARK_NAMES
 from handmap_qp.onboarding.detect import Detection, detect
 from handmap_qp.onboarding.robot import Robot
 
-# Names of MediaPipe's landmarks, which dex-retargeting counts from the wrist.
-_THUMB_JOINTS, _FINGER_JOINTS = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
-_LANDMARKS = (
-    "wrist",
-    *(
-        f"{finger}_{joint}"
-        for finger in FINGERS
-        for joint in (_THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS)
-    ),
-)
 _TIPS = (4, 8, 12, 16, 20)
 # Settings without a counterpart, and what takes their place.
 _ELSEWHERE = {
@@ -44,30 +33,32 @@ _ELSEWHERE = {
 }
 
 
-@dataclass(frozen=True)
-class DexConfiguration:
+# Settings that name the links, by the type of a configuration.
+_LINKS = {
+    "dexpilot": "finger_tip_link_names",
+    "vector": "target_task_link_names",
+    "position": "target_link_names",
+}
+
+
+class DexConfiguration(NamedTuple):
     """The parts of a configuration that have a counterpart here.
 
     Attributes:
         file: The configuration.
         urdf: Path of the URDF as it says, relative to a folder that it does not name.
-        wrist: Link of the wrist; None if it names none.
         links: Robot links by the names of human landmarks.
         notes: Settings that were not taken over, and what takes their place.
     """
 
     file: Path
     urdf: str
-    wrist: str | None
     links: dict[str, str]
     notes: tuple[str, ...]
 
 
 def read_dex_configuration(path: Path) -> DexConfiguration:
     """Read a configuration.
-
-    Args:
-        path: The YAML file.
 
     Raises:
         HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
@@ -81,34 +72,38 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     table = document.get("retargeting") if isinstance(document, dict) else None
     if not isinstance(table, dict):
         raise HandError("expected a table `retargeting`, as in dex-retargeting's files", file=path)
-    urdf = table.get("urdf_path")
-    if not isinstance(urdf, str):
-        raise HandError("expected a path", file=path, key="urdf_path", value=urdf)
-    notes = tuple(
-        f"{name} is not used: {advice}" for name, advice in _ELSEWHERE.items() if name in table
-    )
-    kind = str(table.get("type", "")).lower()
+    kind, urdf = str(table.get("type", "")).lower(), table.get("urdf_path")
+    field = _LINKS.get(kind, "")
+    links: Any = table.get(field)
+    indices: Any = table.get("target_link_human_indices")
+    if kind == "vector":
+        # It has two rows of indices: where vectors begin, and where they end.
+        indices = indices[1] if isinstance(indices, list) and len(indices) == 2 else None
+    names = links if isinstance(links, list) else []
     if kind == "dexpilot":
-        tips = _names(table, "finger_tip_link_names", path)
-        if len(tips) > len(_TIPS):
-            problem = f"expected at most five fingertips, got {len(tips)}"
-            raise HandError(problem, file=path, key="finger_tip_link_names")
-        wrist = table.get("wrist_link_name")
-        return DexConfiguration(path, urdf, wrist, _by_landmark(tips, _TIPS[: len(tips)]), notes)
-    field = {"vector": "target_task_link_names", "position": "target_link_names"}.get(kind)
-    if field is None:
-        expected = "vector, position or DexPilot"
-        raise HandError(f"expected {expected}", file=path, key="type", value=table.get("type"))
-    links, indices = _names(table, field, path), table.get("target_link_human_indices")
-    # A vector has two rows of indices: where it begins, and where it ends.
-    is_pair = isinstance(indices, list) and len(indices) == 2
-    ends = indices if kind != "vector" else indices[1] if is_pair else None
-    is_index = [isinstance(i, int) and 0 <= i <= 20 for i in ends] if isinstance(ends, list) else []
-    if not isinstance(ends, list) or not all(is_index) or len(is_index) != len(links):
-        problem = f"expected {len(links)} indices of landmarks from 0 to 20 for {field}"
-        raise HandError(problem, file=path, key="target_link_human_indices", value=indices)
-    origins = table.get("target_origin_link_names") or [None]
-    return DexConfiguration(path, urdf, origins[0], _by_landmark(links, ends), notes)
+        indices = [*_TIPS[: len(names)]]
+    is_index = isinstance(indices, list) and all(i in range(21) for i in indices)
+    for key, value, is_right, expected in (
+        ("urdf_path", urdf, isinstance(urdf, str), "a path"),
+        ("type", table.get("type"), bool(field), "vector, position or DexPilot"),
+        (field, links, bool(names) and {*map(type, names)} == {str}, "a list of link names"),
+        (
+            "target_link_human_indices",
+            table.get("target_link_human_indices"),
+            is_index and len(indices) == len(names),
+            f"{len(names)} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five",
+        ),
+    ):
+        if not is_right:
+            raise HandError(f"expected {expected}", file=path, key=key, value=value)
+    named: Any = zip(indices or (), names, strict=True)
+    return DexConfiguration(
+        path,
+        urdf,
+        # The wrist's own landmark is not a reference point.
+        {LANDMARK_NAMES[i]: link for i, link in named if i != 0},
+        tuple(f"{name} is not used: {text}" for name, text in _ELSEWHERE.items() if name in table),
+    )
 
 
 def migrate(configuration: DexConfiguration, urdf: Path, *, name: str | None = None) -> Detection:
@@ -179,15 +174,3 @@ def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:
         for point in found.spec.points
         if point.finger in names
     ]
-
-
-def _by_landmark(links: Sequence[str], indices: Sequence[int]) -> dict[str, str]:
-    """Return links by landmark names; the wrist's own is not a reference point."""
-    return {_LANDMARKS[i]: link for i, link in zip(indices, links, strict=True) if i != 0}
-
-
-def _names(table: dict[str, Any], field: str, file: Path) -> list[str]:
-    names = table.get(field)
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise HandError("expected a list of link names", file=file, key=field, value=names)
-    return names

@@ -50,18 +50,16 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     # MuJoCo takes a second to load.
     if not is_mjcf(path):
         return RobotSource(path, None if source is None else given)
-    from handmap_qp.hands.mjcf.convert import cached_urdf, convert_mjcf
+    from handmap_qp.hands.mjcf.convert import (
+        cached_urdf,
+        convert_mjcf,
+        kinematics_difference,
+        write_converted,
+    )
 
     if source is not None:
         return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
-    return _convert(path, folder, overwrite)
-
-
-def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
-    """Convert an MJCF file, and write its URDF and meshes into a folder."""
-    from handmap_qp.hands.mjcf.convert import convert_mjcf, kinematics_difference, write_converted
-
-    urdf = folder / f"{file.stem}.urdf"
+    urdf = folder / f"{path.stem}.urdf"
     if urdf.exists() and not overwrite:
         raise InvalidInputError(
             argument="--out",
@@ -69,13 +67,11 @@ def _convert(file: Path, folder: Path, overwrite: bool) -> RobotSource:
             value=str(urdf),
             advice="give --overwrite to replace it, or another folder",
         )
-    converted = convert_mjcf(file, f"{file.stem}_meshes")
+    converted = convert_mjcf(path, f"{path.stem}_meshes")
     difference = kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
-        raise HandError(
-            f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m: please report it",
-            file=file,
-        )
+        problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
+        raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
         write_converted(converted, urdf)
     return RobotSource(urdf, None, converted.notes, (urdf,))

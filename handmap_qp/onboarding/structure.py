@@ -98,9 +98,6 @@ def find_structure(robot: Robot) -> Structure:
     Args:
         robot: The robot, or a part of it.
 
-    Returns:
-        Palm and fingers.
-
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
@@ -253,9 +250,6 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
         robot: The robot.
         leaf: First link of the finger's last body.
         before: Link of the previous joint; None if there is none.
-
-    Returns:
-        The tip.
     """
     cloud = robot.body_surface(leaf)
     size = float(np.linalg.norm(cloud, axis=1).max()) if len(cloud) else 0.0

@@ -248,9 +248,6 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
         text: Faults with commas between them, each `NAME@START[+DURATION][:SIZE]`, in seconds and
             in the unit of the kind.
 
-    Returns:
-        The faults, in the order of the text.
-
     Raises:
         InvalidInputError: If the text does not have this form, or a fault makes no sense.
     """

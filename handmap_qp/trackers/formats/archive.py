@@ -58,9 +58,6 @@ def read_archive(file: Path, names: Container[str] | None = None) -> dict[str, n
         file: The file.
         names: Names of those to read; all if omitted. Those that the file lacks are left out.
 
-    Returns:
-        Arrays by name.
-
     Raises:
         RecordingError: If the file cannot be read, is not an archive of plain arrays, is damaged,
             or holds more than `LARGEST_ARCHIVE`. `array` names the member at fault.

@@ -26,9 +26,6 @@ _OVERHEAD = 1 << 20
 def opened(path: Path) -> Iterator[Any]:
     """Open a file for reading, and turn what h5py raises inside the block into `RecordingError`.
 
-    Args:
-        path: The file.
-
     Yields:
         The `h5py.File`.
 

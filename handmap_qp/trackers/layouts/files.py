@@ -48,9 +48,6 @@ def read_with_layout(
         side: Which hand; what the file says if omitted.
         lengths: The person's lengths, for angles and markers.
 
-    Returns:
-        The recording.
-
     Raises:
         RecordingError: If the file cannot be read, or something in it is missing or of another
             shape than expected. The message names layouts that fit better.
