@@ -16,8 +16,8 @@ from handmap_qp.hands.human import FINGERS
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.hand_pair import KNUCKLES, MIDDLES, TIPS
 from handmap_qp.mapping.method import MethodOptions, Preset
-from handmap_qp.mapping.plugins import Plugins
 from handmap_qp.options import Option, options_of
+from handmap_qp.plugins import Plugins
 
 _MODULES = (
     "teleoperation",

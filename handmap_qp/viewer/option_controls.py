@@ -18,8 +18,8 @@ from handmap_qp.options import Option, Options, options_of
 if TYPE_CHECKING:
     import viser
 
-LEFT_OUT = ("solver", "step_tolerance", "point_tolerance")
-"""Options without a control: they have no visible effect."""
+LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
+"""Options without a control: tolerances, and names of tasks."""
 _GIVEN = "as given"
 # Largest value of a slider without a bound, in units of its default; and where that is 0 or none.
 _SPAN, _UNKNOWN, _OPTIONAL = 4.0, 20.0, 200.0

@@ -1,4 +1,4 @@
-"""A method of another package, in one file: Python, command line, wire and view know its name."""
+"""A method and a task of another package: Python, command line, wire and view know their names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from handmap_qp import IkOptions
+from handmap_qp import IkOptions, TaskRows
 from handmap_qp.mapping.method import MethodOptions, Preset, Targets
 from handmap_qp.options import number
 
@@ -57,10 +57,25 @@ class Map:
 
 PRESET = Preset(Follow(), IkOptions(), "the wrist alone", "fingers stay")
 BROKEN = Follow()
+
+
+class KeepTip:
+    \"\"\"Keeps the first point at a height.\"\"\"
+
+    def linearise(self, hand):
+        height = np.array([1000.0 * (hand.points[0, 2] - 0.02)])
+        return TaskRows(height, 1000.0 * hand.point_jacobian()[2:3])
+
+
+def keep_tip(hand):
+    return KeepTip()
 """
 ENTRY_POINTS = """[handmap_qp.presets]
 follow = added_method:PRESET
 broken = added_method:BROKEN
+
+[handmap_qp.tasks]
+keep-tip = added_method:keep_tip
 """
 PROGRAM = """
 import numpy as np
@@ -79,6 +94,10 @@ step = mapper.map_step(human.rest, pose, dt=1.0)
 np.testing.assert_allclose(step.diagnostics["shift"], [0.01, 0.0, 0.0])
 np.testing.assert_allclose(step.command.wrist[0, 3] - first.command.wrist[0, 3], 0.01, atol=1e-4)
 assert list(PRESETS)[-1] == "follow"
+height = lambda names: HandMapper(human, robot, "follow", ik=IkOptions(tasks=names)).map_step(
+    human.rest, np.eye(4), dt=1.0
+).points[0, 2]
+assert abs(height(())) > 0.03 > 0.025 > abs(height(("keep-tip",)))
 session, sample = make_session(preset="follow", options={"wrist_share": 0.25}), Sampler()
 session.step(sample(), 0.0)
 about = session.state(1, "", 0, 0.0).about
@@ -120,8 +139,10 @@ def test_python_the_wire_and_the_view_know_it(environment: dict[str, str]) -> No
         (["--preset", "follow", "--wrist-share", "2"], 2, "--wrist-share: expected a number in [0"),
         (["--preset", "paper", "--wrist-share", "0.25"], 2, "the preset paper has no such option"),
         (["--help"], 0, "Share of the wrist's way."),
+        (["--tasks", "keep-tip", "--formulation", "mink", "--solver", "osqp"], 0, "wrote"),
+        (["--tasks", "juggle"], 2, "tasks: expected keep-tip, got 'juggle'"),
     ],
-    ids=["runs", "range", "another preset", "help"],
+    ids=["runs", "range", "another preset", "help", "task by mink", "no such task"],
 )
 def test_the_command_line_knows_it(
     environment: dict[str, str], tmp_path: Path, words: list[str], code: int, text: str
