@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import common
@@ -25,7 +25,7 @@ from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.solvers import DaqpSolver, ProxqpSolver, QpsolversSolver, Rows
+from handmap_qp.ik.solvers import QpSolver, Rows, make_solver, solve_by_daqp
 from handmap_qp.se3 import affine
 
 _HARD = 5000
@@ -44,11 +44,10 @@ class Problem(NamedTuple):
 class Recorder:
     """A solver that records its problems."""
 
-    def __init__(self, size: int) -> None:
+    def __init__(self) -> None:
         self.problems: list[Problem] = []
-        self._solver = DaqpSolver(size)
 
-    def solve(
+    def __call__(
         self,
         H: np.ndarray,
         c: np.ndarray,
@@ -56,15 +55,15 @@ class Recorder:
         upper: np.ndarray,
         rows: Rows | None = None,
     ) -> np.ndarray | None:
-        """As `QpSolver.solve`."""
+        """As `QpSolver`."""
         self.problems.append(Problem(H.copy(), c.copy(), lower.copy(), upper.copy()))
-        return self._solver.solve(H, c, lower, upper, rows)
+        return solve_by_daqp(H, c, lower, upper, rows)
 
 
 def recorded_problems(motion: HumanMotion) -> list[Problem]:
     """Record the problems of mapping a motion to the Allegro hand, in order."""
     mapper = HandMapper(motion.human, load_hand("allegro_right"), MappingOptions())
-    recorder = Recorder(mapper.robot.model.nv)
+    recorder = Recorder()
     mapper.point_ik._solver = recorder
     for i in range(len(motion.time)):
         mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
@@ -108,7 +107,7 @@ def exact_answer(problem: Problem) -> np.ndarray:
         RuntimeError: If DAQP fails or the KKT conditions do not hold.
     """
     H, c, lower, upper = problem
-    start = DaqpSolver(len(c)).solve(*problem)
+    start = solve_by_daqp(*problem)
     if start is None:
         raise RuntimeError("DAQP found no solution to start from")
     tolerance = 1e-9 * (1.0 + np.abs(start))
@@ -135,32 +134,23 @@ def exact_answer(problem: Problem) -> np.ndarray:
 
 
 def measure(
-    make: Callable[[int], Any],
-    problems: Sequence[Problem],
-    answers: Sequence[np.ndarray],
-    *,
-    is_warm: bool,
+    solver: QpSolver, problems: Sequence[Problem], answers: Sequence[np.ndarray]
 ) -> dict[str, Any]:
     """Run one solver on one set of problems.
 
     Args:
-        make: Constructor of the solver, given the number of variables.
+        solver: The solver.
         problems: The problems.
         answers: Their exact solutions.
-        is_warm: Whether to keep the solver from problem to problem (warm start).
 
     Returns:
         CPU times [us], number of failures, largest distance to the exact solution and violation.
     """
-    solvers: dict[int, Any] = {}
     times, distances, violations, failures = [], [], [], 0
     for problem, answer in zip(problems, answers, strict=True):
-        size = len(problem.c)
-        if size not in solvers or not is_warm:
-            solvers[size] = make(size)
         started = time.thread_time_ns()
         try:
-            x = solvers[size].solve(*problem)
+            x = solver(*problem)
         except Exception:
             x = None  # any exception counts as a failure
         times.append(1e-3 * (time.thread_time_ns() - started))
@@ -178,20 +168,11 @@ def measure(
     }
 
 
-def solvers() -> list[tuple[str, Callable[[int], Any], bool]]:
-    """Name, constructor and warm start of each installed solver."""
+def solvers() -> dict[str, QpSolver]:
+    """Return each installed solver by its name."""
     import qpsolvers
 
-    rows: list[tuple[str, Callable[[int], Any], bool]] = [
-        ("daqp, native", DaqpSolver, False),
-        ("proxqp, native, warm", ProxqpSolver, True),
-        ("proxqp, native, cold", ProxqpSolver, False),
-    ]
-    rows += [
-        (f"{name}, qpsolvers", lambda _, name=name: QpsolversSolver(name), False)
-        for name in sorted(qpsolvers.available_solvers)
-    ]
-    return rows
+    return {name: make_solver(name) for name in sorted({"daqp", *qpsolvers.available_solvers})}
 
 
 def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
@@ -204,7 +185,7 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
         axes.barh(
             names,
             times,
-            color=[common.PALETTE[0 if name.startswith("daqp, native") else 1] for name in names],
+            color=[common.PALETTE[0 if name == "daqp" else 1] for name in names],
             height=0.6,
         )
         for i, row in enumerate(rows):
@@ -243,17 +224,14 @@ def main(words: Sequence[str] | None = None) -> None:
         ):
             # Warnings of solvers show as failures or distances.
             warnings.simplefilter("ignore")
-            for label, make, is_warm in solvers():
-                rows.append({"solver": label, **measure(make, problems, answers, is_warm=is_warm)})
+            for name, solver in solvers().items():
+                rows.append({"solver": name, **measure(solver, problems, answers)})
                 advance()
         results[name] = rows
         common.print_table(
             f"{len(problems)} {name} problems", rows, to_stderr=arguments.json == "-"
         )
-    medians = {row["solver"]: row["median_us"] for row in results["recorded"]}
-    gain = {"proxqp": medians["proxqp, native, cold"] / medians["proxqp, native, warm"]}
-    common.print_table("Warm start: cold time / warm time", [gain], to_stderr=arguments.json == "-")
-    common.write_json(arguments.json, "bench_solvers", {**results, "warm_start_gain": gain})
+    common.write_json(arguments.json, "bench_solvers", results)
     common.save_picture(arguments.picture, lambda: draw(results))
 
 

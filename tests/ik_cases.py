@@ -79,6 +79,13 @@ each_distinct_hand = pytest.mark.parametrize(
     ],
     ids=lambda which: "-".join(filter(None, which)),
 )
+_KINDS = ("allegro_right", "arm", "hey5", "human", "panda_gripper", "three_finger")
+# One hand of each kind: jaws, followers, an arm; floating and fixed.
+each_kind_of_hand = pytest.mark.parametrize(
+    "which",
+    [which for which in DISTINCT_HANDS if which[0] in _KINDS],
+    ids=lambda which: "-".join(filter(None, which)),
+)
 # Without mimic joints, and without an arm: its levers of half a metre make the weighted task too
 # badly conditioned for statements about vanishing weights.
 _PLAIN = ("human", "three_finger", "allegro_right", "g1_left", "arm")

@@ -13,12 +13,12 @@ becomes
 with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
 angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
-`handmap_qp.ik.stopping` checks the whole displacement afterwards.
+`handmap_qp.ik.gate` checks the whole displacement afterwards.
 
 Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
 the QP has what the ones before it left. So distances are measured once a sample, where it ends, for
 the check and for the rows of the next one. Where there is a horizon, a pair is measured if another
-step like the last one may bring it to its margin, or if its way is not clear by travel alone.
+step like the last one may bring it to its margin, or if its path is not clear by travel alone.
 """
 
 from __future__ import annotations
@@ -30,9 +30,12 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
+from handmap_qp.ik.solvers import Rows
 
+_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
+# Part of the free distance that one step may use.
+_GAIN = 0.85
 # Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
 # what links approach each other by in a sample at this speed [m/s].
 _NEAR, _APPROACH = 0.001, 0.5
@@ -57,8 +60,6 @@ class CollisionLimit:
     Args:
         hand: The hand.
         pairs: The pairs to keep apart; those that the hand's description names if omitted.
-        margin: Distance to keep [m]; the description's if omitted.
-        gain: Part of the free distance that one step may use, in (0, 1].
         horizon: Pairs that are farther apart than their margin and this get no row [m]; in short
             samples the horizon is nearer, as links do not come that far. Infinite by default: every
             pair has a row, in an order that never changes.
@@ -66,21 +67,16 @@ class CollisionLimit:
     Attributes:
         pairs: The links of each pair; a link with several shapes has several.
         margin: Distance to keep [m].
-        path: Checks the same pairs along whole ways.
+        columns: Which active coordinates move the shapes of any pair against each other, shape
+            (n,). The others, such as those of a floating wrist, change no distance.
 
     Raises:
-        InvalidOptionsError: If the hand names no pairs, or a number has no meaning.
+        InvalidOptionsError: If the hand names no pairs.
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
 
     def __init__(
-        self,
-        hand: Hand,
-        *,
-        pairs: ShapePairs | None = None,
-        margin: float | None = None,
-        gain: float = 0.85,
-        horizon: float = np.inf,
+        self, hand: Hand, *, pairs: ShapePairs | None = None, horizon: float = np.inf
     ) -> None:
         spec = hand.spec.collision
         if pairs is None and spec is None:
@@ -89,26 +85,19 @@ class CollisionLimit:
                 problem=f"{hand.name} names no links to keep apart",
                 advice="add collision.pairs to its hand.yaml",
             )
-        self.margin = (spec.margin if spec else 0.0) if margin is None else margin
-        if not 0.0 <= self.margin < np.inf:
-            raise InvalidOptionsError(option="margin", expected="a distance >= 0", value=margin)
-        if not 0.0 < gain <= 1.0:
-            raise InvalidOptionsError(option="gain", expected="a number in (0, 1]", value=gain)
+        self.margin = spec.margin if spec else 0.0
         found = named_pairs(hand) if pairs is None else pairs
-        self.pairs = found.links
-        self._gain, self._horizon = gain, horizon
-        self._approach = _APPROACH if horizon < np.inf else np.inf
-        geometry = found.geometry
-        self._distances = ShapeDistances(hand.model, geometry)
-        self.path = ClearPath(hand, self._distances)
-        joints = [shape.parentJoint for shape in geometry.geometryObjects]
-        supports = moved_by(hand.model, joints)
-        first = [pair.first for pair in geometry.collisionPairs]
-        second = [pair.second for pair in geometry.collisionPairs]
+        self.pairs, self._horizon = found.links, horizon
+        self._expansion = None if hand.expansion is None else hand.expansion.matrix
+        self._distances = ShapeDistances(hand.model, found.geometry)
+        levers = self._distances.levers
+        if self._expansion is not None:
+            levers = levers @ np.abs(self._expansion)
+        self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
+        pairs_of, shapes = found.geometry.collisionPairs, found.geometry.geometryObjects
+        supports = moved_by(hand.model, [shape.parentJoint for shape in shapes])
+        first, second = ([getattr(pair, end) for pair in pairs_of] for end in ("first", "second"))
         self._opposing_support = supports[first] - supports[second]
-        # A floating wrist comes first and changes no distance.
-        self._moving = slice(int(np.argmax(self.path.columns)), None)
-        self._levers = np.ascontiguousarray(self.path.levers[:, self._moving])
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -116,136 +105,114 @@ class CollisionLimit:
         Args:
             configuration: Of the hand, placed.
         """
-        return self._distances.measure_all(configuration)
+        return self._distances.measure(configuration.q).bounds
 
     def measure(
         self,
-        configuration: Configuration,
-        margins: np.ndarray | None = None,
+        q: np.ndarray,
         dt: float = np.inf,
+        margins: np.ndarray | None = None,
         *,
         before: NearPairs | None = None,
+        after_step: bool = False,
     ) -> NearPairs:
-        """Measure the pairs that get rows.
+        """Measure the pairs that get rows, and those that may have touched since another posture.
 
         Args:
-            configuration: Of the hand, placed.
-            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
+            q: Pinocchio configuration, shape (nq,).
             dt: Time of the sample [s], in which links approach each other.
+            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
             before: What is known in another posture; nothing if omitted.
+            after_step: Whether `q` ends a sample that began at `before`, and the next one is
+                expected to move as far.
         """
-        horizon = (self.margin if margins is None else margins) + self._reach(dt)
-        return self._distances.measure(configuration, horizon, before)
+        reach = np.inf if self._horizon == np.inf else _NEAR + _APPROACH * dt
+        reach, bounds = max(min(reach, self._horizon), KEPT), -np.inf
+        if before is not None:
+            travel = self._distances.travel(before.q, q)
+            bounds = before.bounds - travel
+            if after_step and reach < np.inf:
+                reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
+        horizon = (self.margin if margins is None else margins) + reach
+        return self._distances.measure(q, bounds, horizon, is_path=after_step)
 
-    def measure_end(
-        self,
-        configuration: Configuration,
-        margins: np.ndarray | None,
-        dt: float,
-        start: NearPairs,
-        displacement: np.ndarray,
-    ) -> NearPairs:
-        """Measure at the end of a sample: pairs that get rows in the next one, or may have touched.
+    def is_clear(
+        self, start: NearPairs, displacement: np.ndarray, end: NearPairs | None = None
+    ) -> bool:
+        """Return whether no pair of shapes touches on a straight path.
 
         Args:
-            configuration: Of the hand, placed there.
-            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
-            dt: Time of the sample [s].
-            start: What is known where the sample began.
-            displacement: Displacement from there, shape (n,).
+            start: The pairs where it begins.
+            displacement: Displacement in the active coordinates [rad or m], shape (n,).
+            end: The pairs where it ends, as measured next; measured if omitted.
         """
-        travel = self._levers.dot(np.abs(displacement[self._moving]))
-        reach: np.ndarray | float = self._reach(dt)
-        if reach < np.inf:
-            reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
-        horizon = (self.margin if margins is None else margins) + reach
-        return self._distances.follow(configuration, horizon, start, travel)
-
-    def _reach(self, dt: float) -> float:
-        """Return how far beyond their margin pairs get rows [m]."""
-        return max(min(_NEAR + self._approach * dt, self._horizon), KEPT)
+        step = displacement if self._expansion is None else self._expansion.dot(displacement)
+        return self._distances.is_clear(start, step, end)
 
     def rows(
-        self,
-        configuration: Configuration,
-        margins: np.ndarray | None = None,
-        near: NearPairs | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, configuration: Configuration, near: NearPairs, margins: np.ndarray | None = None
+    ) -> Rows:
         """Linearise the distances of the measured pairs as rows `G dq <= h`.
 
         Args:
             configuration: Of the hand, placed with Jacobians.
+            near: What `measure` found there.
             margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
-            near: What `measure` found there; measured if omitted.
 
         Returns:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        near = self.measure(configuration, margins) if near is None else near
-        G = near.wrenches.dot(configuration.joint_jacobian())
-        G *= self._opposing_support.take(near.pairs, 0)
-        kept = self.margin if margins is None else margins.take(near.pairs)
-        return configuration.contracted(G), self._gain * (near.distances - kept)
+        pairs = near.pairs
+        normals, points = near.found[pairs, 1:4], near.found[pairs, 4:]
+        # np.cross takes five times as long.
+        moments = points[:, _YZX] * normals[:, _ZXY] - points[:, _ZXY] * normals[:, _YZX]
+        wrenches = np.hstack([normals, moments])
+        G = self._opposing_support[pairs] * wrenches.dot(configuration.joint_jacobian())
+        kept = self.margin if margins is None else margins[pairs]
+        return configuration.contracted(G), _GAIN * (near.bounds[pairs] - kept)
 
-    def feasible_rows(
-        self,
-        configuration: Configuration,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        margins: np.ndarray | None = None,
-        *,
-        near: NearPairs | None = None,
-        stopping: float = 0.0,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return `rows`, as `feasible` loosens them."""
-        rows = self.rows(configuration, margins, near)
-        return self.feasible(rows, lower, upper, stopping=stopping)
 
-    def feasible(
-        self,
-        rows: tuple[np.ndarray, np.ndarray],
-        lower: np.ndarray,
-        upper: np.ndarray,
-        *,
-        stopping: float = 0.0,
-        so_far: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Loosen rows where they contradict each other or a box.
+def feasible(
+    rows: Rows,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    stopping: float = 0.0,
+    so_far: np.ndarray | None = None,
+) -> Rows:
+    """Loosen rows where they contradict each other or a box.
 
-        The displacement nearest to none inside the box always satisfies them: where a pair is
-        nearer than the margin already, it need not part at once, only not come closer than the
-        limits make it. Where a displacement is found that parts all those pairs without harm to the
-        others, that is what they are held to; it is damped, so that pairs whose distance hardly
-        depends on the joints part slowly. Pairs that are nearer by a few um are not parted.
+    The displacement nearest to none inside the box always satisfies them: where a pair is nearer
+    than the margin already, it need not part at once, only not come closer than the limits make it.
+    Where a displacement is found that parts all those pairs without harm to the others, that is
+    what they are held to; it is damped, so that pairs whose distance hardly depends on the joints
+    part slowly. Pairs that are nearer by a few um are not parted.
 
-        Args:
-            rows: G and h of `rows`, for the whole displacement of a sample.
-            lower: Lower bound of the rest of the displacement, shape (n,).
-            upper: Upper bound, shape (n,).
-            stopping: Part of the sample's displacement that the hand needs to stop behind it.
-            so_far: Displacement of the sample up to here, shape (n,); none if omitted.
+    Args:
+        rows: G and h of `CollisionLimit.rows`, for the whole displacement of a sample.
+        lower: Lower bound of the rest of the displacement, shape (n,).
+        upper: Upper bound, shape (n,).
+        stopping: Part of the sample's displacement that the hand needs to stop behind it.
+        so_far: Displacement of the sample up to here, shape (n,); none if omitted.
 
-        Returns:
-            G, shape (r, n), and h, shape (r,), for the rest of the displacement.
-        """
-        G, h = rows
-        if stopping > 0.0:
-            h = h / (1.0 + stopping)
-        if so_far is not None:
-            h = h - G.dot(so_far)
-        witness = np.minimum(np.maximum(0.0, lower), upper)
-        kept = G.dot(witness)
-        excess, loose = kept - h, np.maximum(h, kept)
-        nearer = (excess > _ROUGHLY).nonzero()[0]
-        if not len(nearer):
-            return G, loose
-        apart = G.take(nearer, 0)
-        gram = apart.dot(apart.T)
-        gram.flat[:: len(gram) + 1] += _LEVER**2
-        parting = -_PARTED * np.linalg.solve(gram, excess.take(nearer)).dot(apart)
-        least, most = _INSIDE * (lower - witness), _INSIDE * (upper - witness)
-        parted = kept + G.dot(np.minimum(np.maximum(parting, least), most))
-        does_harm = parted > loose
-        does_harm[nearer] = False
-        return G, loose if np.count_nonzero(does_harm) else np.maximum(h, parted)
+    Returns:
+        G, shape (r, n), and h, shape (r,), for the rest of the displacement.
+    """
+    G, h = rows
+    h = h / (1.0 + stopping)
+    if so_far is not None:
+        h = h - G.dot(so_far)
+    witness = np.clip(0.0, lower, upper)
+    kept = G.dot(witness)
+    excess, loose = kept - h, np.maximum(h, kept)
+    is_nearer = excess > _ROUGHLY
+    if not is_nearer.any():
+        return G, loose
+    apart = G[is_nearer]
+    gram = apart.dot(apart.T) + _LEVER**2 * np.eye(len(apart))
+    parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
+    within = np.clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
+    parted = kept + G.dot(within)
+    does_harm = (parted > loose) & ~is_nearer
+    return G, loose if does_harm.any() else np.maximum(h, parted)

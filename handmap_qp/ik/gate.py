@@ -37,10 +37,10 @@ import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.collision import CollisionLimit, feasible
 from handmap_qp.ik.distances import NearPairs
-from handmap_qp.ik.limits import SHORTEST_DT, Box, BoxLimits, braking_displacement
-from handmap_qp.ik.solvers import DaqpSolver
+from handmap_qp.ik.limits import SHORTEST_DT, BoxLimits, braking_displacement
+from handmap_qp.ik.solvers import solve_by_daqp
 
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
@@ -91,7 +91,8 @@ class Gate:
 
     Attributes:
         motion: How the robot moves.
-        near: What is known of the pairs of shapes, in this posture or one before.
+        collisions: As given.
+        measured: What was found last of the pairs of shapes, in this posture or one before.
     """
 
     def __init__(
@@ -103,17 +104,13 @@ class Gate:
         max_acceleration: float | None = None,
         collisions: CollisionLimit | None = None,
     ) -> None:
-        self.motion = motion
-        self.near: NearPairs | None = None
-        self._hand, self._collisions = hand, collisions
-        self._known: tuple[Motion, float, Box | None] = (motion, 0.0, None)
-        self._expansion = None if hand.expansion is None else hand.expansion.matrix
-        self._at_once = np.zeros(len(hand.active_columns))
+        self.motion, self.collisions, self._hand = motion, collisions, hand
+        self.measured: NearPairs | None = None
         self._limits = BoxLimits(
             hand,
             has_velocity_limits=has_velocity_limits,
             max_acceleration=max_acceleration,
-            together=None if collisions is None else collisions.path.columns,
+            together=None if collisions is None else collisions.columns,
         )
         self._together = self._limits.together
 
@@ -123,7 +120,7 @@ class Gate:
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
-        self.motion, self.near = Motion.at_rest(q, self._limits.size), None
+        self.motion, self.measured = Motion.at_rest(q, self._limits.size), None
 
     def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next displacement, shape (nv,) each.
@@ -132,20 +129,31 @@ class Gate:
             dt: Time for it [s].
             share: Share of the speed limits to use, as far as braking allows.
         """
-        lower, upper = self._box(dt)[:2]
-        return (lower, upper) if share == 1.0 else self._limits.slowed(lower, upper, share * dt)
+        bounds = self._limits.bounds(self.motion.q, dt, self.motion.velocity)
+        return bounds if share == 1.0 else slowed(*bounds, share * dt * self._limits.speeds)
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
         return self._limits.stopping(self.motion.velocity, dt)
 
+    def near(
+        self, collisions: CollisionLimit, dt: float, margins: np.ndarray | None = None
+    ) -> NearPairs:
+        """Return the pairs of shapes where the robot is, measured unless they are known.
+
+        Args:
+            collisions: The gate's.
+            dt: Time of the next sample [s].
+            margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
+        """
+        near = self.measured
+        if near is None or not np.array_equal(near.q, self.motion.q):
+            near = collisions.measure(self.motion.q, dt, margins, before=near)
+            self.measured = near
+        return near
+
     def admit(
-        self,
-        wanted: np.ndarray,
-        first: np.ndarray,
-        dt: float,
-        near: NearPairs | None = None,
-        end: NearPairs | None = None,
+        self, wanted: np.ndarray, first: np.ndarray, dt: float, end: NearPairs | None = None
     ) -> np.ndarray:
         """Move the robot by a displacement, or by another one that is admitted.
 
@@ -153,22 +161,20 @@ class Gate:
             wanted: Displacement in the active coordinates, shape (nv,).
             first: Another one that is shortened if the wanted one is not admitted, likewise.
             dt: Time for it [s].
-            near: The pairs of shapes where it starts; needed if shapes are kept apart.
-            end: Those where `wanted` ends; measured where it matters if omitted.
+            end: The pairs of shapes where `wanted` ends; measured where it matters if omitted.
 
         Returns:
             The displacement taken: `wanted` itself if it is admitted.
         """
-        box, times, is_inside = self._box(dt), self._at_once, True
+        box = self._limits.box(self.motion.q, dt, self.motion.velocity)
         # This also replaces NaN.
         taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
-        if self._limits.has_acceleration:
-            times = self._limits.stop_times(taken, dt)
-            is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
-        if not (is_inside and self._is_clear(taken, times, dt, near, end)):
+        times = self._limits.stop_times(taken, dt)
+        is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
+        if not (is_inside and self._is_clear(taken, times, dt, end)):
             first = np.fmin(np.fmax(first, box.lower), box.upper)
-            taken, times = self._shortened(None if is_inside else taken, first, dt, near)
-        self.near = near if end is None else end
+            taken, times = self._shortened(None if is_inside else taken, first, dt)
+        self.measured = self.measured if end is None else end
         self._move(taken, times, dt)
         return taken
 
@@ -207,33 +213,28 @@ class Gate:
         dt, motion = max(dt, SHORTEST_DT), self.motion
         change = pin.difference(self._hand.model, motion.q, goal)[self._hand.active_columns]
         lower, upper = self.bounds(dt)
-        limit = self._limits.farthest(dt * share)
-        nearest = np.minimum(np.maximum(self._towards(change, limit, dt), lower), upper)
+        limit = self._limits.speeds * (dt * share)
         slack = 1e-12 + 1e-9 * limit
         reach = np.minimum(limit, self._limits.change(dt)) if stops else limit
         is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
         is_there = bool((is_near & (change >= lower - slack)).all())
-        near, wanted = None, change if is_there else nearest
-        if self._collisions is not None:
-            near, nearest = self._along_links(self._collisions, wanted, lower, upper, dt)
-        taken = self.admit(wanted, nearest, dt, near)
+        nearest = np.clip(self._towards(change, limit, dt), lower, upper)
+        wanted = change if is_there else nearest
+        if self.collisions is not None:
+            nearest = self._along_links(self.collisions, wanted, lower, upper, dt)
+        taken = self.admit(wanted, nearest, dt)
         is_there = is_there and bool((np.abs(taken - change) <= slack).all())
         if is_there:
-            inside = self._limits.clipped(goal, motion.q)
-            self.motion = self.motion._replace(q=inside)
+            self.motion = self.motion._replace(q=self._limits.clipped(goal, motion.q))
         return is_there
 
     def _towards(self, change: np.ndarray, limit: np.ndarray, dt: float) -> np.ndarray:
-        """Return the part of a way that the robot takes if it must stop at its end."""
-        allowed = np.copysign(
-            braking_displacement(np.abs(change), np.maximum(self._limits.change(dt), 1e-200)),
-            change,
-        )
+        """Return the part of a path that the robot takes if it must stop at its end."""
+        allowed = braking_displacement(np.abs(change), self._limits.change(dt))
         if self._hand.is_floating:
             # Scale all six coordinates alike, so that the wrist stays on its path.
-            part = (limit[:6] / np.maximum(np.abs(allowed[:6]), 1e-300)).min(initial=1.0)
-            allowed[:6] *= part
-        return np.minimum(np.maximum(allowed, -limit), limit)
+            allowed[:6] *= (limit[:6] / np.maximum(allowed[:6], 1e-300)).min(initial=1.0)
+        return np.copysign(np.minimum(allowed, limit), change)
 
     def _along_links(
         self,
@@ -242,38 +243,21 @@ class Gate:
         lower: np.ndarray,
         upper: np.ndarray,
         dt: float,
-    ) -> tuple[NearPairs, np.ndarray]:
-        """Measure the pairs of shapes; return the nearest displacement that keeps them apart."""
-        placed = self._placed
-        placed.place_with_jacobians(self.motion.q)
-        near = collisions.measure(placed, dt=dt, before=self.near)
-        box, stopping = (lower, upper), self.stopping(dt)
-        G, h = collisions.feasible_rows(placed, *box, near=near, stopping=stopping)
+    ) -> np.ndarray:
+        """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
+        self._placed.place_with_jacobians(self.motion.q)
+        rows = collisions.rows(self._placed, self.near(collisions, dt))
+        G, h = feasible(rows, lower, upper, stopping=self.stopping(dt))
         if not (G.dot(wanted) > h).any():
-            return near, wanted
-        rows = G, h / _SCALE
-        found = self._solver.solve(
-            np.eye(len(wanted)), -wanted / _SCALE, lower / _SCALE, upper / _SCALE, rows
-        )
+            return wanted
+        scaled = [each / _SCALE for each in (-wanted, lower, upper, h)]
+        found = solve_by_daqp(np.eye(len(wanted)), *scaled[:3], (G, scaled[3]))
         # Without a solution, only the brake is left.
-        found = np.zeros_like(wanted) if found is None else found * _SCALE
-        return near, np.minimum(np.maximum(found, lower), upper)
+        return np.clip(0.0 if found is None else found * _SCALE, lower, upper)
 
     @cached_property
     def _placed(self) -> Configuration:
         return self._hand.configuration()
-
-    @cached_property
-    def _solver(self) -> DaqpSolver:
-        return DaqpSolver(self._limits.size)
-
-    def _box(self, dt: float) -> Box:
-        """Return the bounds, which are asked for twice, for the QP and for the check."""
-        motion, known_dt, box = self._known
-        if box is None or motion is not self.motion or known_dt != dt:
-            box = self._limits.box(self.motion.q, dt, self.motion.velocity)
-            self._known = self.motion, dt, box
-        return box
 
     def _braking(self, dt: float) -> np.ndarray:
         """Return the displacement of the stop that was admitted last."""
@@ -281,7 +265,7 @@ class Gate:
         return self.motion.velocity * (dt * share)
 
     def _shortened(
-        self, wanted: np.ndarray | None, first: np.ndarray, dt: float, near: NearPairs | None
+        self, wanted: np.ndarray | None, first: np.ndarray, dt: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a displacement that is admitted, and the times of the stop behind it.
 
@@ -291,49 +275,54 @@ class Gate:
             wanted: Displacement to try before, shape (nv,); None for none.
             first: The one that is shortened, likewise.
             dt: Its time [s].
-            near: The pairs of shapes where it starts.
         """
         brake, left = self._braking(dt), np.maximum(self.motion.stop_times - dt, 0.0)
-        middle, change = self.motion.velocity * dt, self._limits.change(dt)
+        middle, change, together = (
+            self.motion.velocity * dt,
+            self._limits.change(dt),
+            self._together,
+        )
         # From a higher limit, the stop in force may brake harder than the limit allows.
         least, most = np.minimum(middle - change, brake), np.maximum(middle + change, brake)
-        first = np.minimum(np.maximum(first, least), most)
-        base, together = np.where(self._together, brake, first), self._together
+        first = np.clip(first, least, most)
+        base = np.where(together, brake, first)
         candidates = [base + share * (first - base) for share in _SHARES]
         if wanted is not None:
-            candidates.insert(0, np.minimum(np.maximum(wanted, least), most))
+            candidates.insert(0, np.clip(wanted, least, most))
         for tried in (*candidates, base):
             times = self._limits.stop_times(tried, dt)
-            whole = tried * (1.0 + 0.5 * times / dt)
-            can_stop = self._limits.is_inside(self.motion.q, whole)
+            can_stop = self._limits.is_inside(self.motion.q, tried * (1.0 + 0.5 * times / dt))
             can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
             brakes = ~(can_stop | together)
             taken, times = np.where(brakes, brake, tried), np.where(brakes, left, times)
             is_admitted = tried is not base and bool(can_stop[together].all())
-            if is_admitted and self._is_clear(taken, times, dt, near):
+            if is_admitted and self._is_clear(taken, times, dt):
                 return taken, times
         # The line of the stop in force was found clear before.
         return taken, np.where(together, left, times)
 
     def _is_clear(
-        self,
-        displacement: np.ndarray,
-        times: np.ndarray,
-        dt: float,
-        near: NearPairs | None,
-        end: NearPairs | None = None,
+        self, displacement: np.ndarray, times: np.ndarray, dt: float, end: NearPairs | None = None
     ) -> bool:
         """Return whether a displacement and the stop behind it are clear of overlaps."""
-        if self._collisions is None or near is None:
+        if self.collisions is None:
             return True
-        path, time = self._collisions.path, times[self._together].max(initial=0.0)
+        near = self.near(self.collisions, dt)
+        time = times.max(initial=0.0, where=self._together)
         if time == 0.0 and end is not None:
-            return path.is_clear(self.motion.q, near, displacement, end)
+            return self.collisions.is_clear(near, displacement, end)
         whole = np.where(self._together, (1.0 + 0.5 * time / dt) * displacement, 0.0)
-        return path.is_clear(self.motion.q, near, whole)
+        return self.collisions.is_clear(near, whole)
 
     def _move(self, displacement: np.ndarray, stop_times: np.ndarray, dt: float) -> None:
-        q = self.motion.q
-        step = displacement if self._expansion is None else self._expansion.dot(displacement)
+        q, expansion = self.motion.q, self._hand.expansion
+        step = displacement if expansion is None else expansion.matrix.dot(displacement)
         reached = self._limits.clipped(pin.integrate(self._hand.model, q, step), q)
         self.motion = Motion(reached, displacement, dt, stop_times)
+
+
+def slowed(
+    lower: np.ndarray, upper: np.ndarray, farthest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the part of a box up to a displacement, or its nearest corner, shape (nv,) each."""
+    return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)

@@ -26,14 +26,12 @@ at most that time, whatever the limit is.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.se3 import as_floats
 
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
@@ -73,16 +71,15 @@ class BoxLimits:
     Args:
         hand: The hand.
         has_velocity_limits: Whether speed limits hold; position limits always do.
-        max_acceleration: Limit of every velocity coordinate's acceleration, shape (nv,) or one
-            number for all [rad/s^2, and m/s^2 for a floating wrist's translation]; none if omitted.
+        max_acceleration: Limit of every coordinate's acceleration [rad/s^2, and m/s^2 for a
+            floating wrist's translation]; none if omitted.
         together: Which coordinates must be able to stop together, shape (nv,); none if omitted.
 
     Attributes:
-        has_acceleration: Whether accelerations are limited.
+        size: Number of coordinates, nv.
+        speeds: Speed limits, shape (nv,); infinite for none.
+        acceleration: Limit of every coordinate's acceleration; infinite for none.
         together: As given, shape (nv,).
-
-    Raises:
-        InvalidOptionsError: If an acceleration limit is not > 0 or has another shape.
     """
 
     def __init__(
@@ -90,40 +87,30 @@ class BoxLimits:
         hand: Hand,
         *,
         has_velocity_limits: bool = True,
-        max_acceleration: npt.ArrayLike | None = None,
+        max_acceleration: float | None = None,
         together: np.ndarray | None = None,
     ) -> None:
-        # The solver's order is the model's, not that of `joint_names`.
-        order = np.argsort(hand.v_indices)
-        coordinates = hand.q_indices[order]
-        limits = np.array([hand.lower_limits[order], hand.upper_limits[order]])
-        speed = hand.velocity_limits[order]
-        if hand.is_floating:
-            wrist = hand.spec.wrist
-            speeds = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
-            speed = np.concatenate([speeds, speed])
-            # Pinocchio's free-flyer has limits of +-1.8e308, which stay out of all arithmetic. With
-            # infinite ones in their place, whole vectors are compared: any six of its seven
-            # coordinates do for its six speeds.
-            coordinates = np.concatenate([np.arange(1, 7), coordinates])
-            unlimited = np.full(6, np.inf)
-            limits = np.hstack([[-unlimited, unlimited], limits])
-        self._limits = limits
-        if not has_velocity_limits:
-            speed = np.full(len(speed), np.inf)
-        self._loose = np.array([limits[0] - _ROUNDING, limits[1] + _ROUNDING])
+        self.size = len(hand.active_columns)
+        # Pinocchio's free-flyer has limits of +-1.8e308, which stay out of all arithmetic. Infinite
+        # ones take their place, so any coordinate does for its six speeds.
+        self._coordinates = np.zeros(self.size, dtype=int)
+        self._lower, self._upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        self.speeds = np.full(self.size, np.inf)
         # The limits of a whole configuration; infinite for all but the hand's joints.
-        self._box = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
-        self._box[:, hand.q_indices] = hand.lower_limits, hand.upper_limits
-        # Twice the same: numpy takes three times as long to spread a row over both limits.
-        self._rows = np.array([coordinates, coordinates])
-        self._speeds = np.array([speed, speed])
-        self.together = np.zeros(len(speed), dtype=bool) if together is None else together
-        self._has_together = bool(self.together.any())
-        self.has_acceleration = max_acceleration is not None
-        most = np.inf if max_acceleration is None else max_acceleration
-        self._accelerations = np.array([_check_acceleration(most, len(speed))] * 2)
-        self._signs = np.repeat([[-1.0], [1.0]], len(speed), 1)
+        self._lowest, self._highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
+        joints = hand.joint_columns
+        self._coordinates[joints] = hand.q_indices
+        self._lower[joints] = self._lowest[hand.q_indices] = hand.lower_limits
+        self._upper[joints] = self._highest[hand.q_indices] = hand.upper_limits
+        if has_velocity_limits:
+            self.speeds[joints] = hand.velocity_limits
+            if hand.is_floating:
+                wrist = hand.spec.wrist
+                self.speeds[:6] = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
+        self.together = np.zeros(self.size, dtype=bool) if together is None else together
+        # A limit beyond all speeds is none; as such, its products with times cannot overflow.
+        is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
+        self.acceleration = max_acceleration if is_limited else math.inf
 
     def bounds(
         self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
@@ -143,44 +130,32 @@ class BoxLimits:
 
     def box(self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None) -> Box:
         """Return the bounds, and which displacements need no further check; as `bounds`."""
-        farthest, room = self._speeds * dt, self._limits - q[self._rows]
-        box = np.maximum(np.minimum(room, farthest), -farthest)
-        if not self.has_acceleration:
-            return Box(box[0], box[1], box[0], box[1])
+        here, farthest = q[self._coordinates], self.speeds * dt
+        down, up = self._lower - here, self._upper - here
+        lower, upper = np.clip(down, -farthest, farthest), np.clip(up, -farthest, farthest)
+        if self.acceleration == math.inf:
+            return Box(lower, upper, lower, upper)
         velocity = np.zeros(self.size) if previous_velocity is None else previous_velocity
-        # The lower bound avoids a division by zero where the product underflows.
-        change = np.maximum(self._accelerations * (dt * dt), 1e-200)
-        middle = np.array([velocity, velocity]) * dt
-        lowest, highest = middle - change, middle + change
-        # Past a limit there is no braking distance left; the box brings the joint back.
-        distance = np.minimum(np.maximum(self._signs * room, 0.0), _FAR)
+        change, middle = self.change(dt), velocity * dt
+        stretch = 1.0 + self.stopping(velocity, dt) * self.together
         # Faster than this, a stop would take too long.
-        usable = self._accelerations * (LONGEST_STOP * dt)
-        most = np.minimum(braking_displacement(distance, change), usable)
-        if self._has_together:
-            stretch = np.where(self.together, 1.0 + self.stopping(velocity, dt), 1.0)
-            most = np.minimum(most, distance / stretch)
-        most *= self._signs
-        bounds = np.minimum(np.maximum(most, lowest), highest)
-        bounds = np.minimum(np.maximum(bounds, box[0]), box[1])
+        usable = self.acceleration * (LONGEST_STOP * dt)
+
+        def admissible(room: np.ndarray) -> np.ndarray:
+            # Past a limit there is no braking distance left; the box brings the joint back.
+            distance = np.clip(room, 0.0, _FAR)
+            most = np.minimum(braking_displacement(distance, change), usable)
+            return np.where(self.together, np.minimum(most, distance / stretch), most)
+
+        least, most = -admissible(-down), admissible(up)
+        lowest, highest = middle - change, middle + change
+        slack = _ROUNDING * dt
         return Box(
-            bounds[0],
-            bounds[1],
-            np.maximum(most[0], lowest[0]) - _ROUNDING * dt,
-            np.minimum(most[1], highest[1]) + _ROUNDING * dt,
+            np.clip(np.clip(least, lowest, highest), lower, upper),
+            np.clip(np.clip(most, lowest, highest), lower, upper),
+            np.maximum(least, lowest) - slack,
+            np.minimum(most, highest) + slack,
         )
-
-    def slowed(
-        self, lower: np.ndarray, upper: np.ndarray, dt: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the part of a box (nv,) that is reached in a time [s], or its nearest corner."""
-        farthest = self.farthest(dt)
-        return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)
-
-    @property
-    def size(self) -> int:
-        """Number of coordinates, nv."""
-        return self._limits.shape[1]
 
     def is_inside(self, q: np.ndarray, displacement: np.ndarray) -> np.ndarray:
         """Return which coordinates a displacement leaves inside their position limits, shape (nv,).
@@ -191,11 +166,9 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             displacement: Displacement, shape (nv,).
         """
-        room = self._loose - q[self._rows]
-        is_inside = (displacement >= room[0]) & (displacement <= room[1])
-        if np.count_nonzero(is_inside) == len(is_inside):
-            return is_inside
-        least, most = np.minimum(room[0], 0.0), np.maximum(room[1], 0.0)
+        here = q[self._coordinates]
+        least = np.minimum(self._lower - _ROUNDING - here, 0.0)
+        most = np.maximum(self._upper + _ROUNDING - here, 0.0)
         return (displacement >= least) & (displacement <= most)
 
     def clipped(self, q: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -205,17 +178,11 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             before: The one that it was reached from, which may be outside.
         """
-        least, most = np.minimum(self._box[0], before), np.maximum(self._box[1], before)
-        inside = np.maximum(q, least, out=least)
-        return np.minimum(inside, most, out=most)
+        return np.clip(q, np.minimum(self._lowest, before), np.maximum(self._highest, before))
 
-    def farthest(self, dt: float) -> np.ndarray:
-        """Return the displacements at the speed limits, shape (nv,)."""
-        return self._speeds[0] * dt
-
-    def change(self, dt: float) -> np.ndarray:
-        """Return by how much acceleration can change a displacement, shape (nv,)."""
-        return self._accelerations[0] * (dt * dt)
+    def change(self, dt: float) -> float:
+        """Return by how much acceleration can change a displacement [rad or m]; never 0."""
+        return max(self.acceleration * (dt * dt), 1e-200)
 
     def stop_times(self, displacement: np.ndarray, dt: float) -> np.ndarray:
         """Return the time in which each coordinate stops behind a displacement [s], shape (nv,).
@@ -224,10 +191,11 @@ class BoxLimits:
             displacement: Displacement, shape (nv,).
             dt: Time for it [s].
         """
-        times = np.abs(displacement / dt) / self._accelerations[0]
-        if self._has_together:
-            times[self.together] = times[self.together].max()
-        return times
+        if self.acceleration == math.inf:
+            return np.zeros(self.size)
+        times = np.abs(displacement / dt) / self.acceleration
+        longest = times.max(initial=0.0, where=self.together)
+        return np.where(self.together, longest, times)
 
     def stopping(self, velocity: np.ndarray, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it.
@@ -236,23 +204,13 @@ class BoxLimits:
             velocity: Of the last sample, shape (nv,).
             dt: Time of the next sample [s].
         """
-        if not (self.has_acceleration and self._has_together):
+        if self.acceleration == math.inf or not self.together.any():
             return 0.0
-        longest = (np.abs(velocity) / self._accelerations[0])[self.together].max()
-        return 0.5 * (float(longest) + dt) / dt
+        fastest = float(np.abs(velocity).max(where=self.together, initial=0.0))
+        return 0.5 * (fastest / self.acceleration + dt) / dt
 
 
-def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Return consecutive indices as a slice, which is quicker and makes no copy."""
-    first, count = int(indices[0]), len(indices)
-    return (
-        slice(first, first + count)
-        if np.array_equal(indices, np.arange(first, first + count))
-        else indices
-    )
-
-
-def braking_displacement(distance: np.ndarray, change: np.ndarray | float) -> np.ndarray:
+def braking_displacement(distance: np.ndarray, change: float) -> np.ndarray:
     """Return the largest displacement x after which a joint can still stop within `distance`.
 
     The root of `x + x^2 / (2 a dt^2) = distance`, in a form without cancellation.
@@ -262,20 +220,3 @@ def braking_displacement(distance: np.ndarray, change: np.ndarray | float) -> np
         change: `a dt^2`, likewise.
     """
     return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / change))
-
-
-def _check_acceleration(max_acceleration: npt.ArrayLike, nv: int) -> np.ndarray:
-    try:
-        limit = np.array(as_floats(max_acceleration, "max_acceleration"))
-    except InvalidInputError:
-        limit = np.empty(0)
-    if limit.ndim == 0:
-        limit = np.full(nv, float(limit))
-    if limit.shape != (nv,) or not (limit > 0.0).all():
-        raise InvalidOptionsError(
-            option="max_acceleration",
-            expected=f"{nv} numbers > 0, or one for all",
-            value=max_acceleration,
-        )
-    # A limit beyond all speeds is none; as such, its products with times cannot overflow.
-    return np.where(limit < _NO_LIMIT, limit, np.inf)

@@ -1,112 +1,197 @@
-"""The QP as published: built by `mink.build_ik`, solved by `qpsolvers`.
+"""The QP as published: built by `mink.build_ik` over Pinocchio, solved by `qpsolvers`.
 
-This formulation is slower. It is the reference in tests of `handmap_qp.ik.qp`, and accepts tasks
-and limits of mink.
-
-    problem = build_problem(hand, options, configuration, point_targets, wrist_target, dt)
-    dq = qpsolvers.solve_problem(problem, solver="daqp").x
+`IkOptions(formulation="mink", solver=...)` takes it in place of the direct formulation of
+`handmap_qp.ik.qp`, which is equal to it and faster. Each class is one term of the cost or one
+limit, so `mink.build_ik` composes them with tasks and limits of your own (subclass `mink.Task` and
+`mink.Limit`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its
+Levenberg-Marquardt term grows with the square of the error. Ours, in `DampingTask`, grows with the
+error (see `IkOptions.error_damping`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import mink
 import numpy as np
+import pinocchio as pin
 import qpsolvers
-from scipy.sparse import csc_matrix
 
-from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.limits import BoxLimits
-from handmap_qp.ik.mink_tasks import make_tasks
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.solvers import EXACT
-from handmap_qp.ik.tasks import Task
+from handmap_qp.ik.solvers import Rows
+from handmap_qp.ik.tasks import Goal, Task
 
 
-class BoxLimit(mink.Limit):
-    """Position, speed and acceleration limits as rows, without infinite ones.
-
-    The rows are `[I; -I] dq <= [upper; -lower]`.
+class PointTask(mink.Task):
+    """All reference points to their targets, as one stacked task.
 
     Args:
-        limits: The box.
-        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if
-            omitted.
+        targets: Targets of the points [m], shape (m, 3).
+        cost: Weight of each point's error [cost]/[m], shape (m,).
+    """
+
+    def __init__(self, targets: np.ndarray, cost: np.ndarray) -> None:
+        super().__init__(cost=np.repeat(cost, 3))
+        self.targets = targets
+
+    def compute_error(self, configuration: Any) -> np.ndarray:
+        """Return point minus target [m], shape (3 m,)."""
+        return (configuration.points - self.targets).ravel()
+
+    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+        """Return the derivative of the points, world axes, shape (3 m, nv)."""
+        return configuration.point_jacobian()
+
+
+class WristTask(mink.Task):
+    """The wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
+
+    Args:
+        target: Target of the wrist frame.
+        position_cost: Weight of the translational error [cost]/[m].
+        orientation_cost: Weight of the rotational error [cost]/[rad].
+    """
+
+    def __init__(self, target: pin.SE3, position_cost: float, orientation_cost: float) -> None:
+        super().__init__(cost=np.repeat([position_cost, orientation_cost], 3))
+        self.target = target
+
+    def compute_error(self, configuration: Any) -> np.ndarray:
+        """Return minus the twist from the wrist to its target, shape (6,)."""
+        return -pin.log6(configuration.wrist.actInv(self.target)).vector
+
+    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+        """Return the derivative of the error, shape (6, nv)."""
+        return configuration.wrist_jacobian(pin.Jlog6(self.target.actInv(configuration.wrist)))
+
+
+class PostureTask(mink.Task):
+    """All joints to a posture: the null-space term of eq. (8), and costs of speed.
+
+    Args:
+        hand: The hand.
+        cost: Weight of every joint's error [cost]/[rad].
+        posture: Joint positions to pull to, shape (n,).
+    """
+
+    def __init__(self, hand: Hand, cost: float, posture: np.ndarray) -> None:
+        super().__init__(cost=np.full(len(posture), cost))
+        self._indices, self._posture = hand.q_indices, posture
+        self._jacobian = np.eye(len(hand.active_columns))[hand.joint_columns]
+
+    def compute_error(self, configuration: Any) -> np.ndarray:
+        """Return joint position minus posture [rad or m], shape (n,)."""
+        return configuration.q[self._indices] - self._posture
+
+    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+        """Return the selection of the joints, shape (n, nv)."""
+        return self._jacobian
+
+
+class DampingTask(mink.Task):
+    """Damping: zero displacement as a target.
+
+    It keeps the step short near singular postures, and shorter with larger errors.
+
+    Args:
+        nv: Number of velocity coordinates.
+        cost: Weight of every coordinate's displacement.
+        error_damping: Further squared cost of every coordinate, per weighted error and per weighted
+            norm of its Jacobian column, of the tasks in `of`.
+        of: Tasks whose errors and Jacobians count.
+        free_translations: Number of leading coordinates that translate, without this damping.
     """
 
     def __init__(
         self,
-        limits: BoxLimits,
-        previous_velocity: np.ndarray | None = None,
+        nv: int,
+        cost: float,
+        error_damping: float = 0.0,
+        of: Sequence[mink.Task] = (),
+        free_translations: int = 0,
     ) -> None:
-        self._limits = limits
-        self._velocity = np.zeros(limits.size) if previous_velocity is None else previous_velocity
+        super().__init__(cost=np.full(nv, cost))
+        self._error_damping, self._of = error_damping, of
+        self._turns = np.arange(nv) >= free_translations
 
-    def bounds(self, configuration: Configuration, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bound, shape (nv,) each."""
-        return self._limits.bounds(configuration.q, dt, self._velocity)
+    def compute_qp_residual(self, configuration: Any) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the diagonal weighted Jacobian and a zero error."""
+        errors = [task.cost * task.compute_error(configuration) for task in self._of]
+        levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]
+        error = math.sqrt(sum(e @ e for e in errors))
+        lever = np.sqrt(sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self.cost))))
+        squared_cost = self.cost**2 + self._error_damping * error * lever * self._turns
+        return np.diag(np.sqrt(squared_cost)), np.zeros(len(self.cost)), 0.0
 
-    def stopping(self, dt: float) -> float:
-        """Return the part of a displacement that the hand needs to stop behind it."""
-        return self._limits.stopping(self._velocity, dt)
+    def compute_error(self, configuration: Any) -> np.ndarray:
+        """Return zero, shape (nv,)."""
+        return np.zeros(len(self.cost))
 
-    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # ty: ignore[incompatible-method-override]
-        """Return the rows of the box at this configuration, upper bounds first."""
-        lower, upper = self.bounds(configuration, dt)
-        eye = np.eye(len(upper))
-        G, h = np.vstack([eye, -eye]), np.concatenate([upper, -lower])
+    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+        """Return the identity, shape (nv, nv)."""
+        return np.eye(len(self.cost))
+
+
+class RowsTask(mink.Task):
+    """A `Task` as a `mink.Task`: its rows, and its damping as further rows without an error.
+
+    Args:
+        task: The task.
+    """
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(cost=np.ones(1))
+        self._task = task
+
+    def compute_error(self, configuration: Any) -> np.ndarray:
+        """Return the task's weighted error, with zeros for its damping, shape (r + nv,)."""
+        residual = self._task.linearise(configuration).residual
+        return np.concatenate([residual, np.zeros(configuration.nv)])
+
+    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+        """Return its weighted Jacobian, with the rows of its damping, shape (r + nv, nv)."""
+        _, jacobian, damping = self._task.linearise(configuration)
+        roots = np.sqrt(np.broadcast_to(damping, (configuration.nv,)))
+        return np.vstack([jacobian, np.diag(roots)])
+
+
+class BoxLimit(mink.Limit):
+    """Bounds of the displacement as rows `[I; -I] dq <= [upper; -lower]`, without infinite ones.
+
+    Args:
+        lower: Lower bound of the displacement, shape (nv,).
+        upper: Upper bound, shape (nv,).
+    """
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        self._lower, self._upper = lower, upper
+
+    def compute_qp_inequalities(self, configuration: Any, dt: float) -> mink.Constraint:
+        """Return the rows, upper bounds first."""
+        eye = np.eye(len(self._upper))
+        G, h = np.vstack([eye, -eye]), np.concatenate([self._upper, -self._lower])
         finite = np.isfinite(h)
         return mink.Constraint(G[finite], h[finite]) if finite.any() else mink.Constraint()
 
 
-class SelfCollisionLimit(mink.Limit):
-    """Self-collision avoidance as the rows of `CollisionLimit.feasible_rows`.
+class RowsLimit(mink.Limit):
+    """Rows `G dq <= h`: self-collision avoidance.
 
     Args:
-        collisions: The pairs to keep apart.
-        box: The limits of the same problem, with which the rows must be compatible.
+        rows: G, shape (r, nv), and h, shape (r,).
     """
 
-    def __init__(self, collisions: CollisionLimit, box: BoxLimit) -> None:
-        self._collisions = collisions
-        self._box = box
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
 
-    def compute_qp_inequalities(self, configuration: Configuration, dt: float) -> mink.Constraint:  # ty: ignore[incompatible-method-override]
-        """Return one row per pair."""
-        box, stopping = self._box.bounds(configuration, dt), self._box.stopping(dt)
-        rows = self._collisions.feasible_rows(configuration, *box, stopping=stopping)
-        return mink.Constraint(*rows)
-
-
-def make_limits(
-    hand: Hand, options: IkOptions, previous_velocity: np.ndarray | None = None
-) -> list[mink.Limit]:
-    """Return the limits of `handmap_qp.ik.qp.PointIk`.
-
-    Args:
-        hand: The hand.
-        options: Which limits hold.
-        previous_velocity: Of the last sample, shape (nv,), for acceleration limits; at rest if
-            omitted.
-
-    Returns:
-        The box, and the rows of self-collision avoidance if the options include it.
-    """
-    collisions = CollisionLimit(hand) if options.avoids_self_collision else None
-    limits = BoxLimits(
-        hand,
-        has_velocity_limits=options.has_velocity_limits,
-        max_acceleration=options.max_acceleration,
-        together=None if collisions is None else collisions.path.columns,
-    )
-    box = BoxLimit(limits, previous_velocity)
-    return [box] if collisions is None else [box, SelfCollisionLimit(collisions, box)]
+    def compute_qp_inequalities(self, configuration: Any, dt: float) -> mink.Constraint:
+        """Return the rows."""
+        return mink.Constraint(*self._rows)
 
 
 class _ActiveConfiguration:
@@ -120,18 +205,31 @@ class _ActiveConfiguration:
         return getattr(self._configuration, name)
 
 
+def make_limits(lower: np.ndarray, upper: np.ndarray, rows: Rows | None) -> list[mink.Limit]:
+    """Return the box, and the rows of self-collision avoidance if there are any."""
+    box = BoxLimit(lower, upper)
+    return [box] if rows is None else [box, RowsLimit(rows)]
+
+
+def make_tasks(hand: Hand, options: IkOptions, goal: Goal) -> list[mink.Task]:
+    """Return the tasks whose sum is the cost of one sample."""
+    followed: list[mink.Task] = [PointTask(goal.points, options.point_costs(hand))]
+    if goal.wrist is not None:
+        followed.append(WristTask(goal.wrist, *options.wrist_costs))
+    nv, free = len(hand.active_columns), 3 if hand.is_floating else 0
+    damping = DampingTask(nv, options.damping, options.error_damping, followed, free)
+    postures = [PostureTask(hand, *posture) for posture in goal.postures]
+    return [*followed, damping, *postures, *map(RowsTask, goal.tasks)]
+
+
 def build_problem(
     hand: Hand,
     options: IkOptions,
     configuration: Configuration,
-    point_targets: np.ndarray,
-    wrist_target: np.ndarray | None,
-    dt: float,
+    goal: Goal,
+    limits: Sequence[mink.Limit],
     *,
-    rest: np.ndarray | None = None,
-    tasks: Sequence[Task] = (),
     extra_tasks: Sequence[mink.Task] = (),
-    limits: Sequence[mink.Limit] | None = None,
 ) -> qpsolvers.Problem:
     """Return the QP of one iteration at a configuration.
 
@@ -139,49 +237,15 @@ def build_problem(
         hand: The hand.
         options: The weights.
         configuration: Of the hand, placed with Jacobians.
-        point_targets: Targets of the reference points [m], shape (m, 3).
-        wrist_target: Target of the wrist frame, shape (4, 4); None leaves it free.
-        dt: Time for the displacement [s].
-        rest: Joint positions that the rest term pulls to, shape (n,); the hand's if omitted.
-        tasks: Further terms of the cost, as of `PointIk.solve`.
+        goal: What the cost asks for.
+        limits: Limits of the displacement.
         extra_tasks: Further terms of the cost as tasks of mink.
-        limits: Limits instead of those of `make_limits`.
 
     Returns:
         The problem in dq, shape (nv,).
     """
-    own = make_tasks(hand, options, point_targets, wrist_target, rest=rest, tasks=tasks)
-    if limits is None:
-        limits = make_limits(hand, options)
-    # Our configuration has the attributes that build_ik and our tasks read of mink's, which is
-    # one of MuJoCo.
-    return mink.build_ik(
-        _ActiveConfiguration(configuration),  # ty: ignore[invalid-argument-type]
-        [*own, *extra_tasks],
-        dt,
-        damping=0.0,
-        limits=limits,
-    )
-
-
-def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:
-    """Return the minimiser, at the highest accuracy of the solver.
-
-    Args:
-        problem: The QP.
-        solver: Name of a solver that `qpsolvers` finds.
-
-    Returns:
-        Displacement, shape (nv,); None if the solver fails.
-
-    Raises:
-        InvalidOptionsError: If no such solver is installed.
-    """
-    if solver not in qpsolvers.available_solvers:
-        known = ", ".join(qpsolvers.available_solvers)
-        raise InvalidOptionsError(option="solver", expected=f"one of {known}", value=solver)
-    if solver not in qpsolvers.dense_solvers:
-        G = None if problem.G is None else csc_matrix(problem.G)
-        problem = qpsolvers.Problem(csc_matrix(problem.P), problem.q, G, problem.h)
-    solution = qpsolvers.solve_problem(problem, solver=solver, **EXACT.get(solver, {}))
-    return solution.x if solution.found else None
+    # Our configuration has the attributes that build_ik and our tasks read of mink's, which is one
+    # of MuJoCo. The limits are of displacements, so the time has no meaning.
+    active: Any = _ActiveConfiguration(configuration)
+    tasks = [*make_tasks(hand, options, goal), *extra_tasks]
+    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=limits)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
+import numpy as np
+
+from handmap_qp.hands.hand import Hand
 from handmap_qp.options import Options, number, text
 
 LENGTH_UNIT = 0.01
@@ -60,6 +63,13 @@ class IkOptions(Options, frozen=True):
             "sample; likewise."
         ),
     ] = 0.0
+    formulation: Annotated[
+        Literal["direct", "mink"],
+        text(
+            "How the QP is posed. `direct`: by this package, with a box of bounds. `mink`: by "
+            "`mink.build_ik`, solved by `qpsolvers`; the same answers in more time."
+        ),
+    ] = "direct"
     solver: Annotated[str, text("`daqp`, `proxqp`, or any other that `qpsolvers` finds.")] = "daqp"
     max_iterations: Annotated[int, text("Linearisations per sample, at most.", ge=1)] = 3
     step_tolerance: Annotated[
@@ -87,3 +97,19 @@ class IkOptions(Options, frozen=True):
         bool,
         text("Whether the pairs of links that the hand's `collision` names are kept apart."),
     ] = False
+    tasks: Annotated[
+        tuple[str, ...],
+        text("Further terms of the cost by name, of other packages (`handmap_qp.tasks`)."),
+    ] = ()
+
+    def point_costs(self, hand: Hand) -> np.ndarray:
+        """Return the cost of every reference point's error [cost]/[m], shape (m,)."""
+        return self.point_weight / LENGTH_UNIT * np.sqrt(hand.point_weights)
+
+    @property
+    def wrist_costs(self) -> tuple[float, float]:
+        """Costs of the wrist's position [cost]/[m] and orientation [cost]/[rad]."""
+        return (
+            self.wrist_position_weight / LENGTH_UNIT,
+            self.wrist_orientation_weight / ANGLE_UNIT,
+        )

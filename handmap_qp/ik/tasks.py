@@ -9,23 +9,29 @@ Give tasks of your own to `HandMapper(..., tasks=[...])`:
             return TaskRows(np.array([100.0 * height]), 100.0 * hand.point_jacobian()[2:3])
 
 Lengths count in units of 10 mm (`LENGTH_UNIT`), so a weight of 100 per metre is that of a reference
-point. `handmap_qp.ik.mink_tasks.as_mink_task` makes the same task one of mink's.
+point.
+
+Other packages add tasks by entry points of the group `handmap_qp.tasks`, each of which names a
+function from a hand to a task; `IkOptions.tasks` takes them by name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.configuration import CROSS, Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import homogeneous, moved_by
+from handmap_qp.hands.placements import moved_by
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.se3 import as_floats, lengths
+from handmap_qp.plugins import Plugins
+from handmap_qp.se3 import as_floats
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""
@@ -58,6 +64,44 @@ class Task(Protocol):
         ...
 
 
+class Goal(NamedTuple):
+    """What the cost of one sample asks for.
+
+    Attributes:
+        points: Targets of the reference points in the world [m], shape (m, 3).
+        wrist: Target of the wrist frame; None leaves it free.
+        postures: Weights, each with the joint positions that it pulls to, shape (n,), in the order
+            of `Hand.joint_names` [rad or m].
+        tasks: Further terms.
+    """
+
+    points: np.ndarray
+    wrist: pin.SE3 | None
+    postures: Sequence[tuple[float, np.ndarray]]
+    tasks: Sequence[Task]
+
+
+def _check_maker(maker: Callable[[Hand], Task]) -> None:
+    if not callable(maker):
+        raise TypeError("expected a function from a hand to a task")
+
+
+TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins("handmap_qp.tasks", dict, _check_maker)
+"""Tasks of other packages by name: functions from a hand to its task."""
+
+
+def tasks_named(names: Sequence[str], hand: Hand) -> list[Task]:
+    """Make tasks of other packages for a hand.
+
+    Raises:
+        InvalidOptionsError: If there is no such task.
+    """
+    if unknown := [name for name in names if name not in TASKS]:
+        known = ", ".join(TASKS) or "none, because no installed package has any"
+        raise InvalidOptionsError(option="tasks", expected=known, value=unknown[0])
+    return [TASKS[name](hand) for name in names]
+
+
 class AttachedPoints:
     """Points that are fixed to links of a hand, with their derivatives.
 
@@ -68,13 +112,9 @@ class AttachedPoints:
     """
 
     def __init__(self, hand: Hand, places: Sequence[tuple[int, np.ndarray]]) -> None:
-        self._joints = np.array([joint for joint, _ in places], dtype=int)
-        offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
-        self._offsets = homogeneous(offsets)
-        moved = moved_by(hand.model, self._joints.tolist())
-        # A factor for every element: numpy takes twice as long to spread one over three rows.
-        self._moved = np.repeat(moved.reshape(-1, 1, hand.model.nv), 3, axis=1)
-        self._rows = np.tile(np.eye(3, 6), (len(self._joints), 1, 1))
+        self._joints = [joint for joint, _ in places]
+        self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
+        self._moved = moved_by(hand.model, self._joints)[:, None]
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
@@ -91,21 +131,16 @@ class AttachedPoints:
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
-        count = len(positions)
+        linear, angular = hand.joint_jacobian().reshape(2, 3, -1)
         # [I, -[p]x] takes the spatial velocity at the world's origin to the point p.
-        rows = self._rows.copy()
-        rows[:, :, 3:] = positions.dot(CROSS).reshape(count, 3, 3)
-        moving = rows.reshape(3 * count, 6).dot(hand.joint_jacobian()).reshape(count, 3, -1)
-        moving *= self._moved
-        if hand.expansion is None:
-            return moving
-        return hand.contracted(moving.reshape(3 * count, -1)).reshape(count, 3, -1)
+        turning = positions.dot(CROSS).reshape(-1, 3).dot(angular).reshape(len(self), 3, -1)
+        return hand.contracted((linear + turning) * self._moved)
 
     def taken(self, indices: np.ndarray) -> AttachedPoints:
         """Return some of the points, in the order of their indices."""
-        points = object.__new__(AttachedPoints)
-        points._joints, points._offsets = self._joints[indices], self._offsets[indices]
-        points._moved, points._rows = self._moved[indices], self._rows[indices]
+        points = copy(self)
+        points._joints = [self._joints[i] for i in indices]
+        points._offsets, points._moved = self._offsets[indices], self._moved[indices]
         return points
 
 
@@ -124,8 +159,6 @@ class PointDistances:
         InvalidInputError: On wrong shapes, numbers that are not finite, or negative ones.
     """
 
-    __slots__ = ("_damping", "_distances", "_ends", "_weights")
-
     def __init__(
         self,
         points: AttachedPoints,
@@ -142,9 +175,9 @@ class PointDistances:
                 argument="pairs", expected=f"two different points below {len(points)}", value=pairs
             )
         # The first points of all pairs, then the second ones.
-        self._ends = points.taken(indices.T.reshape(-1))
+        self._ends = points.taken(indices.T.ravel())
         self._distances = _check_numbers(distances, len(indices), "distances")
-        self._weights = _check_numbers(weights, len(indices), "weights") / LENGTH_UNIT
+        self._weights = _check_numbers(weights, len(indices), "weights")
         self._damping = _check_numbers(damping, len(indices), "damping")
 
     def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
@@ -154,31 +187,25 @@ class PointDistances:
             distances: Wanted distance of each pair [m], shape (p,).
             weights: Weight of each pair per 10 mm of error, shape (p,).
         """
-        task = object.__new__(PointDistances)
-        task._ends, task._damping = self._ends, self._damping
-        task._distances, task._weights = distances, weights / LENGTH_UNIT
+        task = copy(self)
+        task._distances, task._weights = distances, weights
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a pair; see `Task.linearise`."""
         count, positions = len(self._weights), self._ends.positions(hand)
         offsets = positions[:count] - positions[count:]
-        apart = lengths(offsets)
-        if apart.min(initial=np.inf) <= _SHORTEST:
-            # Points in one place have no direction: any will do to part them.
-            offsets[apart <= _SHORTEST] = _UP
+        apart = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
+        # Points in one place have no direction: any will do to part them.
+        offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
         jacobians = self._ends.jacobians(hand, positions)
-        levers = jacobians[:count] - jacobians[count:]
-        weights = self._weights
+        levers, weights = jacobians[:count] - jacobians[count:], self._weights / LENGTH_UNIT
         directions = (weights / np.maximum(apart, _SHORTEST))[:, None] * offsets
         rows = np.matmul(directions[:, None], levers)[:, 0]
         residual = weights * (apart - self._distances)
         # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
         return TaskRows(residual, rows, (self._damping * weights * np.abs(residual)).dot(columns))
-
-
-_UP = np.array([0.0, 0.0, _SHORTEST])
 
 
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:

@@ -25,7 +25,6 @@ from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.landmarks import landmarks_at_rest
-from handmap_qp.ik.costs import point_costs
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
@@ -196,7 +195,7 @@ class HandPair:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
         targets = transform_points(_palm_at_rest(self._given_robot), in_palm)
-        costs = point_costs(robot, IkOptions())
+        costs = IkOptions().point_costs(robot)
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
     def _first_guess(self) -> np.ndarray:

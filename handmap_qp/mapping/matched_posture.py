@@ -17,7 +17,7 @@ import numpy as np
 from handmap_qp.hands.configuration import CROSS
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.placements import moved_by
-from handmap_qp.ik.solvers import make_solver
+from handmap_qp.ik.solvers import solve_by_daqp
 
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-6  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
@@ -47,11 +47,10 @@ def nearest_posture(
     distance = _Distance(hand, targets, costs, rest_cost)
     free = distance.free
     lower, upper = hand.lower_limits[free], hand.upper_limits[free]
-    solver = make_solver("daqp", len(free))
     x = np.clip(start[free], lower, upper)
     here = distance.at(x)
     for _ in range(_MOST_STEPS):
-        step = solver.solve(_convex(here.hessian), here.gradient, lower - x, upper - x, None)
+        step = solve_by_daqp(_convex(here.hessian), here.gradient, lower - x, upper - x)
         if step is None:
             break
         slope, share = float(step @ here.gradient), 1.0

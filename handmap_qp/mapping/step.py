@@ -156,13 +156,9 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         the robot is on its way back to the human after a hold. Otherwise the outcome of the inverse
         kinematics (`IkResult.status`), so `converged` means that the sample made sense too.
         """
-        return self.named(self.ik.status)
-
-    def named(self, outcome: Status) -> StepStatus:
-        """Return the `status`, given that of the inverse kinematics."""
-        if self.ik.end != "released":
-            return "gliding" if self.is_gliding else outcome
-        return "held" if self.is_held else "released"
+        if self.ik.status == "released":
+            return "held" if self.is_held else "released"
+        return "gliding" if self.is_gliding else self.ik.status
 
     @property
     def iterations(self) -> int:

@@ -12,7 +12,7 @@ import pinocchio as pin
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import homogeneous, placement_views
+from handmap_qp.hands.placements import Placements
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
 from handmap_qp.se3 import lengths
 
@@ -185,7 +185,7 @@ class _NearestPairs:
         for shape in shapes:
             shape.geometry.computeLocalAABB()
         centres = np.array([shape.geometry.aabb_center for shape in shapes])
-        self._centres = homogeneous(centres.reshape(-1, 3))
+        self._centres = centres.reshape(-1, 3)
         radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         pairs = geometry.collisionPairs
         self._first = np.array([pair.first for pair in pairs], dtype=int)
@@ -201,7 +201,7 @@ class _NearestPairs:
 
     def _renew(self) -> None:
         self._data = self._geometry.createData()
-        self._placed = placement_views(self._data.oMg)
+        self._placed = Placements(self._data.oMg)
         self._bounds = np.zeros(len(self._radii))
 
     def place(self, data: pin.Data) -> None:

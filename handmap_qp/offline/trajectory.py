@@ -18,7 +18,6 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import RULES, Verdict
-from handmap_qp.ik.qp import IkColumns
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
@@ -266,12 +265,11 @@ def trajectory_of(
     at_limit = robot.at_position_limit(q)
     targets = np.array([step.targets for step in steps])
     points = np.array([step.points for step in steps])
-    results = [step.ik for step in steps]
-    outcome = IkColumns.of(results)
-    at_bound = (outcome.active[:, results[0].joint_columns] != 0) & ~is_held[:, None]
+    active = np.array([step.ik.active for step in steps])
+    at_bound = (active[:, steps[0].ik.joint_columns] != 0) & ~is_held[:, None]
     status = [
-        "held" if verdict.is_held else step.named(status)
-        for step, verdict, status in zip(steps, verdicts, outcome.status, strict=True)
+        "held" if verdict.is_held else step.status
+        for step, verdict in zip(steps, verdicts, strict=True)
     ]
     return Trajectory(
         robot=robot,

@@ -378,7 +378,7 @@ class Session:
 
     def _stay(self, step: MapStep) -> None:
         """Bring a robot that is not led to a stop, as the mapper did if it leads the robot."""
-        if self._mapper_state is MapperState.ALIGNED and step.ik.end == "released":
+        if self._mapper_state is MapperState.ALIGNED and step.ik.status == "released":
             self._commanded.motion = self._hands.mapper.motion
         else:
             self._commanded.brake(self._dt)

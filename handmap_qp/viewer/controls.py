@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 NOTHING, KEPT = "nothing", "kept options"
 """Entries of the list of methods to compare with, besides the methods."""
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
-LEFT_OUT = ("solver", "step_tolerance", "point_tolerance")
-"""Options without a control: they have no visible effect."""
+LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
+"""Options without a control: tolerances, and names of tasks."""
 _GIVEN = "as given"
 # Largest value of a slider without a bound, in units of its default; and where that is 0 or none.
 _SPAN, _UNKNOWN, _OPTIONAL = 4.0, 20.0, 200.0

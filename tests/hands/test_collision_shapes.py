@@ -186,4 +186,4 @@ def test_a_description_elsewhere_avoids_self_collision(
     hand = Hand(msgspec.structs.replace(spec, collision=CollisionSpec(pairs=((first, last),))))
     ik = PointIk(hand, IkOptions(avoids_self_collision=True))
     ik.place(hand.configuration_vector(hand.rest))
-    assert ik.solve(hand.points(hand.rest), None, 0.01).end == "solved"
+    assert ik.solve(hand.points(hand.rest), None, 0.01).status != "failed"

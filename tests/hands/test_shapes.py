@@ -23,7 +23,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.hands.placements import homogeneous, moved_by, placement_views
+from handmap_qp.hands.placements import Placements, moved_by
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, named_pairs
 from handmap_qp.hands.spec import PalmSpec, WristSpec
 
@@ -223,25 +223,20 @@ def test_named_pairs_are_those_of_the_description() -> None:
     assert set(named_pairs(robot).links) == set(robot.spec.collision.pairs)
 
 
-def test_views_follow_every_placement() -> None:
+def test_placements_follow_every_placing() -> None:
     robot, rng = hand("hey5"), np.random.default_rng(1)
     data = robot.model.createData()
-    views = placement_views(data.oMi)
-    rotations, translations, _ = views
+    placements = Placements(data.oMi)
     offsets = rng.normal(size=(robot.model.njoints, 3))
     for _ in range(3):
         q = rng.uniform(robot.lower_limits, robot.upper_limits)
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
-        for i in range(robot.model.njoints):
-            np.testing.assert_array_equal(rotations[i], data.oMi[i].rotation)
-            np.testing.assert_array_equal(translations[i], data.oMi[i].translation)
+        origins = [pose.translation for pose in data.oMi]
+        np.testing.assert_array_equal(placements.translations, origins)
         placed = [pose.act(offset) for pose, offset in zip(data.oMi, offsets, strict=True)]
-        np.testing.assert_allclose(views.points(homogeneous(offsets)), placed, atol=1e-15)
-        some = views.points(homogeneous(offsets[:2]), np.array([5, 0]))
+        np.testing.assert_allclose(placements.points(offsets), placed, atol=1e-15)
         expected = [data.oMi[5].act(offsets[0]), data.oMi[0].act(offsets[1])]
-        np.testing.assert_allclose(some, expected, atol=1e-15)
-    for view in views:
-        assert not view.flags.writeable
+        np.testing.assert_allclose(placements.points(offsets[:2], [5, 0]), expected, atol=1e-15)
 
 
 def test_moved_by_marks_the_columns_that_change_a_placement() -> None:

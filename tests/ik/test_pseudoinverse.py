@@ -16,8 +16,9 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
-from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.solvers import DaqpSolver
+from handmap_qp.ik.qp import PointIk, weighted_task
+from handmap_qp.ik.solvers import solve_by_daqp
+from handmap_qp.ik.tasks import Goal
 
 PLAIN = IkOptions(error_damping=0.0, has_velocity_limits=False, max_iterations=1)
 # Below this singular value of the weighted task a direction counts as lost: eq. (8) takes steps of
@@ -29,7 +30,11 @@ def smallest_singular_value(hand: Hand, case: Case) -> float:
     """Return the smallest non-zero singular value of the weighted task."""
     ik = PseudoinverseIk(hand, PLAIN)
     ik.place(case.q)
-    s = np.linalg.svd(ik._weighted_task(case.point_targets, case.wrist_target)[0], compute_uv=False)
+    wrist = None if case.wrist_target is None else pin.SE3(case.wrist_target)
+    A, _ = weighted_task(hand, PLAIN, ik.configuration, case.point_targets, wrist)
+    regularisation = np.full(A.shape[1], PLAIN.damping**2)
+    regularisation[hand.joint_columns] += PLAIN.rest_weight**2
+    s = np.linalg.svd(A / np.sqrt(regularisation), compute_uv=False)
     return float(s[s > 1e-8 * s[0]].min())
 
 
@@ -40,10 +45,17 @@ def well_conditioned_cases(hand: Hand, count: int, seed: int) -> list[Case]:
     return list(islice(good, count))
 
 
+def goal_of(hand: Hand, case: Case, rest: np.ndarray | None = None) -> Goal:
+    """Return the targets of a case, with another rest posture than the hand's if given."""
+    wrist = None if case.wrist_target is None else pin.SE3(case.wrist_target)
+    posture = hand.rest if rest is None else rest
+    return Goal(case.point_targets, wrist, [(PLAIN.rest_weight, posture)], ())
+
+
 def eq_8(hand: Hand, case: Case, options: IkOptions = PLAIN, damping: float = 0.0) -> np.ndarray:
     ik = PseudoinverseIk(hand, options, damping=damping)
     ik.place(case.q)
-    return ik.step(case.point_targets, case.wrist_target)
+    return ik.step(goal_of(hand, case))
 
 
 def slack_qp(hand: Hand, case: Case, options: IkOptions) -> np.ndarray:
@@ -52,7 +64,7 @@ def slack_qp(hand: Hand, case: Case, options: IkOptions) -> np.ndarray:
     ik.place(case.q)
     H, c, lower, _ = ik.problem(case.point_targets, case.wrist_target, case.dt)
     wide = np.full(len(lower), 1e4)
-    dq = DaqpSolver(len(c)).solve(H, c, -wide, wide)
+    dq = solve_by_daqp(H, c, -wide, wide)
     assert dq is not None
     return dq
 
@@ -102,9 +114,8 @@ def test_null_space_motion_does_not_move_the_points(which: tuple[str, str, str |
         ik = PseudoinverseIk(hand, PLAIN)
         ik.place(case.q)
         # Two rest postures differ by null-space motion alone.
-        there = np.array(ik.step(case.point_targets, case.wrist_target))
-        ik.hand = _with_rest(hand, other)
-        null = ik.step(case.point_targets, case.wrist_target) - there
+        there = ik.step(goal_of(hand, case))
+        null = ik.step(goal_of(hand, case, other)) - there
         J = ik.configuration.point_jacobian()
         np.testing.assert_allclose(J @ null, 0.0, atol=1e-9)
         if case.wrist_target is not None:
@@ -176,7 +187,7 @@ def test_clipping_costs_more_than_the_qp(damping: float) -> None:
         ik = PointIk(hand, options)
         ik.place(case.q)
         H, c, lower, upper = ik.problem(case.point_targets, case.wrist_target, case.dt)
-        best = DaqpSolver(len(c)).solve(H, c, lower, upper)
+        best = solve_by_daqp(H, c, lower, upper)
         assert best is not None
         clipped = np.clip(eq_8(hand, case, options, damping), lower, upper)
         costs = [0.5 * x @ H @ x + c @ x for x in (best, clipped)]

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
-
 import coal
 import numpy as np
 import pinocchio as pin
@@ -17,7 +13,6 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec, PalmSpec, WristSpec
-from handmap_qp.ik.clear_path import ClearPath
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.distances import ShapeDistances
 from handmap_qp.ik.qp import PointIk
@@ -74,12 +69,12 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
             continue
         step = 10.0 ** rng.uniform(-2, 0.3) * rng.normal(size=len(hand.active_columns))
         configuration.place_with_jacobians(start)
-        before = limit.measure(configuration)
+        before = limit.measure(start)
         end = start + (step if hand.expansion is None else hand.expansion.matrix @ step)
         configuration.place_frames(end)
-        reached = (configuration, None, np.inf, before, step)
-        after = limit.measure_end(*reached) if rng.integers(2) else None
-        is_clear = limit.path.is_clear(start, before, step, after)
+        is_known = bool(rng.integers(2))
+        after = limit.measure(end, before=before, after_step=True) if is_known else None
+        is_clear = limit.is_clear(before, step, after)
         nearest = min(case.nearest_between(start, end), case.nearest(end))
         found[is_clear] += 1
         if is_clear:
@@ -98,8 +93,8 @@ def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
     for i in range(500):
         if i % 25 == 0:
             most = ACCELERATIONS[rng.integers(len(ACCELERATIONS))]
-            options = replace(
-                options, max_acceleration=most, max_iterations=int(rng.integers(1, 5))
+            options = options.replaced(
+                max_acceleration=most, max_iterations=int(rng.integers(1, 5))
             )
             ik, rested = ik.with_options(options), bool(rng.integers(2))
             if rested:
@@ -165,7 +160,7 @@ def test_an_acceleration_limit_while_moving_does_not_lead_to_an_overlap(case: Ca
         targets = np.tile(elsewhere.points.mean(axis=0), (len(elsewhere.points), 1))
         for i in range(12):
             if i == 3:
-                ik = ik.with_options(replace(free, max_acceleration=5.0))
+                ik = ik.with_options(free.replaced(max_acceleration=5.0))
             before = ik.configuration.q.copy()
             ik.solve(targets, None, 1.0 / 60.0)
             after = ik.configuration.q
@@ -205,17 +200,6 @@ def test_a_floating_hand_is_guarded_alike(case: Case) -> None:
     assert nearest > -TOLERANCE
 
 
-class Fixed:
-    """A solver of the QP whose answer is given."""
-
-    def __init__(self, step: np.ndarray) -> None:
-        self.step = step
-
-    def solve(self, *_: object) -> np.ndarray:
-        """Return the step."""
-        return self.step
-
-
 def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
     case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -231,7 +215,7 @@ def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
             continue
         found += 1
         ik.place(start)
-        monkeypatch.setattr(ik, "_solver", Fixed(step))
+        monkeypatch.setattr(ik, "_solver", lambda *_, step=step: step)
         ik.solve(ik.configuration.points.copy(), None, dt)
         end = ik.configuration.q
         assert min(case.nearest(end), case.nearest_between(start, end)) > -TOLERANCE
@@ -355,7 +339,6 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     length, radius, angle, gap = 0.1, 0.01, 0.3, 2e-3
     model, geometry = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "pivot")
-    model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "another")
     inertia = pin.Inertia.FromSphere(1.0, radius)
     model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
     height = -length * np.cos(angle) - radius - gap
@@ -367,16 +350,11 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
         geometry.addGeometryObject(pin.GeometryObject(f"shape {i}", parent, placement, shape))
     geometry.addCollisionPair(pin.CollisionPair(0, 1))
     distances = ShapeDistances(model, geometry)
-    hand: Any = SimpleNamespace(model=model, expansion=None)
-    path, start = ClearPath(hand, distances), np.array([-angle, 0.0])
-    data = model.createData()
-    pin.forwardKinematics(model, data, start)
-    placed: Any = SimpleNamespace(q=start, data=data)
-    near = distances.measure(placed, np.inf)
-    assert near.distances[0] == pytest.approx(gap, abs=1e-6)
-    assert not path.is_clear(start, near, np.array([2.0 * angle, 0.0]))
-    # A part that ends before the floor rises into the way is clear.
-    assert path.is_clear(start, near, np.array([0.02, 0.0]))
+    near = distances.measure(np.array([-angle]))
+    assert near.bounds[0] == pytest.approx(gap, abs=1e-6)
+    assert not distances.is_clear(near, np.array([2.0 * angle]))
+    # A part that ends before the floor rises into the path is clear.
+    assert distances.is_clear(near, np.array([0.02]))
 
 
 @pytest.mark.parametrize("half_turn", [0.1, 0.3, 0.7])
@@ -419,6 +397,6 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
         configuration.place_with_jacobians(hand.configuration_vector(np.array([angle, 0.0])))
         distances.append(limit.distances(configuration)[0])
     np.testing.assert_allclose(distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7)
-    start = limit.measure(configuration)
+    start = limit.measure(configuration.q)
     turn = 2.0 * half_turn * (hand.configuration_vector(np.array([1.0, 0.0])) == 1.0)
-    assert limit.path.is_clear(configuration.q, start, turn) == (share > 1.0)
+    assert limit.is_clear(start, turn) == (share > 1.0)

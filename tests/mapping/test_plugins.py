@@ -1,4 +1,4 @@
-"""A method, a layout and a format of another package, each in one file.
+"""A method, a task, a layout and a format of another package, each in one file.
 
 Python, command line, wire and view know their names without another change.
 """
@@ -20,7 +20,7 @@ from typing import Annotated
 
 import numpy as np
 
-from handmap_qp import IkOptions
+from handmap_qp import IkOptions, TaskRows
 from handmap_qp.mapping.method import MethodOptions, Preset, Targets
 from handmap_qp.options import number
 
@@ -61,6 +61,18 @@ class Map:
 
 PRESET = Preset(Follow(), IkOptions(), "the wrist alone", "fingers stay")
 BROKEN = Follow()
+
+
+class KeepTip:
+    \"\"\"Keeps the first point at a height.\"\"\"
+
+    def linearise(self, hand):
+        height = np.array([1000.0 * (hand.points[0, 2] - 0.02)])
+        return TaskRows(height, 1000.0 * hand.point_jacobian()[2:3])
+
+
+def keep_tip(hand):
+    return KeepTip()
 """
 LAYOUT = """
 from handmap_qp.hands.human import HUMAN_JOINTS
@@ -111,6 +123,8 @@ FORMAT = JsonFormat()
 ENTRY_POINTS = """[handmap_qp.presets]
 follow = added_method:PRESET
 broken = added_method:BROKEN
+[handmap_qp.tasks]
+keep-tip = added_method:keep_tip
 [handmap_qp.layouts]
 glove = added_layout:LAYOUT
 [handmap_qp.formats]
@@ -119,7 +133,7 @@ json = added_format:FORMAT
 PROGRAM = """
 import numpy as np
 import viser
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.viewer.controls import OptionControls
 from service_tools import make_session, Sampler
@@ -133,6 +147,10 @@ step = mapper.map_step(human.rest, pose, dt=1.0)
 np.testing.assert_allclose(step.diagnostics["shift"], [0.01, 0.0, 0.0])
 np.testing.assert_allclose(step.command.wrist[0, 3] - first.command.wrist[0, 3], 0.01, atol=1e-4)
 assert list(PRESETS)[-1] == "follow"
+height = lambda names: HandMapper(human, robot, "follow", ik=IkOptions(tasks=names)).map_step(
+    human.rest, np.eye(4), dt=1.0
+).points[0, 2]
+assert abs(height(())) > 0.03 > 0.025 > abs(height(("keep-tip",)))
 session, sample = make_session(preset="follow", options={"wrist_share": 0.25}), Sampler()
 session.step(sample(), 0.0)
 about = session.state(1, "", 0, 0.0).about
@@ -197,6 +215,8 @@ LINES = (
     ("layouts glove", 0, "A glove of ten joints"),
     ("layouts", 0, "glove"),
     ("map glove.npz --layout glove --robot three_finger --side right", 0, "wrote"),
+    (f"{MAP} --tasks keep-tip --formulation mink --solver osqp", 0, "wrote"),
+    (f"{MAP} --tasks juggle", 2, "tasks: expected keep-tip, got 'juggle'"),
 )
 COMMANDS = """
 import contextlib, io, json, sys

@@ -32,7 +32,6 @@ import qpsolvers
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.ik.costs import point_costs, wrist_costs
 from handmap_qp.ik.options import IkOptions
 
 SHRINK = 7e-7
@@ -88,10 +87,10 @@ class MujocoIk:
         )
         self._points = [
             mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0)
-            for point, cost in zip(hand.reference_points, point_costs(hand, options), strict=True)
+            for point, cost in zip(hand.reference_points, options.point_costs(hand), strict=True)
         ]
         self._wrist = mink.FrameTask(
-            hand.spec.wrist.link, "body", *wrist_costs(options), gain=shrink
+            hand.spec.wrist.link, "body", *options.wrist_costs, gain=shrink
         )
         is_active = np.array([name in hand.joint_names for name in names])
         rest_cost = np.zeros(self.model.nv)
