@@ -371,34 +371,30 @@ class Hand:
         model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links; Pinocchio does not add a frame whose
         # name and kind exist already, so points carry their number too.
-        self.palm_frame_id = add_frame(
-            model, spec, "/palm", spec.palm.link, palm_in_link(spec), "palm.link"
-        )
-        self.wrist_frame_id = add_frame(
-            model, spec, "/wrist", spec.wrist.link, np.eye(4), "wrist.link"
-        )
+        palm, wrist = spec.palm.link, spec.wrist.link
+        self.palm_frame_id = add_frame(model, spec, "/palm", palm, palm_in_link(spec), "palm.link")
+        self.wrist_frame_id = add_frame(model, spec, "/wrist", wrist, np.eye(4), "wrist.link")
         check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
         self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
-        palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
-        self.wrist_to_palm = _frozen(palm.homogeneous)
+        to_palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
+        self.wrist_to_palm = _frozen(to_palm.homogeneous)
+
+    def _take_points(self, points: tuple[PointSpec, ...]) -> None:
+        """Use reference points: they are the last frames of a model of their own."""
+        self.model = model = pin.Model(self._pointless_model)
+        self.first_point_frame = len(model.frames)
+        for i, point in enumerate(points):
+            placement = affine(np.eye(3), np.array(point.xyz))
+            name, key = f"/{i}/{point.name}", f"points[{i}].link"
+            add_frame(model, self.spec, name, point.link, placement, key)
         # By kind: in many URDFs a joint has the name of its link.
         joints, self._links = (
             {frame.name: i for i, frame in enumerate(model.frames) if frame.type == kind}
             for kind in (pin.FrameType.JOINT, pin.FrameType.BODY)
         )
-        own = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
-        self._named_frames = {**joints, **self._links}, own
-
-    def _take_points(self, points: tuple[PointSpec, ...]) -> None:
-        """Use reference points: they are the last frames of a model of their own."""
-        self.model = model = pin.Model(self._pointless_model)
-        self.first_point_frame, ids = len(model.frames), dict[str, int]()
-        for i, point in enumerate(points):
-            placement = affine(np.eye(3), np.array(point.xyz))
-            name, key = f"/{i}/{point.name}", f"points[{i}].link"
-            ids[point.name] = add_frame(model, self.spec, name, point.link, placement, key)
-        others, own = self._named_frames
-        self._frame_ids = {**others, **ids, **own}
+        own = {point.name: self.first_point_frame + i for i, point in enumerate(points)}
+        own |= {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
+        self._frame_ids = {**joints, **self._links, **own}
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
         self.__dict__.pop("_placed_model", None)

@@ -82,18 +82,10 @@ def _check_joints(spec: HandSpec, model: pin.Model, followers: Collection[str]) 
 def add_frame(
     model: pin.Model, spec: HandSpec, name: str, link: str, placement: np.ndarray, key: str
 ) -> int:
-    """Add a frame that is fixed to a link, and return its index.
-
-    Args:
-        model: The model, changed in place.
-        spec: The hand.
-        name: Name of the frame, which no other frame of the model has.
-        link: URDF link that carries it.
-        placement: Its pose in the link, shape (4, 4).
-        key: Key of the spec that names the link.
+    """Add a frame with a name of its own and a placement (4, 4) on a link; return its index.
 
     Raises:
-        HandError: If there is no such link.
+        HandError: If there is no such link, with the key of the spec that names it.
     """
     # By kind as well as by name: in many URDFs a joint has the name of its link.
     if not model.existFrame(link, pin.FrameType.BODY):

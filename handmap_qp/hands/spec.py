@@ -278,24 +278,13 @@ class HandSpec(_HandFields, frozen=True):
         """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
 
-    def located(self, error: HandError, key: str = "urdf") -> HandError:
-        """Return an error about this hand's URDF with the file of this spec.
-
-        Args:
-            error: An error that may name a key.
-            key: The key that it gets if it names none.
-        """
-        return self.error(error.problem, key=error.key or key, value=error.value)
+    def located(self, error: HandError) -> HandError:
+        """Return an error about this hand's URDF with the file of this spec."""
+        return self.error(error.problem, key=error.key or "urdf", value=error.value)
 
 
 def read_hand_spec(path: Path) -> HandSpec:
-    """Read and check a `hand.yaml`.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The spec, its `directory` set to the file's.
+    """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.
 
     Raises:
         HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
@@ -322,13 +311,7 @@ def check_side(side: Any) -> None:
 
 
 def check_point(point: PointSpec) -> PointSpec:
-    """Check a point that is not part of a spec.
-
-    Args:
-        point: The point.
-
-    Returns:
-        The point, its numbers as floats.
+    """Check a point that is not part of a spec; return it with its numbers as floats.
 
     Raises:
         HandError: With the key and the value at fault.

@@ -38,16 +38,10 @@ _PREFIX = re.compile(r"</?([A-Za-z_][\w.-]*):[\w.-]+|\s([A-Za-z_][\w.-]*):[\w.-]
 
 
 def parse_urdf(text: str) -> ET.Element:
-    """Parse a URDF.
+    """Parse a URDF without XML declaration, and return the `<robot>` element.
 
     Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix;
     such prefixes are declared first.
-
-    Args:
-        text: The URDF, without XML declaration.
-
-    Returns:
-        The `<robot>` element.
 
     Raises:
         HandError: If the text is not XML, is xacro, or its root is another element.
@@ -546,18 +540,11 @@ def mirrored_urdf(text: str) -> str:
     The coordinates of every link are mirrored as well: a point `(x, y, z)` of a link becomes `(-x,
     y, z)`. Names, limits and the meaning of q stay, and the same q gives the mirrored posture:
     with `M = diag(-1, 1, 1)`, the axis `a` of a prismatic joint becomes `M a`, and that of a
-    turning joint, a pseudovector, `-M a`.
-
-    Args:
-        text: URDF of boxes, cylinders, spheres and capsules, with revolute, continuous, prismatic
-            and fixed joints.
-
-    Returns:
-        The mirrored URDF, without comments.
+    turning joint, a pseudovector, `-M a`. Comments are lost.
 
     Raises:
         HandError: If the text is not a URDF, or holds a mesh (its file cannot be mirrored here) or
-            another type of joint.
+            a joint that is neither fixed nor has one coordinate.
     """
     robot = parse_urdf(text)
     for shape in robot.iterfind(".//geometry/*"):
@@ -591,12 +578,7 @@ def compose_urdf(
     """Compose the URDF that a hand's model is built from.
 
     The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
-    it; mount it on the arm; mirror all of it.
-
-    Args:
-        spec: The hand.
-        text: Its URDF as in the file (or scaled).
-        arm_text: The URDF of its arm; needed where the spec has one.
+    it; mount it on the arm, if the spec has one; mirror all of it.
 
     Returns:
         The `<robot>` element, and the position of every joint that was made a fixed one [rad or
