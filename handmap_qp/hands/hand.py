@@ -9,7 +9,6 @@ file knows both orders.
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
@@ -25,7 +24,6 @@ from handmap_qp.hands.mimic import (
     Expansion,
     MimicRule,
     expansion_matrix,
-    read_mimic_rules,
     tighten_model,
 )
 from handmap_qp.hands.model import (
@@ -34,12 +32,12 @@ from handmap_qp.hands.model import (
     check_limits,
     check_wrist,
     choose_mount,
+    compose_urdf,
     palm_in_link,
     with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point, check_unique
-from handmap_qp.hands.urdf import compose_urdf
 from handmap_qp.transform import PoseLike, affine, as_floats, check_pose
 
 Points = str | Sequence[str | PointSpec]
@@ -120,12 +118,7 @@ class Hand:
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
-        robot, locked = compose_urdf(spec, file_text, arm_text)
-        self.urdf_text = ET.tostring(robot, encoding="unicode")
-        try:
-            rules = read_mimic_rules(robot)
-        except HandError as error:
-            raise spec.located(error) from error
+        self.urdf_text, locked, rules = compose_urdf(spec, file_text, arm_text)
         self.model = model = build_model(spec, self.urdf_text, self.mount, rules)
         self.notes = tighten_model(model, rules)
         for note in self.notes:
@@ -134,9 +127,12 @@ class Hand:
         self.lower_limits = _frozen(model.lowerPositionLimit[self.q_indices])
         self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
-        rest, matched = spec.all_rest, spec.all_matched
-        self.rest = _frozen([rest[name] for name in self.joint_names])
-        self.matched = None if matched is None else _frozen([matched[n] for n in self.joint_names])
+        # An arm is at rest in every posture of the description.
+        posture = spec.rest if spec.arm is None else spec.arm.rest | spec.rest
+        self.rest, self.matched = _frozen([posture[name] for name in self.joint_names]), None
+        if spec.matched is not None:
+            posture = posture | spec.matched
+            self.matched = _frozen([posture[name] for name in self.joint_names])
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()

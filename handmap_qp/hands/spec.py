@@ -245,18 +245,6 @@ class HandSpec(_HandFields, frozen=True):
         """Joints of arm and hand: the order of every `q`."""
         return self.joints if self.arm is None else (*self.arm.joints, *self.joints)
 
-    @property
-    def all_rest(self) -> dict[str, float]:
-        """Rest positions of arm and hand [rad or m]."""
-        return self.rest if self.arm is None else {**self.arm.rest, **self.rest}
-
-    @property
-    def all_matched(self) -> dict[str, float] | None:
-        """Positions of arm and hand in the matched posture [rad or m]; an arm is at rest."""
-        if self.arm is None or self.matched is None:
-            return self.matched
-        return {**self.arm.rest, **self.matched}
-
     def __post_init__(self) -> None:
         """Check everything that does not need the URDF, and copy what the caller may change.
 

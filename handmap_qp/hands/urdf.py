@@ -1,8 +1,7 @@
 """The URDF of a hand as a document: read, check, cut, edit, mount and mirror it.
 
-`compose_urdf` makes the URDF of a hand's model from the one in the file. All changes are made to
-the document, so that every reader of `Hand.urdf_text` (Pinocchio, MuJoCo, a picture) sees the same
-robot.
+All changes are made to the document, so that every reader of `Hand.urdf_text` (Pinocchio, MuJoCo, a
+picture) sees the same robot.
 """
 
 from __future__ import annotations
@@ -306,7 +305,7 @@ def _check_joint(joint: ET.Element) -> None:
                 raise HandError(f"the joint {name!r} has {fault}", value=text)
 
 
-def check_limits(robot: ET.Element) -> None:
+def check_has_limits(robot: ET.Element) -> None:
     """Reject joints without position limits; joints that mimic others need none.
 
     Raises:
@@ -570,41 +569,3 @@ def _mirror_axis(joint: ET.Element) -> None:
     elif kind != "fixed":
         message = f"a {kind or 'nameless'} joint cannot be mirrored"
         raise HandError(message, key=joint.get("name"), value=kind)
-
-
-def compose_urdf(
-    spec: HandSpec, text: str, arm_text: str | None = None
-) -> tuple[ET.Element, dict[str, float]]:
-    """Compose the URDF that a hand's model is built from.
-
-    The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
-    it; mount it on the arm, if the spec has one; mirror all of it.
-
-    Returns:
-        The `<robot>` element, and the position of every joint that was made a fixed one [rad or
-        m]: those that the spec locks, and the joints that mimic them.
-
-    Raises:
-        HandError: If the URDF is not a tree, the spec names links or joints that do not exist, a
-            joint is left without limits, or arm and hand have joints of the same name.
-    """
-    try:
-        robot = parse_urdf(text)
-        check_tree(robot)
-        locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
-        if spec.arm is not None and arm_text is not None:
-            arm, hand = parse_urdf(arm_text), robot
-            check_tree(arm)
-            for name in spec.arm.without:
-                if name not in link_names(arm):
-                    raise HandError(f"the arm has no link {name!r}", key="arm.without", value=name)
-            remove_subtrees(arm, spec.arm.without)
-            arm_locked = prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits)
-            robot, locked = arm, {**arm_locked, **locked}
-            mount_on_arm(arm, hand, spec.arm)
-        check_limits(robot)
-        if spec.mirror:
-            robot = parse_urdf(mirrored_urdf(ET.tostring(robot, encoding="unicode")))
-        return robot, locked
-    except HandError as error:
-        raise spec.located(error) from error
