@@ -252,7 +252,7 @@ class HandSpec(_HandFields, frozen=True):
             HandError: With the key and the value at fault.
         """
         values = {name: getattr(self, name) for name in self.__struct_fields__}
-        typed = _typed(values, _HandFields, None)
+        typed = _typed(values, _HandFields, self.file)
         for name in self.__struct_fields__:
             msgspec.structs.force_setattr(self, name, getattr(typed, name))
         for i, point in enumerate(self.points):
