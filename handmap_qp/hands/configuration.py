@@ -1,8 +1,7 @@
 """A hand in one posture: the workspace of everything that runs sample by sample.
 
-It holds Pinocchio's data, the reference points and their Jacobian. All memory is allocated once,
-that of Jacobians when the first one is asked for. It also offers what `mink.build_ik` reads from a
-configuration (`model.nv`, `nv`, `q`).
+It holds Pinocchio's data, the reference points and their Jacobian, and offers what `mink.build_ik`
+reads from a configuration (`model.nv`, `nv`, `q`).
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ CROSS = np.zeros((3, 9))
 CROSS[0, [5, 7]] = 1.0, -1.0
 CROSS[1, [2, 6]] = -1.0, 1.0
 CROSS[2, [1, 3]] = 1.0, -1.0
-_IDENTITY_6 = np.eye(6)
 _WRIST, _FIRST_POINT = 1, 2
 
 
@@ -92,10 +90,6 @@ class Configuration:
         joints = [self.model.frames[frame].parentJoint for frame in frames]
         counts = [3] * len(self.points) + [6]
         return frozen(np.repeat(moved_by(self.model, joints), counts, axis=0))
-
-    @cached_property
-    def _workspace(self) -> _JacobianWorkspace:
-        return _JacobianWorkspace(len(self.points), self.model.nv)
 
     @property
     def nv(self) -> int:
@@ -185,7 +179,7 @@ class Configuration:
         Raises:
             StaleJacobianError: If the model was placed without Jacobians.
         """
-        return (self.stacked_jacobian(_IDENTITY_6) * self.support)[:-6]
+        return (self.stacked_jacobian(np.eye(6)) * self.support)[:-6]
 
     def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
         """Body Jacobian of the wrist in the active coordinates.
@@ -220,35 +214,19 @@ class Configuration:
                 displacement, shape (6, 6).
 
         Returns:
-            Unmasked Jacobian, shape (3 m + 6, model.nv); an internal buffer, overwritten by the
-            next call.
+            Unmasked Jacobian, shape (3 m + 6, model.nv).
 
         Raises:
             StaleJacobianError: If the model was placed without Jacobians.
         """
-        if not self._has_jacobians:
-            raise StaleJacobianError
-        work = self._workspace
-        self.points.dot(CROSS, out=work.crosses)
-        work.angular[:] = work.crosses_3
-        error_jacobian.dot(self.wrist.toActionMatrixInverse(), out=work.wrist_rows)
-        return work.rows.dot(self.data.J, out=work.jacobian)
+        # The joint Jacobian is at the world's origin: [I, -[p]x] takes it to the point p.
+        rows = np.empty((3 * len(self.points) + 6, 6))
+        at_points = rows[:-6].reshape(-1, 3, 6)
+        at_points[:, :, :3] = np.eye(3)
+        at_points[:, :, 3:] = self.points.dot(CROSS).reshape(-1, 3, 3)
+        rows[-6:] = error_jacobian @ self.wrist.toActionMatrixInverse()
+        return rows @ self.joint_jacobian()
 
     def _wrong(self, q: object) -> InvalidInputError:
         expected = f"a Pinocchio configuration of shape ({self.model.nq},)"
         return InvalidInputError(argument="q", expected=expected, value=q)
-
-
-class _JacobianWorkspace:
-    """Memory of `Configuration.stacked_jacobian`, for `count` points."""
-
-    def __init__(self, count: int, nv: int) -> None:
-        # data.J holds the spatial velocity of each joint at the world's origin: [I, -[p]x] takes it
-        # to the point p.
-        self.rows = np.zeros((3 * count + 6, 6))
-        self.rows[: 3 * count, :3] = np.tile(np.eye(3), (count, 1))
-        self.wrist_rows = self.rows[-6:]
-        self.crosses = np.empty((count, 9))
-        self.crosses_3 = self.crosses.reshape(count, 3, 3)
-        self.angular = self.rows[: 3 * count].reshape(count, 3, 6)[:, :, 3:]
-        self.jacobian = np.empty((3 * count + 6, nv))

@@ -9,7 +9,6 @@ file knows both orders.
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
@@ -25,7 +24,6 @@ from handmap_qp.hands.mimic import (
     Expansion,
     MimicRule,
     expansion_matrix,
-    read_mimic_rules,
     tighten_model,
 )
 from handmap_qp.hands.model import (
@@ -34,12 +32,12 @@ from handmap_qp.hands.model import (
     check_limits,
     check_wrist,
     choose_mount,
+    compose_urdf,
     palm_in_link,
     with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point, check_unique
-from handmap_qp.hands.urdf import compose_urdf
 from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose
 
 Points = str | Sequence[str | PointSpec]
@@ -120,12 +118,7 @@ class Hand:
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
-        robot, locked = compose_urdf(spec, file_text, arm_text)
-        self.urdf_text = ET.tostring(robot, encoding="unicode")
-        try:
-            rules = read_mimic_rules(robot)
-        except HandError as error:
-            raise spec.located(error) from error
+        self.urdf_text, locked, rules = compose_urdf(spec, file_text, arm_text)
         self.model = model = build_model(spec, self.urdf_text, self.mount, rules)
         self.notes = tighten_model(model, rules)
         for note in self.notes:
@@ -134,9 +127,12 @@ class Hand:
         self.lower_limits = _frozen(model.lowerPositionLimit[self.q_indices])
         self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
-        rest, matched = spec.all_rest, spec.all_matched
-        self.rest = _frozen([rest[name] for name in self.joint_names])
-        self.matched = None if matched is None else _frozen([matched[n] for n in self.joint_names])
+        # An arm is at rest in every posture of the description.
+        posture = spec.rest if spec.arm is None else spec.arm.rest | spec.rest
+        self.rest, self.matched = _frozen([posture[name] for name in self.joint_names]), None
+        if spec.matched is not None:
+            posture = posture | spec.matched
+            self.matched = _frozen([posture[name] for name in self.joint_names])
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
@@ -371,34 +367,30 @@ class Hand:
         model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links; Pinocchio does not add a frame whose
         # name and kind exist already, so points carry their number too.
-        self.palm_frame_id = add_frame(
-            model, spec, "/palm", spec.palm.link, palm_in_link(spec), "palm.link"
-        )
-        self.wrist_frame_id = add_frame(
-            model, spec, "/wrist", spec.wrist.link, np.eye(4), "wrist.link"
-        )
+        palm, wrist = spec.palm.link, spec.wrist.link
+        self.palm_frame_id = add_frame(model, spec, "/palm", palm, palm_in_link(spec), "palm.link")
+        self.wrist_frame_id = add_frame(model, spec, "/wrist", wrist, np.eye(4), "wrist.link")
         check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
         self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
-        palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
-        self.wrist_to_palm = _frozen(palm.homogeneous)
+        to_palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
+        self.wrist_to_palm = _frozen(to_palm.homogeneous)
+
+    def _take_points(self, points: tuple[PointSpec, ...]) -> None:
+        """Use reference points: they are the last frames of a model of their own."""
+        self.model = model = pin.Model(self._pointless_model)
+        self.first_point_frame = len(model.frames)
+        for i, point in enumerate(points):
+            placement = affine(np.eye(3), np.array(point.xyz))
+            name, key = f"/{i}/{point.name}", f"points[{i}].link"
+            add_frame(model, self.spec, name, point.link, placement, key)
         # By kind: in many URDFs a joint has the name of its link.
         joints, self._links = (
             {frame.name: i for i, frame in enumerate(model.frames) if frame.type == kind}
             for kind in (pin.FrameType.JOINT, pin.FrameType.BODY)
         )
-        own = {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
-        self._named_frames = {**joints, **self._links}, own
-
-    def _take_points(self, points: tuple[PointSpec, ...]) -> None:
-        """Use reference points: they are the last frames of a model of their own."""
-        self.model = model = pin.Model(self._pointless_model)
-        self.first_point_frame, ids = len(model.frames), dict[str, int]()
-        for i, point in enumerate(points):
-            placement = affine(np.eye(3), np.array(point.xyz))
-            name, key = f"/{i}/{point.name}", f"points[{i}].link"
-            ids[point.name] = add_frame(model, self.spec, name, point.link, placement, key)
-        others, own = self._named_frames
-        self._frame_ids = {**others, **ids, **own}
+        own = {point.name: self.first_point_frame + i for i, point in enumerate(points)}
+        own |= {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
+        self._frame_ids = {**joints, **self._links, **own}
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
         self.__dict__.pop("_placed_model", None)

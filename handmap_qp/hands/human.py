@@ -159,13 +159,7 @@ class HumanLengths:
 
     @classmethod
     def from_urdf(cls, text: str) -> Self:
-        """Read the lengths from a human hand's URDF, such as `urdf/human/hand.urdf`.
-
-        Args:
-            text: The URDF of the right hand.
-
-        Returns:
-            The lengths.
+        """Read the lengths from a right human hand's URDF, such as `urdf/human/hand.urdf`.
 
         Raises:
             HandError: If the text is not the URDF of a human hand with this package's names.
@@ -234,12 +228,7 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
 
 
 def frozen_floats(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
-    """Return a write-protected copy of finite numbers.
-
-    Args:
-        values: The numbers.
-        shape: The shape that they must have.
-        name: What to call them in an error.
+    """Return a write-protected copy of finite numbers of a shape; `name` is for errors.
 
     Raises:
         InvalidInputError: On a wrong shape, or anything but finite numbers.

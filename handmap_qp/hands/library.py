@@ -112,11 +112,11 @@ def load_hand(
 
 
 def list_hands() -> list[dict[str, Any]]:
-    """List all hands that have a name.
+    """List all hands that have a name; those of other packages come last.
 
     Returns:
         Name, side, number of joints, mount, point sets of each, and whether it is installed, or
-        what installs it. The hands of other packages come last.
+        what installs it.
     """
     specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
     return [
@@ -133,17 +133,9 @@ def list_hands() -> list[dict[str, Any]]:
 
 
 def describe_hand(hand: str | Path) -> dict[str, Any]:
-    """Describe one hand in plain values: its frames, joints with limits, and reference points.
+    """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
 
-    Args:
-        hand: Name or path, as in `load_hand`.
-
-    Returns:
-        A dictionary for JSON; `joints` and `points` are lists of dictionaries.
-
-    Raises:
-        HandError: If there is no such hand, or its description cannot be used.
-        MissingExtraError: If its URDF lies in a package that is not installed.
+    Args and errors are those of `load_hand`.
     """
     found = load_hand(hand)
     columns = {

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from typing import get_args
 
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.mimic import MimicRule
+from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.hands.mimic import MimicRule, read_mimic_rules
 from handmap_qp.hands.spec import HandSpec, Mount
+from handmap_qp.hands.urdf import (
+    check_has_limits,
+    check_tree,
+    link_names,
+    mirrored_urdf,
+    mount_on_arm,
+    parse_urdf,
+    prepare_urdf,
+    remove_subtrees,
+)
 from handmap_qp.se3 import affine
 
 FLOATING_JOINT = "wrist_mount"
@@ -32,6 +43,43 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
         message = f"{spec.name} is mounted on {spec.arm.name}, and cannot float"
         raise spec.error(message, key="arm", value=mount)
     return "fixed"
+
+
+def compose_urdf(
+    spec: HandSpec, text: str, arm_text: str | None = None
+) -> tuple[str, dict[str, float], tuple[MimicRule, ...]]:
+    """Compose the URDF that a hand's model is built from.
+
+    The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
+    it; mount it on the arm, if the spec has one; mirror all of it.
+
+    Returns:
+        The URDF, the position of every joint that was made a fixed one [rad or m] (those that the
+        spec locks, and the joints that mimic them), and the mimic rules that are left.
+
+    Raises:
+        HandError: If the URDF is not a tree, the spec names links or joints that do not exist, a
+            joint is left without limits, or arm and hand have joints of the same name.
+    """
+    try:
+        robot = parse_urdf(text)
+        check_tree(robot)
+        locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
+        if spec.arm is not None and arm_text is not None:
+            arm, hand = parse_urdf(arm_text), robot
+            check_tree(arm)
+            for name in spec.arm.without:
+                if name not in link_names(arm):
+                    raise HandError(f"the arm has no link {name!r}", key="arm.without", value=name)
+            remove_subtrees(arm, spec.arm.without)
+            arm_locked = prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits)
+            robot, locked = arm, {**arm_locked, **locked}
+            mount_on_arm(arm, hand, spec.arm)
+        check_has_limits(robot)
+        text = ET.tostring(robot, encoding="unicode")
+        return mirrored_urdf(text) if spec.mirror else text, locked, read_mimic_rules(robot)
+    except HandError as error:
+        raise spec.located(error) from error
 
 
 def build_model(
@@ -82,18 +130,10 @@ def _check_joints(spec: HandSpec, model: pin.Model, followers: Collection[str]) 
 def add_frame(
     model: pin.Model, spec: HandSpec, name: str, link: str, placement: np.ndarray, key: str
 ) -> int:
-    """Add a frame that is fixed to a link, and return its index.
-
-    Args:
-        model: The model, changed in place.
-        spec: The hand.
-        name: Name of the frame, which no other frame of the model has.
-        link: URDF link that carries it.
-        placement: Its pose in the link, shape (4, 4).
-        key: Key of the spec that names the link.
+    """Add a frame with a name of its own and a placement (4, 4) on a link; return its index.
 
     Raises:
-        HandError: If there is no such link.
+        HandError: If there is no such link, with the key of the spec that names it.
     """
     # By kind as well as by name: in many URDFs a joint has the name of its link.
     if not model.existFrame(link, pin.FrameType.BODY):

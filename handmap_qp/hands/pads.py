@@ -52,10 +52,6 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     The depth of a point under a convex surface is the smallest of `support(n) - n p` over
     directions n. The pad's middle lies on the line from the fingertip to the last joint.
 
-    Args:
-        hand: The hand.
-        chains: Its fingers.
-
     Returns:
         Pads by finger. A finger without shapes has a pad of 6 mm around its tip.
 

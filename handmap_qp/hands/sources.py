@@ -49,14 +49,11 @@ def urdf_directory() -> Path:
 
 
 def source_path(reference: str) -> Path | None:
-    """Return the file of a robot that is given by name; None if it is given by path.
+    """Return the file, which need not exist, of a robot that is given by name; else None.
 
     Args:
         reference: `package://PACKAGE/path`, `robot_descriptions:MODULE` or
             `robot_descriptions:MODULE.VARIABLE`, or a path.
-
-    Returns:
-        The URDF or MJCF file, which need not exist.
 
     Raises:
         HandError: If `robot_descriptions` has no such robot, or cannot clone it.

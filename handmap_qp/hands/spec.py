@@ -245,18 +245,6 @@ class HandSpec(_HandFields, frozen=True):
         """Joints of arm and hand: the order of every `q`."""
         return self.joints if self.arm is None else (*self.arm.joints, *self.joints)
 
-    @property
-    def all_rest(self) -> dict[str, float]:
-        """Rest positions of arm and hand [rad or m]."""
-        return self.rest if self.arm is None else {**self.arm.rest, **self.rest}
-
-    @property
-    def all_matched(self) -> dict[str, float] | None:
-        """Positions of arm and hand in the matched posture [rad or m]; an arm is at rest."""
-        if self.arm is None or self.matched is None:
-            return self.matched
-        return {**self.arm.rest, **self.matched}
-
     def __post_init__(self) -> None:
         """Check everything that does not need the URDF, and copy what the caller may change.
 
@@ -264,7 +252,7 @@ class HandSpec(_HandFields, frozen=True):
             HandError: With the key and the value at fault.
         """
         values = {name: getattr(self, name) for name in self.__struct_fields__}
-        typed = _typed(values, _HandFields, None)
+        typed = _typed(values, _HandFields, self.file)
         for name in self.__struct_fields__:
             msgspec.structs.force_setattr(self, name, getattr(typed, name))
         for i, point in enumerate(self.points):
@@ -278,24 +266,13 @@ class HandSpec(_HandFields, frozen=True):
         """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
 
-    def located(self, error: HandError, key: str = "urdf") -> HandError:
-        """Return an error about this hand's URDF with the file of this spec.
-
-        Args:
-            error: An error that may name a key.
-            key: The key that it gets if it names none.
-        """
-        return self.error(error.problem, key=error.key or key, value=error.value)
+    def located(self, error: HandError) -> HandError:
+        """Return an error about this hand's URDF with the file of this spec."""
+        return self.error(error.problem, key=error.key or "urdf", value=error.value)
 
 
 def read_hand_spec(path: Path) -> HandSpec:
-    """Read and check a `hand.yaml`.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The spec, its `directory` set to the file's.
+    """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.
 
     Raises:
         HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
@@ -322,13 +299,7 @@ def check_side(side: Any) -> None:
 
 
 def check_point(point: PointSpec) -> PointSpec:
-    """Check a point that is not part of a spec.
-
-    Args:
-        point: The point.
-
-    Returns:
-        The point, its numbers as floats.
+    """Check a point that is not part of a spec; return it with its numbers as floats.
 
     Raises:
         HandError: With the key and the value at fault.

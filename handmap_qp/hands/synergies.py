@@ -10,8 +10,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.human import HUMAN_JOINTS, frozen_floats
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.human import frozen_floats
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.se3 import as_floats
 
@@ -41,13 +41,10 @@ class Synergies:
         return type(self), (self.matrix, self.mean)
 
     def posture(self, z: npt.ArrayLike) -> np.ndarray:
-        """Compute the posture of given synergy coordinates.
+        """Compute joint angles [rad], shape (20,), not clipped to limits.
 
         Args:
             z: Coordinates of the first synergies; those left out are 0. Shape (k,), k <= 15.
-
-        Returns:
-            Joint angles in the order of `HUMAN_JOINTS` [rad], shape (20,); not clipped to limits.
 
         Raises:
             InvalidInputError: On a wrong shape or a number that is not finite.
@@ -59,13 +56,9 @@ class Synergies:
         return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
 
     def coordinates(self, q: npt.ArrayLike) -> np.ndarray:
-        """Compute the synergy coordinates nearest to a posture, by least squares over the angles.
+        """Compute the coordinates, shape (15,), nearest to joint angles [rad], shape (20,).
 
-        Args:
-            q: Joint angles [rad], shape (20,).
-
-        Returns:
-            Coordinates, shape (15,).
+        The sum of squared differences of the angles is least.
 
         Raises:
             InvalidInputError: On a wrong shape or a number that is not finite.
@@ -75,18 +68,10 @@ class Synergies:
 
 @cache
 def load_synergies() -> Synergies:
-    """Load the synergies of the 20-joint human hand.
+    """Load the synergies of the 20-joint human hand; the same object at every call.
 
-    Returns:
-        The synergies of `urdf/human/synergies.json`, which names their source; the same object at
-        every call, with read-only arrays.
-
-    Raises:
-        HandError: If the file lists other joints than the human hand has.
+    `urdf/human/synergies.json` names their source.
     """
     file = urdf_directory() / "human" / "synergies.json"
     document = json.loads(file.read_text(encoding="utf-8"))
-    if document["joint_names"] != list(HUMAN_JOINTS):
-        message = "lists other joints than the human hand has"
-        raise HandError(message, file=file, key="joint_names")
     return Synergies(matrix=np.array(document["S"]), mean=np.array(document["q_m"]))

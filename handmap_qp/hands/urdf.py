@@ -1,8 +1,7 @@
 """The URDF of a hand as a document: read, check, cut, edit, mount and mirror it.
 
-`compose_urdf` makes the URDF of a hand's model from the one in the file. All changes are made to
-the document, so that every reader of `Hand.urdf_text` (Pinocchio, MuJoCo, a picture) sees the same
-robot.
+All changes are made to the document, so that every reader of `Hand.urdf_text` (Pinocchio, MuJoCo, a
+picture) sees the same robot.
 """
 
 from __future__ import annotations
@@ -38,16 +37,10 @@ _PREFIX = re.compile(r"</?([A-Za-z_][\w.-]*):[\w.-]+|\s([A-Za-z_][\w.-]*):[\w.-]
 
 
 def parse_urdf(text: str) -> ET.Element:
-    """Parse a URDF.
+    """Parse a URDF without XML declaration, and return the `<robot>` element.
 
     Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix;
     such prefixes are declared first.
-
-    Args:
-        text: The URDF, without XML declaration.
-
-    Returns:
-        The `<robot>` element.
 
     Raises:
         HandError: If the text is not XML, is xacro, or its root is another element.
@@ -312,7 +305,7 @@ def _check_joint(joint: ET.Element) -> None:
                 raise HandError(f"the joint {name!r} has {fault}", value=text)
 
 
-def check_limits(robot: ET.Element) -> None:
+def check_has_limits(robot: ET.Element) -> None:
     """Reject joints without position limits; joints that mimic others need none.
 
     Raises:
@@ -546,18 +539,11 @@ def mirrored_urdf(text: str) -> str:
     The coordinates of every link are mirrored as well: a point `(x, y, z)` of a link becomes `(-x,
     y, z)`. Names, limits and the meaning of q stay, and the same q gives the mirrored posture:
     with `M = diag(-1, 1, 1)`, the axis `a` of a prismatic joint becomes `M a`, and that of a
-    turning joint, a pseudovector, `-M a`.
-
-    Args:
-        text: URDF of boxes, cylinders, spheres and capsules, with revolute, continuous, prismatic
-            and fixed joints.
-
-    Returns:
-        The mirrored URDF, without comments.
+    turning joint, a pseudovector, `-M a`. Comments are lost.
 
     Raises:
         HandError: If the text is not a URDF, or holds a mesh (its file cannot be mirrored here) or
-            another type of joint.
+            a joint that is neither fixed nor has one coordinate.
     """
     robot = parse_urdf(text)
     for shape in robot.iterfind(".//geometry/*"):
@@ -583,46 +569,3 @@ def _mirror_axis(joint: ET.Element) -> None:
     elif kind != "fixed":
         message = f"a {kind or 'nameless'} joint cannot be mirrored"
         raise HandError(message, key=joint.get("name"), value=kind)
-
-
-def compose_urdf(
-    spec: HandSpec, text: str, arm_text: str | None = None
-) -> tuple[ET.Element, dict[str, float]]:
-    """Compose the URDF that a hand's model is built from.
-
-    The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
-    it; mount it on the arm; mirror all of it.
-
-    Args:
-        spec: The hand.
-        text: Its URDF as in the file (or scaled).
-        arm_text: The URDF of its arm; needed where the spec has one.
-
-    Returns:
-        The `<robot>` element, and the position of every joint that was made a fixed one [rad or
-        m]: those that the spec locks, and the joints that mimic them.
-
-    Raises:
-        HandError: If the URDF is not a tree, the spec names links or joints that do not exist, a
-            joint is left without limits, or arm and hand have joints of the same name.
-    """
-    try:
-        robot = parse_urdf(text)
-        check_tree(robot)
-        locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
-        if spec.arm is not None and arm_text is not None:
-            arm, hand = parse_urdf(arm_text), robot
-            check_tree(arm)
-            for name in spec.arm.without:
-                if name not in link_names(arm):
-                    raise HandError(f"the arm has no link {name!r}", key="arm.without", value=name)
-            remove_subtrees(arm, spec.arm.without)
-            arm_locked = prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits)
-            robot, locked = arm, {**arm_locked, **locked}
-            mount_on_arm(arm, hand, spec.arm)
-        check_limits(robot)
-        if spec.mirror:
-            robot = parse_urdf(mirrored_urdf(ET.tostring(robot, encoding="unicode")))
-        return robot, locked
-    except HandError as error:
-        raise spec.located(error) from error

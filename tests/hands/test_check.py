@@ -8,7 +8,7 @@ import pytest
 
 from handmap_qp import HandError
 from handmap_qp.hands.urdf import (
-    check_limits,
+    check_has_limits,
     check_tree,
     cut_subtree,
     link_names,
@@ -79,9 +79,9 @@ def test_a_tree_passes_and_may_have_infinite_limits() -> None:
 @pytest.mark.parametrize(("kind", "inside"), [("continuous", LIMIT), ("revolute", "")])
 def test_a_joint_without_limits_is_named_by_its_key(kind: str, inside: str) -> None:
     with pytest.raises(HandError) as caught:
-        check_limits(robot("ab", joint("j", "a", "b", kind, inside)))
+        check_has_limits(robot("ab", joint("j", "a", "b", kind, inside)))
     assert caught.value.key == "limits.j"
-    check_limits(robot("ab", joint("j", "a", "b", kind, f'{inside}<mimic joint="k"/>')))
+    check_has_limits(robot("ab", joint("j", "a", "b", kind, f'{inside}<mimic joint="k"/>')))
 
 
 def tree() -> ET.Element:

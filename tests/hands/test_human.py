@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -327,6 +328,8 @@ def test_synergies_are_the_published_ones() -> None:
     np.testing.assert_allclose(
         (synergies.matrix[:, :3] ** 2).sum(axis=0), [1.264, 1.189, 1.622], atol=5e-4
     )
+    file = urdf_directory() / "human" / "synergies.json"
+    assert tuple(json.loads(file.read_text())["joint_names"]) == HUMAN_JOINTS
     dip = [HUMAN_JOINTS.index(f"{finger}_DIP_flexion") for finger in FINGERS[1:]]
     pip = [HUMAN_JOINTS.index(f"{finger}_PIP_flexion") for finger in FINGERS[1:]]
     np.testing.assert_allclose(synergies.matrix[dip], 2 / 3 * synergies.matrix[pip], atol=1e-12)

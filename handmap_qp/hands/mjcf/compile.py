@@ -43,12 +43,6 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
     rely on their `compiler` element for radians: where no file states a unit, and every hinge would
     move by a few degrees at most, angles are taken as radians.
 
-    Args:
-        file: The file.
-
-    Returns:
-        The model, its name, and notes on the unit of angles.
-
     Raises:
         HandError: If MuJoCo cannot compile it, in its words, or a name is not UTF-8.
     """

@@ -57,18 +57,11 @@ class ConvertedMjcf(NamedTuple):
 
 
 def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
-    """Compile an MJCF file and describe it as a URDF.
+    """Compile an MJCF file and describe it as a URDF, not yet written.
 
     Bodies that hang from the world and have no joints, or only a free joint, are scenery and
     objects: they are left out. A free joint under a robot is left out too, because the wrist of a
-    `hand.yaml` floats without it.
-
-    Args:
-        file: The MJCF file.
-        meshes: Folder of the mesh files, relative to the URDF.
-
-    Returns:
-        The URDF, not yet written.
+    `hand.yaml` floats without it. `meshes` is the folder of the meshes, relative to the URDF.
 
     Raises:
         HandError: If MuJoCo cannot compile the file, or no joint moves in it.
