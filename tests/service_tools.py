@@ -201,7 +201,9 @@ def serving(settings: Settings = LOCAL, **changes: Any) -> Iterator[Server]:
     finally:
         # The loop is closed already if the server could not start.
         with suppress(RuntimeError):
-            ended.result(timeout=PATIENCE)()
+            # A server that could not be made has nothing to end.
+            if ended.done():
+                ended.result()()
         thread.join(timeout=PATIENCE)
 
 

@@ -34,7 +34,17 @@ import zmq.asyncio
 import zmq.auth
 
 from . import messages
-from .messages import PROTOCOL, PROTOCOLS, TOPIC_END, Done, Error, Opened, Pose, Reply
+from .messages import (
+    FORMER_OPTIONS,
+    PROTOCOL,
+    PROTOCOLS,
+    TOPIC_END,
+    Done,
+    Error,
+    Opened,
+    Pose,
+    Reply,
+)
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -147,7 +157,7 @@ def _plain(value: Any) -> Any:
 
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-_OPTIONS = ("options", "mapping", "teleoperation", "ik")
+_OPTIONS = ("options", *FORMER_OPTIONS, "ik")
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
@@ -370,10 +380,10 @@ class _Core:
             self._released_at = reply.seq
         elif wanted and kind == "configure":
             for field in _OPTIONS:
+                before = wanted.pop(field, {})
                 # A preset replaces all options.
-                before = {} if "preset" in request else wanted.pop(field, {})
-                wanted.pop(field, None)
-                if changed := before | request.get(field, {}):
+                kept = {} if "preset" in request else before
+                if changed := kept | request.get(field, {}):
                     wanted[field] = changed
             wanted |= {key: request[key] for key in ("preset", "has_detail") if key in request}
 

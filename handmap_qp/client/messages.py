@@ -32,6 +32,8 @@ Length = Annotated[float, Meta(gt=0, le=1)]
 Gap = Annotated[float, Meta(ge=0, le=0.04)]
 Duration = Annotated[float, Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
+FORMER_OPTIONS = ("mapping", "teleoperation")
+"""Former names of the field `options`: of all presets but teleoperation, and of that one."""
 NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
 Name = Annotated[str, Meta(title=NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 

@@ -147,8 +147,10 @@ class Dispatcher:
             self._receive_open(request, payload, answer, is_json)
         elif isinstance(request, Subscribe):
             send(self._attempt(request, lambda: self._subscribe(request, subscribe)))
-        elif isinstance(request, Named) and (request.name is not None or not request.session):
+        elif isinstance(request, Named) and request.name is not None:
             send(self._attempt(request, lambda: self._answer_anyone(request, now)))
+        elif isinstance(request, Status | Stop) and not request.session:
+            send(self._attempt(request, lambda: self._answer_all(request, now)))
         else:
             answer(self._answer_client(request, payload, now, is_json))
         return True
@@ -235,16 +237,6 @@ class Dispatcher:
         Raises:
             RefusedError: If the client may not do that.
         """
-        if request.name is None:
-            if isinstance(request, Status):
-                return self._server_state(request.seq, now)
-            if isinstance(request, Stop):
-                self._audit.note("stop", self._who(), **_changes(request))
-                for entry in list(self.sessions.entries.values()):
-                    self._carry_out(entry.session, request, now)
-                return Done(seq=request.seq)
-            # Refuses: there is no session without a secret.
-            self.sessions.find(request.session)
         if request.session:
             raise RefusedError("invalid", "give session or name, not both", field="name")
         session = self.sessions.named(request.name or "")
@@ -256,6 +248,15 @@ class Dispatcher:
             message = f"session {request.name!r} was not opened with is_shared: only its owner may"
             raise RefusedError("denied", message, field="name")
         return self._carry_out(session, request, now)
+
+    def _answer_all(self, request: Status | Stop, now: float) -> AnyReply:
+        """Answer a request about the server, or stop the robots of all sessions."""
+        if isinstance(request, Status):
+            return self._server_state(request.seq, now)
+        self._audit.note("stop", self._who(), **_changes(request))
+        for entry in list(self.sessions.entries.values()):
+            self._carry_out(entry.session, request, now)
+        return Done(seq=request.seq)
 
     def _attempt(self, request: AnyRequest | Named, work: Callable[[], AnyReply]) -> AnyReply:
         """Return what `work` returns, or the error to answer with."""

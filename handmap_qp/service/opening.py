@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from handmap_qp.client.messages import Configure, Open
+from handmap_qp.client.messages import FORMER_OPTIONS, Configure, Open
 from handmap_qp.errors import (
     HandError,
     HandmapError,
@@ -232,10 +232,10 @@ def read_choice(
     name = request.preset or preset_with(request.options, human, robot)
     start = with_field_errors("preset", lambda: preset_choice(name, contact_gap))
     # Each former name of the options belongs to other presets.
-    former = "mapping" if name == "teleoperation" else "teleoperation"
-    for option in sorted(getattr(request, former)):
+    others = FORMER_OPTIONS[name != FORMER_OPTIONS[1]]
+    for option in sorted(getattr(request, others)):
         message = f"the preset {name} has no such option"
-        raise RefusedError("invalid", message, field=f"{former}.{option:.64}")
+        raise RefusedError("invalid", message, field=f"{others}.{option:.64}")
     method = _changed(partial(field_of_option, request), start.method, request.options)
     ik = _changed("ik.{:.64}".format, start.ik, request.ik)
     if ik.solver not in SOLVERS:

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from handmap_qp.client.messages import Open
+from handmap_qp.client.messages import FORMER_OPTIONS, Open
 from handmap_qp.errors import (
     HandError,
     HandmapError,
@@ -53,7 +53,7 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
 
 def field_of_option(request: Open, option: str) -> str:
     """Return the field in which a request gives options of the method, by the name it used."""
-    former = (name for name in ("mapping", "teleoperation") if getattr(request, name))
+    former = (name for name in FORMER_OPTIONS if getattr(request, name))
     return f"{next(former, 'options')}.{option:.64}"
 
 

@@ -54,14 +54,10 @@ class SampleForm:
         Raises:
             RefusedError: With the field that is missing or must be left out.
         """
-        is_needed = sample.valid or self._kind != "landmarks"
         for field in _FIELDS:
             is_given = getattr(sample, field) is not None
-            if is_given and field != self._field:
-                wanted = self._kind if self._layout is None else f"values of {self._layout.name}"
-                raise _invalid(field, f"this session was opened for {wanted}")
-            if field == self._field and is_needed and not is_given:
-                raise _invalid(field, "missing; this session was opened for it")
+            if is_given != (field == self._field):
+                self._check_field(field, sample)
         if not sample.valid and self._kind != "landmarks":
             raise _invalid("valid", "only landmarks may be invalid")
         if self._kind == "q" and sample.wrist is None:
@@ -69,6 +65,14 @@ class SampleForm:
         if sample.landmarks is not None and len(sample.landmarks) != LANDMARK_COUNT:
             message = f"expected {LANDMARK_COUNT} points, got {len(sample.landmarks)}"
             raise _invalid("landmarks", message)
+
+    def _check_field(self, field: str, sample: Step) -> None:
+        """Refuse a field that should not be given, or that is missing where it is needed."""
+        if field != self._field:
+            wanted = self._kind if self._layout is None else f"values of {self._layout.name}"
+            raise _invalid(field, f"this session was opened for {wanted}")
+        if sample.valid or self._kind != "landmarks":
+            raise _invalid(field, "missing; this session was opened for it")
 
     def human_sample(self, sample: Step) -> HumanSample:
         """Convert a sample of landmarks that `check` accepted.

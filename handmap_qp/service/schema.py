@@ -153,20 +153,18 @@ def _rows(kind: type[msgspec.Struct]) -> str:
     for base in (Request, Reply):
         if issubclass(kind, base) and kind is not base:
             inherited |= set(base.__struct_fields__)
-    rows = []
-    for name, field in _components(kind)[1][kind.__name__]["properties"].items():
-        if name not in inherited:
-            default = field.get("default")
-            value = json.dumps(round(default, 4) if isinstance(default, float) else default)
-            texts = [
-                part["description"]
-                for part in (field, *field.get("anyOf", ()))
-                if "description" in part
-            ]
-            about = _NARROWED.get(name, texts[0] if texts else "")
-            given = f"`{value}`" if "default" in field else ""
-            rows.append(f"| `{name}` | {_type(field)} | {given} | {about} |")
+    fields = _components(kind)[1][kind.__name__]["properties"].items()
+    rows = [_row(name, field) for name, field in fields if name not in inherited]
     return "\n".join(["| field | type | default | |", "|---|---|---|---|", *rows]) if rows else ""
+
+
+def _row(name: str, field: dict[str, Any]) -> str:
+    default = field.get("default")
+    value = json.dumps(round(default, 4) if isinstance(default, float) else default)
+    given = f"`{value}`" if "default" in field else ""
+    texts = [part.get("description", "") for part in (field, *field.get("anyOf", ()))]
+    about = _NARROWED.get(name, next(filter(None, texts), ""))
+    return f"| `{name}` | {_type(field)} | {given} | {about} |"
 
 
 def _preset_line(name: str) -> str:
@@ -203,13 +201,14 @@ def _type(schema: dict[str, Any]) -> str:
         return " or ".join(f"`{value}`" for value in schema["enum"])
     if "prefixItems" in schema:
         return f"{len(schema['prefixItems'])} x {_type(schema['prefixItems'][0])}"
-    kind = schema.get("type")
-    name = f"[{_type(schema['items'])}, ...]" if kind == "array" else _NAMES.get(kind, kind)
-    # 2^53 is only the limit of integers in JSON.
-    bounds = [
-        f"{sign} {schema[key]:g}"
-        for key, sign in _BOUNDS.items()
-        if schema.get(key) not in (None, 2**53)
-    ]
-    bounds += [schema["title"]] if "title" in schema and kind == "string" else []
-    return f"{name} ({', '.join(bounds)})" if bounds else name
+    if "items" in schema:
+        return f"[{_type(schema['items'])}, ...]{_bounds(schema)}"
+    return f"{_NAMES.get(schema.get('type'), schema.get('type'))}{_bounds(schema)}"
+
+
+def _bounds(schema: dict[str, Any]) -> str:
+    """Name the bounds of a JSON schema; 2^53 is only the limit of integers in JSON."""
+    given = [(sign, schema[key]) for key, sign in _BOUNDS.items() if key in schema]
+    bounds = [f"{sign} {bound:g}" for sign, bound in given if bound != 2**53]
+    bounds += [schema["title"]] if "pattern" in schema else []
+    return f" ({', '.join(bounds)})" if bounds else ""

@@ -251,6 +251,10 @@ class Sessions:
         if request.time_from == "client" and not self._settings.simulated_time:
             message = "the server uses its own clock (see handmap serve --simulated-time)"
             raise RefusedError("denied", message, field="time_from")
+        self._check_name(request, last, by)
+
+    def _check_name(self, request: Open, last: Session | None, by: Caller) -> None:
+        """Refuse a name that is in use, or that the client must not have."""
         if request.name in self._names_opening:
             raise RefusedError("busy", f"session {request.name!r} is being opened", field="name")
         if last is not None and not request.restore:
