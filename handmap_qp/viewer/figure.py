@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import xml.etree.ElementTree as ET
+from abc import ABC, abstractmethod
 from collections import defaultdict, deque
 from collections.abc import Iterable
 from itertools import pairwise
@@ -64,10 +65,8 @@ def as_bytes(colour: Colour) -> tuple[int, int, int]:
     return red, green, blue
 
 
-class Figure:
+class Figure(ABC):
     """Something in the row, with a name below it and a trail of its fingertips.
-
-    A subclass gives `centre_of`, `corners_of`, `tips` and `draw`.
 
     Args:
         node: Name of its node.
@@ -108,21 +107,21 @@ class Figure:
         """Size of `extent` [m], shape (3,)."""
         return np.ptp(self.extent, axis=0)
 
+    @abstractmethod
     def centre_of(self, sample: ViewSample) -> np.ndarray | None:
         """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
-        raise NotImplementedError
 
+    @abstractmethod
     def corners_of(self, sample: ViewSample) -> np.ndarray:
         """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None if not known."""
-        raise NotImplementedError
 
+    @abstractmethod
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
-        raise NotImplementedError
 
     def turn(self, axes: np.ndarray) -> None:
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
