@@ -65,7 +65,10 @@ def make_replay(robot: str = "three_finger", preset: str = "paper", **changes: A
 def _mapped(robot: str, preset: str, changes: tuple[tuple[str, Any], ...]) -> Replay:
     motion = closing_motion()
     choice = preset_choice(preset).with_changes(dict(changes))
-    return Replay(closing_recording(), motion, motion.human, load_hand(robot), choice)
+    return Replay(closing_recording(), motion, motion.human, _robot(robot), choice)
+
+
+_robot = cache(load_hand)
 
 
 def press(button: Any) -> None:

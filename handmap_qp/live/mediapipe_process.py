@@ -129,9 +129,7 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
         count += 1
         if arguments.paced and is_file:
             time.sleep(max(0.0, stamp - time.monotonic()))
-        if arguments.mirrored:
-            picture = cv2.flip(picture, 1)
-        yield stamp, cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+        yield stamp, cv2.flip(picture, 1) if arguments.mirrored else picture
     capture.release()
     if not count:
         _stop(f"{source} holds no pictures")
@@ -140,13 +138,15 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
 
 
 def _read(capture: Any, most_lost: int) -> Iterator[np.ndarray]:
-    """Yield pictures until more than `most_lost` in a row are missing."""
+    """Yield pictures as RGB until more than `most_lost` in a row are missing."""
+    import cv2
+
     lost = 0
     while lost <= most_lost:
         is_there, picture = capture.read()
         lost = 0 if is_there else lost + 1
         if is_there:
-            yield picture
+            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
 def printed(stamp: float, hand: TrackedHand | None) -> None:

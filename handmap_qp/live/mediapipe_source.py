@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -186,13 +187,17 @@ class MediapipeSource:
                 except subprocess.TimeoutExpired:
                     process.kill()
             if code:
-                messages.seek(0)
-                lines = [line.strip() for line in messages if line.strip()]
-                own = [line for line in lines if line.startswith("mediapipe_process: ")]
-                text = (own or lines or ["MediaPipe ended without a message"])[-1]
-                raise InvalidInputError(
-                    argument=self._argument, problem=text.removeprefix("mediapipe_process: ")
-                )
+                raise self._error(messages)
+
+    def _error(self, messages: IO[str]) -> InvalidInputError:
+        """Return the process's own last line as an error."""
+        messages.seek(0)
+        lines = [line.strip() for line in messages if line.strip()]
+        own = [line for line in lines if line.startswith("mediapipe_process: ")]
+        text = (own or lines or ["MediaPipe ended without a message"])[-1]
+        return InvalidInputError(
+            argument=self._argument, problem=text.removeprefix("mediapipe_process: ")
+        )
 
     def _sample(
         self,

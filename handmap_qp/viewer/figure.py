@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import xml.etree.ElementTree as ET
+from abc import ABC, abstractmethod
 from collections import defaultdict, deque
 from collections.abc import Iterable
 from itertools import pairwise
@@ -32,6 +33,8 @@ Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 Shape = Literal["ellipsoid", "cube", "off"]
 """How T_def is shown."""
+Seen = tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]
+"""Joint angles (n,), wrist pose (4, 4) and reference points (n, 3) of a hand, where known."""
 
 TARGET_COLOUR = (0.98, 0.66, 0.10)
 LANDMARK_COLOUR = (0.10, 0.52, 0.50)
@@ -46,9 +49,6 @@ TRAIL_LENGTH = 4.0
 # Least time between two points of a trail [s].
 _TRAIL_PERIOD = 1.0 / 30.0
 _LANDMARK_RADIUS = 0.0045
-# Radii relative to the hand's size, about those of fingertips. Targets are larger, so that a point
-# that has arrived does not hide its target.
-_HUMAN_POINT, _ROBOT_POINT, _TARGET = 0.08, 0.1, 0.115
 # A box grows by this margin more than needed, so that it does not grow at every sample [m].
 _MARGIN = 0.03
 # Spheres at the points stand out from the links by about this [m].
@@ -65,10 +65,8 @@ def as_bytes(colour: Colour) -> tuple[int, int, int]:
     return red, green, blue
 
 
-class Figure:
+class Figure(ABC):
     """Something in the row, with a name below it and a trail of its fingertips.
-
-    A subclass gives `centre_of`, `corners_of`, `tips` and `draw`.
 
     Args:
         node: Name of its node.
@@ -109,21 +107,21 @@ class Figure:
         """Size of `extent` [m], shape (3,)."""
         return np.ptp(self.extent, axis=0)
 
+    @abstractmethod
     def centre_of(self, sample: ViewSample) -> np.ndarray | None:
         """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
-        raise NotImplementedError
 
+    @abstractmethod
     def corners_of(self, sample: ViewSample) -> np.ndarray:
         """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None if not known."""
-        raise NotImplementedError
 
+    @abstractmethod
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
-        raise NotImplementedError
 
     def turn(self, axes: np.ndarray) -> None:
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
@@ -296,13 +294,16 @@ class HandFigure(Figure):
     Args:
         node: Name of its node.
         hand: The hand.
-        colour: Colour of its trail.
+        colour: Colour of its points and its trail.
         variant: Index of the variant whose samples it shows.
 
     Attributes:
         hand: The hand.
         radius: About half its size [m], for the sizes of spheres.
     """
+
+    point_size = 0.1
+    """Radius of the reference points, relative to the hand's size: about that of fingertips."""
 
     def __init__(
         self,
@@ -342,6 +343,40 @@ class HandFigure(Figure):
             low, high = corners.min(axis=0), corners.max(axis=0)
             self._focus = 0.5 * (low + high)
             self.radius = 0.4 * float(np.linalg.norm(high - low))
+        self._points = Spheres(server, f"/{node}/points", self.point_size * self.radius, colour)
+
+    def seen(self, sample: ViewSample) -> Seen:
+        """Return joint angles, wrist pose and reference points at a sample, where known."""
+        return sample.robot_q, sample.robot_wrist, sample.robot_points
+
+    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the hand's centre, or that of its points."""
+        q, wrist, points = self.seen(sample)
+        if q is not None and wrist is not None:
+            return self.centre(wrist)
+        return None if points is None else points.mean(axis=0)
+
+    def corners_of(self, sample: ViewSample) -> np.ndarray:
+        """Return the hand's corners, or its points."""
+        q, wrist, points = self.seen(sample)
+        if q is not None and wrist is not None:
+            return self.corners(q, wrist)
+        return np.asarray(points)
+
+    def tips(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the tips of the posture."""
+        q, wrist, _ = self.seen(sample)
+        if q is None or wrist is None:
+            return None
+        return self._tips.points(q, self._pose(wrist))
+
+    def draw(self, sample: ViewSample) -> None:
+        """Draw the hand and its points; hide a hand of unknown posture."""
+        q, wrist, points = self.seen(sample)
+        self._body.visible = q is not None
+        if q is not None and wrist is not None:
+            self.show(q, wrist)
+        self._points.move(points)
 
     def centre(self, wrist: np.ndarray) -> np.ndarray:
         """Return the hand's centre for a wrist pose (4, 4), in its world [m], shape (3,)."""
@@ -385,7 +420,7 @@ class HandFigure(Figure):
 
 
 class HumanFigure(HandFigure):
-    """The human hand, its reference points, and what T_def makes of a ball of their size.
+    """The human hand, and what T_def makes of a ball of the size of its points.
 
     Args:
         hand: The human hand.
@@ -395,11 +430,12 @@ class HumanFigure(HandFigure):
         shape: How T_def is shown.
     """
 
+    point_size = 0.08
+
     def __init__(self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None) -> None:
         super().__init__(server, "human", hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
         self.name("human")
-        self._points = Spheres(server, "/human/points", _HUMAN_POINT * self.radius, HUMAN_COLOUR)
         spread = np.zeros((1, 3)) if points is None else points - points.mean(axis=0)
         self._size = float(np.sqrt((spread**2).sum(axis=1).mean()))
 
@@ -413,32 +449,19 @@ class HumanFigure(HandFigure):
         self._ball = ball("ball", (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15)
         self._cube = _add_lines(server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5)
 
-    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the hand's centre, or that of its points."""
-        if sample.human_q is not None and sample.human_wrist is not None:
-            return self.centre(sample.human_wrist)
-        return None if sample.human_points is None else sample.human_points.mean(axis=0)
-
-    def corners_of(self, sample: ViewSample) -> np.ndarray:
-        """Return the hand's corners, or its points."""
-        if sample.human_q is not None and sample.human_wrist is not None:
-            return self.corners(sample.human_q, sample.human_wrist)
-        return np.asarray(sample.human_points)
+    def seen(self, sample: ViewSample) -> Seen:
+        """Return joint angles, wrist pose and reference points at a sample, where known."""
+        return sample.human_q, sample.human_wrist, sample.human_points
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tracked tips, or else those of the posture."""
         if sample.landmarks is not None:
             return _known(sample.landmarks[TIPS])
-        if sample.human_q is None:
-            return None
-        return self._tips.points(sample.human_q, sample.human_wrist)
+        return super().tips(sample)
 
     def draw(self, sample: ViewSample) -> None:
-        """Draw the hand, its points and the deformation; hide a hand of unknown posture."""
-        self._body.visible = sample.human_q is not None
-        if sample.human_q is not None and sample.human_wrist is not None:
-            self.show(sample.human_q, sample.human_wrist)
-        self._points.move(sample.human_points)
+        """Draw the hand, its points and the deformation."""
+        super().draw(sample)
         linear, pivot = sample.deformation, sample.pivot
         shape = "off" if linear is None else self.shape
         self._ball.visible = self._ellipsoid.visible = shape == "ellipsoid"
@@ -460,7 +483,7 @@ class HumanFigure(HandFigure):
 
 
 class RobotFigure(HandFigure):
-    """A robot hand, with its reference points and their targets.
+    """A robot hand, with the targets of its reference points.
 
     Args:
         hand: The robot hand.
@@ -474,26 +497,13 @@ class RobotFigure(HandFigure):
         node = f"robot_{variant + 1}" if variant else "robot"
         super().__init__(server, node, hand, ROBOT_COLOUR, variant)
         self.label = ""
-        point, target = _ROBOT_POINT * self.radius, _TARGET * self.radius
-        self._points = Spheres(server, f"/{node}/points", point, ROBOT_COLOUR)
-        self._targets = Spheres(server, f"/{node}/targets", target, TARGET_COLOUR, 0.5)
-
-    def centre_of(self, sample: ViewSample) -> np.ndarray:
-        """Return the hand's centre."""
-        return self.centre(sample.robot_wrist)
-
-    def corners_of(self, sample: ViewSample) -> np.ndarray:
-        """Return the hand's corners."""
-        return self.corners(sample.robot_q, sample.robot_wrist)
-
-    def tips(self, sample: ViewSample) -> np.ndarray:
-        """Return the tips of the posture."""
-        return self._tips.points(sample.robot_q, self._pose(sample.robot_wrist))
+        # Larger than the points, so that one that has arrived does not hide its target.
+        radius = 1.15 * self.point_size * self.radius
+        self._targets = Spheres(server, f"/{node}/targets", radius, TARGET_COLOUR, 0.5)
 
     def draw(self, sample: ViewSample) -> None:
         """Draw the hand, its points and targets, and write its name and state."""
-        self.show(sample.robot_q, sample.robot_wrist)
-        self._points.move(sample.robot_points)
+        super().draw(sample)
         self._targets.move(sample.targets)
         self.name("\n".join(filter(None, (self.hand.name, self.label, state_text(sample)))))
 

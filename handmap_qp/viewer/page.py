@@ -14,7 +14,6 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.viewer.gauges import (
-    ORANGE,
     SCENE_LEGEND,
     InstantGauges,
     bin_starts,
@@ -29,8 +28,7 @@ from handmap_qp.viewer.serving import serving
 
 # Most samples per second in a page, and most gauges [1/s].
 _RATE, _GAUGES_RATE = 30.0, 10.0
-_WIDTH, _HEIGHT, _LEFT, _TOP = 228.0, 86.0, 30.0, 8.0
-# A line of the plot has at most this many points.
+# Points of a line of the plot: two for each pixel.
 _MOST_POINTS = 456
 
 
@@ -91,12 +89,13 @@ def _body(
         "time": [round(samples[0].time - start, 3) for samples in instants],
         "table": [gauges.table(samples) for samples in instants],
         "bars": [gauges.bars(samples) for samples in instants],
+        "plot": _error_plot(variants),
     }
     parts = {
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
-        "__PLOT__": _error_plot(variants),
+        "__ERRORS__": legend(error_entries(variants)),
         "__OPTIONS__": "".join(_option_table(variant) for variant in variants),
         # Instants are much alike, so they are small when compressed.
         "__GAUGES__": base64.b64encode(gzip.compress(json.dumps(shown).encode())).decode(),
@@ -128,53 +127,25 @@ def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value or "none")
 
 
-def _error_plot(variants: Sequence[Variant]) -> str:
-    """Return the mean point error of each robot, and the first one's largest, as HTML.
+def _error_plot(variants: Sequence[Variant]) -> dict[str, Any]:
+    """Return the mean point error of each robot over time, and the first one's largest [mm].
 
-    The line with the id `handmap-now` marks the time. It is to be moved by up to `data-width`.
+    Each bin of samples gives its largest. `top` is the end of the axis; 0 without any error.
     """
     rows = [np.array([gauge_row(sample) for sample in variant.samples]).T for variant in variants]
-    time, errors = rows[0][0], [rows[0][1], rows[0][2], *(row[1] for row in rows[1:])]
-    if not np.isfinite(errors).any():
-        return ""
-    span = max(float(time[-1] - time[0]), 1e-3)
-    top = round_up(max(float(np.nanmax(errors)), 1e-3), (1.0, 2.0, 4.0, 6.0, 8.0))
-    x, entries = _WIDTH * (time - time[0]) / span, error_entries(variants)
-    lines = "".join(
-        f'<path d="{_path(x, _HEIGHT * (1.0 - error / top))}" fill="none" stroke="{colour}"/>'
-        for error, (_, colour) in reversed(list(zip(errors, entries, strict=True)))
-    )
-    grid = "".join(
-        f'<g transform="translate(0 {_HEIGHT * (1 - share):.1f})"><path d="M0 0h{_WIDTH}" '
-        f'stroke="#e6e8eb"/><text x="-4" y="3.5" text-anchor="end">{share * top:g}</text></g>'
-        for share in (0.0, 0.5, 1.0)
-    )
-    times = "".join(
-        f'<text x="{_WIDTH * share:.1f}" y="{_HEIGHT + 13}" text-anchor="{anchor}">'
-        f"{share * span:.1f}{unit}</text>"
-        for share, anchor, unit in ((0.0, "start", ""), (0.5, "middle", ""), (1.0, "end", " s"))
-    )
-    return (
-        '<div style="padding:4px 14px 0;font-size:11px;font-weight:600">point error [mm]</div>'
-        f'<svg viewBox="0 0 {_LEFT + _WIDTH + 14} {_TOP + _HEIGHT + 18}" style="width:100%;'
-        'display:block;font:10px system-ui,sans-serif" fill="#666">'
-        f'<g transform="translate({_LEFT} {_TOP})">{grid}{times}{lines}'
-        f'<path id="handmap-now" data-width="{_WIDTH}" d="M0 0v{_HEIGHT}" stroke="{ORANGE}" '
-        f'stroke-width="2"/></g></svg>{legend(entries)}'
-    )
-
-
-def _path(x: np.ndarray, y: np.ndarray) -> str:
-    """Return an SVG path with gaps where y is NaN; each bin of samples gives its highest point."""
-    starts = bin_starts(len(x), _MOST_POINTS)
-    words, pen = [], "M"
-    for i, height in zip(starts, np.fmin.reduceat(y, starts), strict=True):
-        if np.isnan(height):
-            pen = "M"
-        else:
-            words.append(f"{pen}{x[i]:.1f} {height:.1f}")
-            pen = "L"
-    return "".join(words)
+    time, errors = rows[0][0] - rows[0][0][0], [*rows[0][1:3], *(row[1] for row in rows[1:])]
+    starts = bin_starts(len(time), _MOST_POINTS)
+    binned = np.fmax.reduceat(errors, starts, axis=1)
+    top = np.nanmax(binned) if np.isfinite(binned).any() else 0.0
+    return {
+        "time": time[starts].tolist(),
+        "span": max(float(time[-1]), 1e-3),
+        "top": top and round_up(max(top, 1e-3), (1.0, 2.0, 4.0, 6.0, 8.0)),
+        "lines": [
+            [colour, [None if np.isnan(value) else value for value in error.round(3).tolist()]]
+            for error, (_, colour) in zip(binned, error_entries(variants), strict=True)
+        ],
+    }
 
 
 def _at_rate(

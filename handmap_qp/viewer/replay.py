@@ -317,10 +317,10 @@ class ReplayViewer:
                 self._pending.pop(0)()
             except HandmapError as error:
                 self.steering.show_error(error)
-                self.steering.show_compared(self._compared)
             else:
                 self.steering.show_error(None)
                 self._show_variants()
+            self.steering.show_compared(self._compared)
 
     def _remap(self) -> None:
         self.replay.remap(self._base.with_changes(self._changes))

@@ -1,14 +1,16 @@
-"""Shared by the tests of the view: one server for each file, and meshes that are read once."""
+"""Shared by the tests of the view: a server for each file; meshes and presets are found once."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import pytest
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.viewer import figure
+from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.viewer import figure, live, replay
 from handmap_qp.viewer.serving import serving
 
 _MESHES: dict[str, dict[str, list[Any]]] = {}
@@ -21,9 +23,16 @@ def _meshes_once(hand: Hand) -> dict[str, list[Any]]:
     return _MESHES[hand.urdf_text]
 
 
+@cache
+def _presets_once(human: Hand, robot: Hand) -> tuple[str, ...]:
+    return possible_presets(human, robot)
+
+
 @pytest.fixture(autouse=True)
-def _known_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
+def _found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(figure, "link_meshes", _meshes_once)
+    monkeypatch.setattr(replay, "possible_presets", _presets_once)
+    monkeypatch.setattr(live, "possible_presets", _presets_once)
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,8 @@ def test_the_command_writes_one_page_that_needs_no_network(
     assert packed is not None
     gauges = json.loads(gzip.decompress(base64.b64decode(packed[1])))
     assert gauges["time"][0] == 0.0
-    assert {len(texts) for texts in gauges.values()} == {len(gauges["time"])}
+    assert len(gauges["table"]) == len(gauges["bars"]) == len(gauges["time"])
+    assert max(gauges["plot"]["lines"][1][1]) <= gauges["plot"]["top"]
     assert "pinch gaps" in gauges["table"][-1]
     assert "position limit" in gauges["bars"][-1]
     for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):

@@ -65,7 +65,7 @@ def moving(
     is_over, commands = threading.Event(), list[Command]()
 
     def move() -> None:
-        while not is_over.wait(0.01):
+        while not is_over.wait(0.02):
             i = len(commands)
             commands.append(
                 client.step(
