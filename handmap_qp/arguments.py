@@ -205,7 +205,9 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
         settings = tyro.conf.arg(help=" ".join(texts), help_behavior_hint="")
         items.append((option, Annotated[kind, settings], field(default=None)))
-    return make_dataclass(name, items, frozen=True, namespace={"__doc__": about})
+    # Named by its module, so that workers of a batch can unpickle it.
+    named = {"__doc__": about, "__module__": __name__}
+    return make_dataclass(name, items, frozen=True, namespace=named)
 
 
 def _default(option: Any) -> str:
