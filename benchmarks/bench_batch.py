@@ -34,10 +34,10 @@ from common import (
     write_json,
 )
 
-import handmap_qp.datasets.job as job_module
+import handmap_qp.datasets.episodes as job_module
 from handmap_qp.datasets.batch import plan_batch, run_batch
 from handmap_qp.datasets.engines import PoolEngine
-from handmap_qp.datasets.job import Job, JobOptions, run_job
+from handmap_qp.datasets.episodes import Job, JobOptions, run_job
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import Source, read_recording, write_recordings

@@ -13,7 +13,7 @@ import trimesh
 import yaml
 
 from handmap_qp import load_hand
-from handmap_qp.datasets.manifest import Line, Manifest, read_manifests
+from handmap_qp.datasets.manifest import Line, open_manifest, read_manifests
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.mjcf.convert import convert_mjcf
 from handmap_qp.hands.sources import urdf_directory
@@ -157,11 +157,9 @@ _COLLISION = re.compile(r"(<collision[^>]*>.*?<geometry>).*?(</geometry>)", re.D
 
 def _write_manifest(folder: Path) -> None:
     folder.mkdir()
-    with Manifest(folder) as manifest:
+    with open_manifest(folder) as append:
         for i in range(5):
-            manifest.append(
-                Line(f"key-{i}", "done", f"{i}.npz", 100, i, "digest", metrics={"a": 1.0})
-            )
+            append(Line(f"key-{i}", "done", f"{i}.npz", 100, i, "digest", metrics={"a": 1.0}))
 
 
 _DEX = """retargeting:

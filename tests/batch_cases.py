@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from dataclasses import replace
 from pathlib import Path
 
 from handmap_qp.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.datasets.engines import Engine, SerialEngine
-from handmap_qp.datasets.job import Job, JobOptions
+from handmap_qp.datasets.episodes import Job, JobOptions
 from handmap_qp.human.recording import Recording
-from handmap_qp.trackers.formats import Source, read_recording, write_recordings
+from handmap_qp.trackers.formats import Source, list_sources, read_recording, write_recordings
 from handmap_qp.trackers.formats.base import Entry
 from handmap_qp.trackers.formats.npz import NpzFormat
 
@@ -57,6 +58,15 @@ def write_pieces(folder: Path, count: int, frames: int = 12) -> list[Path]:
 def die_at_once() -> None:
     """End a worker before it takes a job."""
     os._exit(1)
+
+
+def list_or_die(path: Path) -> tuple[Source, ...]:
+    """List a file, unless its name says to crash or to loop for ever."""
+    if path.stem == "crash":
+        os._exit(1)
+    while path.stem == "hold":
+        time.sleep(60.0)
+    return list_sources(path)
 
 
 class KillingFormat(NpzFormat):

@@ -12,14 +12,13 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from handmap_qp.datasets.episode_files import read_episode
+from handmap_qp.datasets.episodes import read_episode
 from handmap_qp.datasets.manifest import Line
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
@@ -35,26 +34,22 @@ WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy"
 _STATE, _ACTION, _VALID = "observation.state", "action", "observation.valid"
 
 
-@dataclass(frozen=True, slots=True)
-class Episode:
+class Episode(NamedTuple):
     """An episode of the data set.
 
     Attributes:
         sources: Keys of its recordings.
         task: What is done, in words.
         state: States of all hands side by side, shape (N, n).
+        action: The state of the next frame, shape (N, n).
         valid: Whether each hand was seen, shape (N, number of hands).
     """
 
-    sources: tuple[str, ...]
+    sources: str
     task: str
     state: np.ndarray
+    action: np.ndarray
     valid: np.ndarray
-
-    @property
-    def action(self) -> np.ndarray:
-        """The state of the next frame, shape (N, n)."""
-        return np.concatenate([self.state[1:], self.state[-1:]])
 
 
 def assemble(
@@ -94,17 +89,17 @@ def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
     Args:
         hands: Robot hands by side.
     """
-    names = []
-    for side, hand in hands.items():
-        prefix = f"{side}_" if len(hands) > 1 else ""
-        names += [prefix + name for name in (*hand.joint_names, *WRIST_NAMES)]
-    return tuple(names)
+    return tuple(
+        (f"{side}_" if len(hands) > 1 else "") + name
+        for side, hand in hands.items()
+        for name in (*hand.joint_names, *WRIST_NAMES)
+    )
 
 
 def _write_lerobot(
     episodes: Iterator[Episode], root: Path, fps: float, hands: Mapping[Side, Hand]
 ) -> Path:
-    names = state_names(hands)
+    names, robot = state_names(hands), " and ".join(hand.name for hand in hands.values())
     features = {
         _STATE: Feature("float32", names),
         _ACTION: Feature("float32", names),
@@ -112,13 +107,12 @@ def _write_lerobot(
     }
     fresh = root.with_name(f"{root.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
-    robot = " and ".join(hand.name for hand in hands.values())
     with LeRobotWriter(
         fresh, fps=fps, features=features, robot_type=robot, argument="--out"
     ) as writer:
         for episode in episodes:
             columns = {_STATE: episode.state, _ACTION: episode.action, _VALID: episode.valid}
-            writer.add(columns, episode.task, {"source": ", ".join(episode.sources)})
+            writer.add(columns, episode.task, {"source": episode.sources})
     shutil.rmtree(root, ignore_errors=True)
     with writing(root, "--out"):
         fresh.rename(root)
@@ -144,7 +138,7 @@ def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Mapping[Sid
 def _write_demo(demo: Any, episode: Episode) -> None:
     count = len(episode.state)
     demo.attrs["num_samples"] = count
-    demo.attrs["source"] = ", ".join(episode.sources)
+    demo.attrs["source"] = episode.sources
     demo.attrs["task"] = episode.task
     demo["actions"] = episode.action
     demo["states"] = episode.state
@@ -159,53 +153,46 @@ def _episodes(
     lines: Sequence[Line], folder: Path, fps: float, hands: Mapping[Side, Hand]
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
-    ordered = sorted(lines, key=lambda line: line.key)
-    for name, group in groupby(ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]):
-        own = [line for line in group if line.side in hands]
-        arrays = [read_episode(folder, line) for line in own]
-        if len(own) == 2 and own[0].side != own[1].side and _is_same_time(*arrays):
-            yield _episode(name, own, arrays, fps, hands)
-            continue
-        for line, columns in zip(own, arrays, strict=True):
-            yield _episode(name, [line], [columns], fps, hands)
-
-
-def _is_same_time(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> bool:
-    return np.array_equal(one["time"], other["time"])
+    ordered = sorted((line for line in lines if line.side in hands), key=lambda line: line.key)
+    for _, group in groupby(ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]):
+        pairs = [(line, read_episode(folder, line)) for line in group]
+        times, sides = [columns["time"] for _, columns in pairs], {line.side for line, _ in pairs}
+        if len(pairs) == len(sides) == 2 and np.array_equal(times[0], times[1]):
+            yield _episode(pairs, fps, hands)
+        else:
+            yield from (_episode([pair], fps, hands) for pair in pairs)
 
 
 def _episode(
-    name: str,
-    lines: Sequence[Line],
-    arrays: Sequence[dict[str, np.ndarray]],
-    fps: float,
-    hands: Mapping[Side, Hand],
+    pairs: Sequence[tuple[Line, dict[str, np.ndarray]]], fps: float, hands: Mapping[Side, Hand]
 ) -> Episode:
-    time = arrays[0]["time"]
+    """Put the hands of one recording side by side, at a fixed rate."""
+    by_side = {line.side: columns for line, columns in pairs}
+    (line, columns), *_ = pairs
+    time = columns["time"]
     count = int(np.floor((time[-1] - time[0]) * fps + 1e-6)) + 1
     instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
     states, valid = [], []
-    by_side = {line.side: columns for line, columns in zip(lines, arrays, strict=True)}
     for side, hand in hands.items():
+        state = np.tile([*hand.rest, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        seen = np.zeros(count, dtype=bool)
         if side in by_side:
-            state, seen = _resampled(by_side[side], hand, instants)
-        else:
-            state = np.tile([*hand.rest, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
-            seen = np.zeros(count, dtype=bool)
+            state, seen = _resampled(by_side[side], instants)
         states.append(_as_float32(state, hand))
         valid.append(seen)
-    folders = Path(name).parts[:-1]
-    task = folders[-1].replace("_", " ") if folders else "human hand motion"
+    folder = Path(line.key.rpartition(SEPARATOR)[0]).parent.name
+    whole = np.hstack(states)
     return Episode(
-        sources=tuple(line.key for line in lines),
-        task=task,
-        state=np.hstack(states),
+        sources=", ".join(line.key for line, _ in pairs),
+        task=folder.replace("_", " ") or "human hand motion",
+        state=whole,
+        action=np.concatenate([whole[1:], whole[-1:]]),
         valid=np.stack(valid, axis=1),
     )
 
 
 def _resampled(
-    columns: dict[str, np.ndarray], hand: Hand, instants: np.ndarray
+    columns: dict[str, np.ndarray], instants: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate joints and wrist; a frame is valid between two valid samples."""
     time, wrist = columns["time"], columns["wrist"]

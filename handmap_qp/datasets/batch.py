@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from handmap_qp.datasets.engines import Engine, left_behind
-from handmap_qp.datasets.episode_files import is_intact
-from handmap_qp.datasets.job import Job, JobOptions
-from handmap_qp.datasets.manifest import Line, Manifest, read_manifests
+from handmap_qp.datasets.engines import Engine
+from handmap_qp.datasets.episodes import Job, JobOptions, is_intact
+from handmap_qp.datasets.manifest import Line, open_manifest, read_manifests
 from handmap_qp.datasets.sources import Task, find_files, tasks_of
 from handmap_qp.output_files import make_folder
 
@@ -76,7 +75,6 @@ def plan_batch(
     folder: Path,
     options: JobOptions,
     shard: tuple[int, int] = (1, 1),
-    progress: Callable[[int], None] | None = None,
 ) -> Plan:
     """List the recordings, and compare them with the manifest.
 
@@ -85,7 +83,6 @@ def plan_batch(
         folder: Folder of the batch; created if it does not exist.
         options: What all jobs have in common.
         shard: Which part of how many.
-        progress: Called with the number of files listed.
 
     Returns:
         The plan. A recording is done if its last line says so, its file has the same size and time
@@ -98,24 +95,26 @@ def plan_batch(
     digest = options.digest
     make_folder(folder / "episodes", "--out")
     files, repeated = find_files(inputs, folder)
-    tasks = tasks_of(files, shard, progress)
-    state = read_manifests(folder)
-    interrupted = left_behind(folder) if shard[1] == 1 else {}
+    tasks, state = tasks_of(files, shard), read_manifests(folder)
+    if shard == (1, 1):
+        # What is torn was being written when a batch was killed; shards may be writing now.
+        for torn in (folder / "episodes").rglob(".*.part"):
+            torn.unlink(missing_ok=True)
     jobs, done, damaged, left_alone, kills = [], [], [], [], {}
     for task in tasks:
         line = state.get(task.key)
-        if line is not None and _is_same(line, task, digest):
-            if line.status == "done":
-                if is_intact(folder, line):
-                    done.append(line)
-                    continue
-                damaged.append(line)
-            elif line.is_final:
-                left_alone.append(line)
-                continue
+        if line is None or not _is_same(line, task, digest):
+            pass
+        elif line.status == "done" and is_intact(folder, line):
+            done.append(line)
+            continue
+        elif line.status == "done":
+            damaged.append(line)
+        elif line.is_final:
+            left_alone.append(line)
+            continue
+        elif line.kills:
             kills[task.key] = line.kills
-        # A recording that was alone when all died counts as killed; others may be innocent.
-        kills[task.key] = kills.get(task.key, 0) + interrupted.get(task.key, False)
         jobs.append(Job(task, options, digest, folder))
     return Plan(tuple(jobs), tuple(done), tuple(left_alone), kills, tuple(damaged), repeated)
 
@@ -125,7 +124,7 @@ def run_batch(
     folder: Path,
     engine: Engine,
     shard: tuple[int, int] = (1, 1),
-    progress: Callable[[Line], None] | None = None,
+    progress: Callable[[Line], None] = lambda _: None,
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> Tally:
     """Run the jobs of a plan; each episode is on the disk before its line in the manifest.
@@ -148,13 +147,12 @@ def run_batch(
     """
     started, useful = _cpu_time(), 0.0
     last: dict[str, Line] = {}
-    with Manifest(folder, shard) as manifest:
-        for line in engine.outcomes(plan.jobs, plan.kills, is_stopped):
-            manifest.append(line)
+    with open_manifest(folder, shard) as append:
+        for line in engine.outcomes(plan.jobs, dict(plan.kills), is_stopped):
+            append(line)
             useful += line.cpu_s
             last[line.key] = line
-            if progress is not None:
-                progress(line)
+            progress(line)
     is_complete = len(last) == len(plan.jobs)
     is_complete &= all(line.status != "killed" for line in last.values())
     return Tally(tuple(last.values()), is_complete, useful, _cpu_time() - started)

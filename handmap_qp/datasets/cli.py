@@ -9,22 +9,23 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from handmap_qp.arguments import MappingArguments
+from handmap_qp.datasets.assemble import assemble
+from handmap_qp.datasets.batch import Plan, Tally, plan_batch, run_batch, stopped_by_signals
+from handmap_qp.datasets.convert import convert
+from handmap_qp.datasets.engines import Engine, PoolEngine, RayEngine, SerialEngine
+from handmap_qp.datasets.episodes import JobOptions
+from handmap_qp.datasets.manifest import Line
+from handmap_qp.datasets.report import assess, summary_rows, worst_rows, write_report
 from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.hands.spec import Side
+from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.tables import print_rows, print_table, progress
 from handmap_qp.trackers.formats import FORMATS
-
-if TYPE_CHECKING:
-    from handmap_qp.datasets.batch import Plan, Tally
-    from handmap_qp.datasets.engines import Engine
-    from handmap_qp.datasets.job import JobOptions
-    from handmap_qp.datasets.manifest import Line
-    from handmap_qp.hands.hand import Hand
-    from handmap_qp.hands.spec import Side
 
 
 @dataclass(frozen=True)
@@ -78,24 +79,15 @@ class Convert:
 
     def run(self) -> None:
         """Read, write, and say what was lost."""
-        from handmap_qp.datasets.convert import convert
-
         if len(self.paths) < 2:
             raise InvalidInputError(
                 argument="IN OUT", expected="a file to read and one to write", got="one path"
             )
         done = convert(self.paths[:-1], self.paths[-1], self.format, self.mano)
         if self.json:
-            result = {
-                "recordings": done.recordings,
-                "samples": done.samples,
-                "files": [str(file) for file in done.files],
-                "not_read": list(done.unread),
-                "lost": list(done.losses),
-            }
-            print(json.dumps(result))
+            print(json.dumps(done._asdict(), default=str))
             return
-        lost = [*done.unread, *done.losses]
+        lost = [*done.not_read, *done.lost]
         print(f"{done.recordings} recordings, {done.samples} samples")
         print(f"lost: {', '.join(lost)}" if lost else "nothing was lost")
         for file in done.files:
@@ -163,12 +155,7 @@ class Batch:
 
     def run(self) -> None:
         """List, map, and say what was done."""
-        shard = _shard(self.shard)
-        engine = self._engine()
-        if not 0.0 < self.fps <= 1000.0:
-            expected = "a rate of at most 1000 per second, and > 0"
-            raise InvalidInputError(argument="--fps", expected=expected, value=self.fps)
-        options = self._options()
+        shard, engine, options = _shard(self.shard), self._engine(), self._options()
         plan, tally = self._map(options, engine, shard)
         try:
             written = self._assemble(options, plan, tally)
@@ -189,8 +176,6 @@ class Batch:
         self, options: JobOptions, engine: Engine, shard: tuple[int, int]
     ) -> tuple[Plan, Tally]:
         """List the recordings, say what is odd about them, and map those that are not done."""
-        from handmap_qp.datasets.batch import plan_batch, run_batch, stopped_by_signals
-
         with progress("listing"):
             plan = plan_batch(self.inputs, self.out, options, shard)
         damaged = [line.name for line in plan.damaged]
@@ -208,54 +193,41 @@ class Batch:
             return plan, run_batch(plan, self.out, engine, shard, advance, is_stopped)
 
     def _options(self) -> JobOptions:
-        """Check the robots, and collect what all jobs have in common."""
-        from handmap_qp.datasets.job import JobOptions
-        from handmap_qp.offline.look_ahead import LookAhead
-
+        """Check the options, and collect what all jobs have in common."""
+        if not 0.0 < self.fps <= 1000.0:
+            expected = "a rate of at most 1000 per second, and > 0"
+            raise InvalidInputError(argument="--fps", expected=expected, value=self.fps)
         robots: dict[Side, str] = {}
         for name in self.robot:
-            hand = self.arguments.load_robot(name)
-            if hand.spec.side in robots:
-                got = f"{robots[hand.spec.side]} and {name}, both {hand.spec.side}"
-                raise InvalidInputError(
-                    argument="--robot", expected="one robot for each side", got=got
-                )
-            robots[hand.spec.side] = name
+            side = self.arguments.load_robot(name).spec.side
+            if side in robots:
+                got, expected = f"{robots[side]} and {name}, both {side}", "one robot for each side"
+                raise InvalidInputError(argument="--robot", expected=expected, got=got)
+            robots[side] = name
         if self.look_ahead and self.arguments.smooth:
-            raise InvalidInputError(
-                argument="--smooth", problem="has no effect with --look-ahead, which smooths itself"
-            )
+            problem = "has no effect with --look-ahead, which smooths itself"
+            raise InvalidInputError(problem, argument="--smooth")
         return JobOptions(robots, self.arguments, LookAhead() if self.look_ahead else None)
 
     def _engine(self) -> Engine:
-        from handmap_qp.datasets.engines import PoolEngine, SerialEngine
-
         workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
         if not 0 <= workers <= 1024:
-            raise InvalidInputError(
-                argument="--workers", expected="a number from 0 to 1024", value=workers
-            )
+            expected = "a number from 0 to 1024"
+            raise InvalidInputError(argument="--workers", expected=expected, value=workers)
         if self.engine == "ray":
-            from handmap_qp.datasets.ray_engine import RayEngine
-
             return RayEngine(max(1, workers))
         return PoolEngine(workers) if workers else SerialEngine()
 
     def _assemble(self, options: JobOptions, plan: Plan, tally: Tally) -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""
-        if self.format == "npz" or self.shard is not None or not tally.is_complete:
-            return None
-        from handmap_qp.datasets.assemble import assemble
-
         lines = [*plan.done, *tally.done]
-        if not lines:
+        if self.format == "npz" or self.shard is not None or not (tally.is_complete and lines):
             return None
-        robots: dict[Side, Hand] = {side: options.load_robot(side) for side in options.robots}
+        robots = {side: options.load_robot(side) for side in options.robots}
         return assemble(lines, self.out, self.format, self.fps, robots)
 
     def _report(self, plan: Plan, tally: Tally, written: Path | None) -> None:
         frames = sum(line.frames for line in tally.done)
-        cpu = sum(line.cpu_s for line in tally.done)
         if self.json:
             result = {
                 "done": len(tally.done),
@@ -263,7 +235,7 @@ class Batch:
                 "skipped": len(plan.done),
                 "left_alone": len(plan.left_alone),
                 "frames": frames,
-                "cpu_s": round(cpu, 3),
+                "cpu_s": round(tally.useful_cpu, 3),
                 "all_cpu_s": round(tally.all_cpu, 3),
                 "complete": tally.is_complete,
                 "data_set": None if written is None else str(written),
@@ -276,18 +248,16 @@ class Batch:
             "samples": f"{frames}",
         }
         if frames:
-            rows["CPU time of a sample"] = f"{1e6 * cpu / frames:.0f} us"
+            rows["CPU time of a sample"] = f"{1e6 * tally.useful_cpu / frames:.0f} us"
         print_table(str(self.out), rows)
         for line in tally.failed[:10]:
             print(f"failed: {line.name}: {line.error}")
         if written is not None:
             print(f"wrote {written}")
         if not tally.is_complete:
-            left = len(plan.jobs) - len(tally.lines)
-            print(
-                f"handmap: interrupted, {left} recordings are left: run the same command to go on",
-                file=sys.stderr,
-            )
+            left = f"{len(plan.jobs) - len(tally.lines)} recordings are left"
+            text = f"handmap: interrupted, {left}: run the same command to go on"
+            print(text, file=sys.stderr)
 
 
 @dataclass(frozen=True)
@@ -321,28 +291,20 @@ class Report:
 
     def run(self) -> None:
         """Read the manifest, rank, write, and print."""
-        from handmap_qp.datasets.report import assess, summary_rows, worst_rows
-        from handmap_qp.datasets.report_files import write_report
-
         if self.worst < 1:
             expected = "a number > 0"
             raise InvalidInputError(argument="--worst", expected=expected, value=self.worst)
         quality = assess(self.folder, self.keep)
         files = write_report(self.folder, quality, self.worst, draws=self.pictures)
-        kept = int(quality.is_kept.sum())
+        count, kept = len(quality.lines), int(quality.is_kept.sum())
+        measures, worst = summary_rows(quality), worst_rows(quality, self.worst)
         if self.json:
-            result = {
-                "episodes": len(quality.lines),
-                "kept": kept,
-                "failed": len(quality.failed),
-                "measures": summary_rows(quality),
-                "worst": worst_rows(quality, self.worst),
-                "files": [str(file) for file in files],
-            }
-            print(json.dumps(result))
+            counts = {"episodes": count, "kept": kept, "failed": len(quality.failed)}
+            result = {**counts, "measures": measures, "worst": worst, "files": files}
+            print(json.dumps(result, default=str))
             return
-        print_rows(f"{len(quality.lines)} episodes, {kept} kept", summary_rows(quality))
-        print_rows("Worst episodes", worst_rows(quality, self.worst))
+        print_rows(f"{count} episodes, {kept} kept", measures)
+        print_rows("Worst episodes", worst)
         for file in files:
             print(f"wrote {file}")
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.human.recording import Recording
@@ -14,23 +14,22 @@ from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
 
 
-@dataclass(frozen=True, slots=True)
-class Conversion:
+class Conversion(NamedTuple):
     """What was converted.
 
     Attributes:
         recordings: Number of recordings.
         samples: Number of samples in all.
         files: Files or folders written.
-        unread: What the files held besides recordings of hands.
-        losses: What the new format cannot hold.
+        not_read: What the files held besides recordings of hands.
+        lost: What the new format cannot hold.
     """
 
     recordings: int
     samples: int
     files: tuple[Path, ...]
-    unread: tuple[str, ...]
-    losses: tuple[str, ...]
+    not_read: tuple[str, ...]
+    lost: tuple[str, ...]
 
 
 def convert(
@@ -52,27 +51,27 @@ def convert(
     is_folder = bool(target.suffixes) and not out.suffix
     if target.suffixes and not is_folder:
         check_output("OUT", out, target.suffixes)
-    sources = [
-        source
-        if mano is None or source.format.name != ManoFormat.name
-        else source._replace(format=ManoFormat(mano))
-        for path in inputs
-        for source in list_sources(path)
-    ]
+    sources = [_with_model(source, mano) for path in inputs for source in list_sources(path)]
     unread = {source.path: source.format.unread(source.path) for source in sources}
     recordings = [source.read() for source in sources]
+    files: tuple[Path, ...] = (out,)
     if is_folder:
         files = _write_each(recordings, sources, out, target)
     else:
         target.write(recordings, out)
-        files = (out,)
     return Conversion(
         recordings=len(recordings),
-        samples=sum(len(recording) for recording in recordings),
+        samples=sum(map(len, recordings)),
         files=files,
-        unread=tuple(dict.fromkeys(name for names in unread.values() for name in names)),
-        losses=target.losses(recordings),
+        not_read=tuple(dict.fromkeys(name for names in unread.values() for name in names)),
+        lost=target.losses(recordings),
     )
+
+
+def _with_model(source: Source, mano: Path | None) -> Source:
+    """Return the source with the MANO model that reads its parameters."""
+    is_mano = mano is not None and source.format.name == ManoFormat.name
+    return source._replace(format=ManoFormat(mano)) if is_mano else source
 
 
 def _write_each(

@@ -1,48 +1,69 @@
-"""Engines that run the jobs of a batch: in this process, or in a pool of processes.
+"""Engines that run the jobs of a batch: in this process, in a pool of processes, or under Ray.
 
-An engine yields a line of the manifest for every job, in the order in which jobs end. It survives
-workers that die: `killed` lines say so, and a recording that kills its worker `MOST_KILLS` times is
-given up with a `failed` line.
+All have one loop. It yields a line of the manifest for every job, in the order in which jobs end,
+and survives workers that die: what was under way then is run again one at a time, so that the one
+that is to blame is found. A recording that kills its worker `MOST_KILLS` times is given up.
 """
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import os
-import signal
-import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from hashlib import sha256
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from importlib import import_module
 from itertools import islice
-from pathlib import Path
-from typing import Protocol
+from typing import Any, NamedTuple
 
-from handmap_qp.datasets.episode_files import synced
-from handmap_qp.datasets.job import Job, run_job
+from handmap_qp.datasets.episodes import Job, run_job, synced
 from handmap_qp.datasets.manifest import MOST_KILLS, Line
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import remove_torn, writing
+from handmap_qp.datasets.workers import CONTEXT, ONE_THREAD, no_start, one_thread, start_worker
+from handmap_qp.errors import HandmapError, MissingExtraError
+from handmap_qp.output_files import remove_torn
 
-IN_FLIGHT = 3
-"""Groups of jobs given to each worker in advance, so that it never waits."""
 GROUP_FRAMES = 1024
 """Short recordings are given to a worker in groups of up to so many frames, some 0.3 s of work: a
 message to another process takes 3 ms of CPU time of both."""
-RUNNING = ".running"
-"""Folder of a file for each job that a worker is busy with."""
+_IN_FLIGHT = 3
+"""Groups of jobs given to each worker in advance, so that it never waits."""
 _MOST_STARTS = 10
-"""Pools in a row that break before a job begins; after that, no pool is started any more."""
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of a worker, read by its BLAS when it starts."""
+"""Pools in a row whose first worker dies before it begins; after that, none is started."""
+
+Group = tuple[Job, ...]
+"""Jobs that a worker runs one after the other."""
 
 
-class Engine(Protocol):
-    """Runs jobs."""
+class Workers(NamedTuple):
+    """What runs groups of jobs.
+
+    Attributes:
+        submit: Begins a group; the result is the lines of its jobs, when they are on the disk.
+        count: Number of workers.
+        death: What the result raises if its worker has died.
+    """
+
+    submit: Callable[[Group], Future[Sequence[Line]]]
+    count: int
+    death: type[Exception] = BrokenProcessPool
+
+
+class Engine(ABC):
+    """Runs jobs.
+
+    Args:
+        workers: Number of workers.
+    """
+
+    def __init__(self, workers: int = 1) -> None:
+        self._count = workers
+
+    @abstractmethod
+    def start(self, count: int) -> AbstractContextManager[Workers]:
+        """Start workers for the block; see `Workers`."""
 
     def outcomes(
         self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
@@ -56,235 +77,179 @@ class Engine(Protocol):
                 nothing more is begun.
 
         Yields:
-            A line for every job that has ended, and one for every death of a worker.
+            A line for every job that has ended, and one before every try of a job whose worker may
+            have died: a try that takes this process with it counts too.
 
         Raises:
             DiskFullError: If an episode cannot be written because the disk is full.
-        """
-        ...
-
-
-class SerialEngine:
-    """Runs jobs one after the other in this process."""
-
-    def outcomes(
-        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
-    ) -> Iterator[Line]:
-        """Run jobs in order; see `Engine`."""
-        for job in jobs:
-            if is_stopped():
-                return
-            yield from synced(job.folder, [run_job(job)])
-
-
-class PoolEngine:
-    """Runs jobs in processes of their own on this machine.
-
-    When a worker dies, all recordings that were under way are suspects. They are run again one at a
-    time in a pool of one, so that the one that is to blame is found.
-
-    Args:
-        workers: Number of processes.
-    """
-
-    def __init__(self, workers: int) -> None:
-        self._workers = workers
-        self._failed_starts = 0
-
-    def outcomes(
-        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
-    ) -> Iterator[Line]:
-        """Run jobs in the pool; see `Engine`.
-
-        Raises:
             InvalidInputError: If workers die again and again while they start.
         """
         waiting = deque(job for job in jobs if not kills.get(job.task.key))
         suspects = deque(job for job in jobs if kills.get(job.task.key))
         while (waiting or suspects) and not is_stopped():
-            queue = suspects or waiting
-            yield from self._until_one_dies(queue, suspects, kills, is_stopped)
-
-    def _until_one_dies(
-        self,
-        queue: deque[Job],
-        suspects: deque[Job],
-        kills: dict[str, int],
-        is_stopped: Callable[[], bool],
-    ) -> Iterator[Line]:
-        """Run the jobs of a queue until all are done, or a worker dies: suspects one at a time."""
-        is_alone = queue is suspects
-        workers, most = (1, 1) if is_alone else (self._workers, IN_FLIGHT * self._workers)
-        flying: dict[Future[Sequence[Line]], tuple[Job, ...]] = {}
-        with _pool(workers) as pool:
-            try:
-                while (queue and not is_stopped()) or flying:
-                    if is_stopped():
-                        # Cancelled ones are given up: a next run begins with them.
-                        flying = {
-                            future: jobs for future, jobs in flying.items() if not future.cancel()
-                        }
-                    while queue and not is_stopped() and len(flying) < most:
-                        jobs = (queue[0],) if is_alone else self._next_group(queue)
-                        flying[pool.submit(run_group, jobs, is_alone)] = jobs
-                        for _ in jobs:
-                            queue.popleft()
-                    for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                        lines = future.result()
-                        del flying[future]
-                        self._failed_starts = 0
-                        yield from lines
-            except BrokenProcessPool:
-                self._failed_starts += 1
-                yield from self._sorted_out(flying, queue, suspects, kills)
-                self._check_starts()
-
-    def _next_group(self, waiting: Sequence[Job]) -> tuple[Job, ...]:
-        """Return the next jobs for one worker; towards the end fewer, so that all have some."""
-        most, frames, group = max(1, len(waiting) // (2 * self._workers)), 0, []
-        for job in islice(waiting, most):
-            frames += job.task.frames
-            if group and frames > GROUP_FRAMES:
-                break
-            group.append(job)
-        return tuple(group)
-
-    def _sorted_out(
-        self,
-        flying: dict[Future[Sequence[Line]], tuple[Job, ...]],
-        queue: deque[Job],
-        suspects: deque[Job],
-        kills: dict[str, int],
-    ) -> Iterator[Line]:
-        """Sort the jobs of a broken pool: ended, under way when it broke, or not begun."""
-        for future, jobs in flying.items():
-            if future.done() and future.exception() is None:
-                self._failed_starts = 0
-                yield from future.result()
-                continue
-            for job in reversed(jobs):
-                if _took_marker(job):
-                    self._failed_starts = 0
-                    yield killed(job, kills)
-                    if kills[job.task.key] < MOST_KILLS:
-                        suspects.append(job)
-                else:
-                    # Mapped again, if it had ended when a later one of its group died.
-                    queue.appendleft(job)
-
-    def _check_starts(self) -> None:
-        """Give up if no worker comes up: memory, or the way this program starts processes."""
-        if self._failed_starts >= _MOST_STARTS:
-            raise InvalidInputError(
-                argument="--workers",
-                expected="processes that start",
-                got=f"{self._failed_starts} in a row that died before they began",
-                advice="take fewer if memory is short, or 0 to map in this process; in a script, "
-                "call it below `if __name__ == '__main__':`",
-            )
-
-
-def run_group(jobs: tuple[Job, ...], is_alone: bool = False) -> Sequence[Line]:
-    """Run jobs one after the other in a worker.
-
-    Args:
-        jobs: The jobs of one batch.
-        is_alone: Whether no other jobs run beside them.
-
-    Returns:
-        What happened, when the episodes are on the disk.
-    """
-    return synced(jobs[0].folder, [_run_marked(job, is_alone) for job in jobs])
-
-
-def _run_marked(job: Job, is_alone: bool) -> Line:
-    """Run a job, with a file that says so as long as it runs."""
-    marker = _marker(job)
-    content = {"key": job.task.key, "alone": is_alone, "out": job.task.out}
-    try:
-        with writing(marker, "--out"):
-            marker.parent.mkdir(exist_ok=True)
-            marker.write_text(json.dumps(content), encoding="utf-8")
-        return run_job(job)
-    finally:
-        marker.unlink(missing_ok=True)
-
-
-def left_behind(folder: Path) -> dict[str, bool]:
-    """Take away the markers and torn files that an earlier batch left behind when it was killed.
-
-    Args:
-        folder: Folder of the batch.
-
-    Returns:
-        For the key of every recording that was under way whether it was alone.
-    """
-    found = {}
-    for marker in sorted((folder / RUNNING).glob("*")):
-        try:
-            content = json.loads(marker.read_text(encoding="utf-8"))
-            found[str(content["key"])] = bool(content["alone"])
-            remove_torn(folder / content["out"])
-        except (OSError, ValueError, LookupError, TypeError):
-            pass  # killed while it wrote the marker
-        marker.unlink(missing_ok=True)
-    return found
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Start a pool of spawned workers with one thread each."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    pool = ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=start_worker
-    )
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
+            if suspects:
+                yield from self._try_alone(suspects, kills, is_stopped)
             else:
-                os.environ[name] = value
+                yield from self._share(waiting, suspects, is_stopped)
+
+    def _share(
+        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
+        """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
+        flying: dict[Future[Sequence[Line]], Group] = {}
+        with self.start(self._count) as workers:
+            most = max(1, _IN_FLIGHT * workers.count)
+            while flying or (waiting and not suspects and not is_stopped()):
+                if is_stopped():
+                    # Cancelled ones are given up: a next run begins with them.
+                    flying = {
+                        future: jobs for future, jobs in flying.items() if not future.cancel()
+                    }
+                while waiting and not suspects and not is_stopped() and len(flying) < most:
+                    jobs = _next_group(waiting, workers.count)
+                    flying[workers.submit(jobs)] = jobs
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    jobs, lines = flying.pop(future), _result(future, workers.death)
+                    suspects.extend(jobs if lines is None else ())
+                    yield from lines or ()
+
+    def _try_alone(
+        self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
+        """Run jobs whose worker may have died over them one at a time, until one dies."""
+        with self.start(1) as workers:
+            while suspects and not is_stopped():
+                job = suspects.popleft()
+                count = kills.get(job.task.key, 0) + 1
+                remove_torn(job.folder / job.task.out)
+                yield job.line("killed", kills=count, error=f"try {count} has not ended")
+                lines = _result(workers.submit((job,)), workers.death)
+                if lines is None:
+                    break
+                yield from lines
+            else:
+                return
+        kills[job.task.key] = count
+        remove_torn(job.folder / job.task.out)
+        if count < MOST_KILLS:
+            suspects.append(job)
+        else:
+            error = f"given up: the worker died {count} times"
+            yield job.line("failed", kills=count, error=error)
 
 
-def start_worker() -> None:
-    """Prepare a worker: it leaves Ctrl-C to its parent, and ends when the parent has died."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+class SerialEngine(Engine):
+    """Runs jobs one after the other in this process."""
+
+    @contextmanager
+    def start(self, count: int) -> Iterator[Workers]:
+        """Run each group at once."""
+
+        def submit(jobs: Group) -> Future[Sequence[Line]]:
+            future: Future[Sequence[Line]] = Future()
+            future.set_result(run_group(jobs))
+            return future
+
+        yield Workers(submit, 0)
 
 
-def _end_with_parent() -> None:
-    """End this process when its parent has: it would wait for jobs for ever (CPython 111873)."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+class PoolEngine(Engine):
+    """Runs jobs in processes of their own on this machine."""
+
+    @contextmanager
+    def start(self, count: int) -> Iterator[Workers]:
+        """Start spawned workers with one thread each."""
+        with one_thread():
+            for _ in range(_MOST_STARTS):
+                pool = ProcessPoolExecutor(count, mp_context=CONTEXT, initializer=start_worker)
+                try:
+                    if _begins(pool):
+                        yield Workers(partial(pool.submit, run_group), count)
+                        return
+                finally:
+                    pool.shutdown(cancel_futures=True)
+        raise no_start(_MOST_STARTS)
 
 
-def killed(job: Job, kills: dict[str, int]) -> Line:
-    """Count a death of a worker, take away the file that it was writing, and return a line."""
-    key = job.task.key
-    kills[key] = kills.get(key, 0) + 1
-    remove_torn(job.folder / job.task.out)
-    times = f"the worker died {kills[key]} times"
-    if kills[key] >= MOST_KILLS:
-        return job.line("failed", kills=kills[key], error=f"given up: {times}")
-    return job.line("killed", kills=kills[key], error=times)
+class RayEngine(Engine):
+    """Runs jobs as Ray tasks of one CPU each.
+
+    Ray is started on this machine unless `RAY_ADDRESS` names a cluster, and stays until this
+    process ends. Inputs and the folder of the batch must be on a file system that all nodes share.
+
+    Args:
+        workers: Number of CPUs of this machine that Ray may use; a cluster uses all of its own.
+
+    Raises:
+        MissingExtraError: If Ray is not installed.
+    """
+
+    def __init__(self, workers: int = 1) -> None:
+        super().__init__(workers)
+        try:
+            self._ray: Any = import_module("ray")
+        except ImportError as error:
+            raise MissingExtraError("ray", "cluster") from error
+
+    @contextmanager
+    def start(self, count: int) -> Iterator[Workers]:
+        """Start Ray, unless it runs."""
+        ray = self._ray
+        if not ray.is_initialized():
+            ray.init(
+                include_dashboard=False,
+                log_to_driver=False,
+                runtime_env={"env_vars": ONE_THREAD},
+                num_cpus=None if os.environ.get("RAY_ADDRESS") else self._count,
+            )
+        remote = ray.remote(num_cpus=1, max_retries=0)(run_group)
+
+        def submit(jobs: Group) -> Future[Sequence[Line]]:
+            future = remote.remote(jobs).future()
+            # A task cannot be taken back.
+            future.set_running_or_notify_cancel()
+            return future
+
+        cpus = int(ray.cluster_resources().get("CPU", count))
+        yield Workers(submit, max(1, cpus), ray.exceptions.RayError)
 
 
-def _took_marker(job: Job) -> bool:
-    """Take away the marker of a job whose worker died; return if it had begun."""
+def _begins(pool: ProcessPoolExecutor) -> bool:
+    """Return whether a first worker comes up; one that dies here has no recording to blame."""
     try:
-        _marker(job).unlink()
-    except FileNotFoundError:
+        pool.submit(os.getpid).result()
+    except BrokenProcessPool:
         return False
     return True
 
 
-def _marker(job: Job) -> Path:
-    name = sha256(job.task.key.encode()).hexdigest()[:24]
-    return job.folder / RUNNING / name
+def _result(future: Future[Sequence[Line]], death: type[Exception]) -> Sequence[Line] | None:
+    """Return the lines of a group; None if its worker has died."""
+    try:
+        return future.result()
+    except HandmapError as error:
+        # Ray's own class of it has the worker's traceback in its text.
+        raise getattr(error, "cause", error) from None
+    except death:
+        return None
+
+
+def _next_group(waiting: deque[Job], workers: int) -> Group:
+    """Take the next jobs for one worker; towards the end fewer, so that all have some."""
+    most = max(1, len(waiting) // (2 * workers)) if workers else 1
+    count, frames = 0, 0
+    for job in islice(waiting, most):
+        frames += job.task.frames
+        if count and frames > GROUP_FRAMES:
+            break
+        count += 1
+    return tuple(waiting.popleft() for _ in range(count))
+
+
+def run_group(jobs: Group) -> Sequence[Line]:
+    """Run jobs of one batch one after the other.
+
+    Returns:
+        What happened, when the episodes are on the disk.
+    """
+    return synced(jobs[0].folder, [run_job(job) for job in jobs])

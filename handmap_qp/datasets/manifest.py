@@ -6,13 +6,15 @@ cut off at the next start, and its recording is mapped again.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import mmap
 import os
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from io import FileIO
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Literal, Self
+from typing import Literal
 
 import msgspec
 
@@ -82,59 +84,47 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         return self.status == "done" or self.kills >= MOST_KILLS
 
 
-class Manifest:
-    """The manifest of one process or shard, open for appending; use as a context manager.
+_DECODER = msgspec.json.Decoder(Line)
+
+
+@contextmanager
+def open_manifest(
+    folder: Path, shard: tuple[int, int] = (1, 1)
+) -> Iterator[Callable[[Line], None]]:
+    """Open the manifest of one process or shard for appending.
 
     Args:
         folder: Folder of the batch.
         shard: Which part of how many; each part has a file of its own.
 
+    Yields:
+        A function that appends a line, and returns when it is on the disk. It raises
+        `InvalidInputError` if the line cannot be written, as where the disk is full.
+
     Raises:
         InvalidInputError: If the file cannot be opened, or another process writes to it.
     """
-
-    def __init__(self, folder: Path, shard: tuple[int, int] = (1, 1)) -> None:
-        self.file = folder / manifest_name(shard)
-        self._stream: IO[bytes] | None = None
-
-    def __enter__(self) -> Self:
-        with ExitStack() as opened, writing(self.file, "--out"):
-            stream = opened.enter_context(self.file.open("a+b"))
+    file = folder / manifest_name(shard)
+    with ExitStack() as opened:
+        with writing(file, "--out"):
+            # Unbuffered, so that nothing that could not be written is written again at the end.
+            stream = opened.enter_context(file.open("a+b", buffering=0))
             try:
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
-                problem = f"{self.file}: another handmap batch writes to it"
+                problem = f"{file}: another handmap batch writes to it"
                 raise InvalidInputError(argument="--out", problem=problem) from error
             _cut_torn_line(stream)
-            sync(self.file.parent)
-            opened.pop_all()
-        self._stream = stream
-        return self
+            sync(file.parent)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._stream is not None:
-            # What could not be written would be written again, and fail again.
-            with suppress(OSError):
-                self._stream.close()
-            self._stream = None
+        def append(line: Line) -> None:
+            text = msgspec.json.encode(line) + b"\n"
+            with writing(file, "--out"):
+                if stream.write(text) < len(text):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(stream.fileno())
 
-    def append(self, line: Line) -> None:
-        """Append a line, and see that it is on the disk.
-
-        Raises:
-            InvalidInputError: If it cannot be written, as where the disk is full.
-        """
-        if self._stream is None:
-            raise InvalidInputError(argument="manifest", problem="is not open")
-        with writing(self.file, "--out"):
-            self._stream.write(msgspec.json.encode(line) + b"\n")
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
+        yield append
 
 
 def manifest_name(shard: tuple[int, int]) -> str:
@@ -158,33 +148,24 @@ def read_manifests(folder: Path) -> dict[str, Line]:
         InvalidInputError: If a manifest cannot be read.
     """
     state: dict[str, Line] = {}
-    decoder = msgspec.json.Decoder(Line)
     for file in sorted(folder.glob("manifest*.jsonl")):
         own: dict[str, Line] = {}
         try:
             with file.open("rb") as stream:
                 for text in stream:
                     # Without a line break, it was being written when the process was killed.
-                    line = _decoded(decoder, text) if text.endswith(b"\n") else None
-                    if line is not None:
+                    with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                        line = _DECODER.decode(text if text.endswith(b"\n") else b"")
                         own[line.key] = line
         except OSError as error:
             problem = f"{file}: cannot be read: {error.strerror or error}"
             raise InvalidInputError(argument="DIR", problem=problem) from error
-        for key, line in own.items():
-            if key not in state or state[key].status != "done":
-                state[key] = line
+        known = {key for key in own if key in state and state[key].status == "done"}
+        state |= {key: line for key, line in own.items() if key not in known}
     return state
 
 
-def _decoded(decoder: msgspec.json.Decoder[Line], text: bytes) -> Line | None:
-    try:
-        return decoder.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        return None
-
-
-def _cut_torn_line(stream: IO[bytes]) -> None:
+def _cut_torn_line(stream: FileIO) -> None:
     """Cut off what follows the last line break."""
     if end := stream.seek(0, os.SEEK_END):
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as text:

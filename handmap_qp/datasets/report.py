@@ -1,16 +1,24 @@
-"""The quality of the episodes of a batch: distributions, the worst, and a filter."""
+"""The quality of the episodes of a batch: distributions, the worst, a filter, and their files."""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import rankdata
 
 from handmap_qp.datasets.manifest import Line, read_manifests
-from handmap_qp.datasets.measures import MEASURES, Measure
+from handmap_qp.datasets.measures import MEASURES
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import make_folder, replaced_file
+
+FOLDER = "report"
+"""Folder of the report, below that of the batch."""
+_MOST_DRAWN, _MOST_FAILED = 8, 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,99 +63,109 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     """
     if not 0.0 < keep <= 1.0:
         raise InvalidInputError(argument="--keep", expected="a share in (0, 1]", value=keep)
-    state = read_manifests(folder)
-    lines = [state[key] for key in sorted(state) if state[key].status == "done"]
+    state = sorted(read_manifests(folder).items())
+    lines = [line for _, line in state if line.status == "done"]
     if not lines:
         raise InvalidInputError(
             argument="DIR",
             problem=f"{folder}: has no manifest with episodes",
             advice="run handmap batch first",
         )
-    values = np.array([[_number(line, measure) for measure in MEASURES] for line in lines])
-    ranks = np.stack([_ranks(values[:, k], MEASURES[k]) for k in range(len(MEASURES))], axis=1)
+    rows = [[line.metrics.get(measure.key) for measure in MEASURES] for line in lines]
+    values = np.array(rows, dtype=float)
+    ranks = _ranks(values)
     badness, mean = ranks.max(axis=1), ranks.mean(axis=1)
     order = np.lexsort((np.arange(len(lines)), -mean, -badness))
-    is_kept = np.ones(len(lines), dtype=bool)
-    is_kept[: round((1.0 - keep) * len(lines))] = False
     return Quality(
         lines=tuple(lines[i] for i in order),
-        failed=tuple(line for line in state.values() if line.status != "done"),
+        failed=tuple(line for _, line in state if line.status != "done"),
         values=values[order],
         badness=badness[order],
         worst_measure=ranks.argmax(axis=1)[order],
-        is_kept=is_kept,
+        is_kept=np.arange(len(lines)) >= round((1.0 - keep) * len(lines)),
     )
 
 
-def summary_rows(quality: Quality) -> list[dict[str, str]]:
-    """Return a table: of every measure the median, the worst 5 %, and the worst.
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Return the shares of episodes that are better, 0 where there is no value, shape (E, m)."""
+    signs = np.array([1.0 if measure.worse == "high" else -1.0 for measure in MEASURES])
+    # Values that are all good enough do not tell episodes apart.
+    costs = np.maximum(signs * values, signs * [measure.enough for measure in MEASURES])
+    better = rankdata(costs, method="min", axis=0, nan_policy="omit") - 1.0
+    others = np.maximum(np.isfinite(values).sum(axis=0) - 1, 1)
+    return np.nan_to_num(better / others)
 
-    Args:
-        quality: The ranking.
-    """
+
+def summary_rows(quality: Quality) -> list[dict[str, str]]:
+    """Return a table: of every measure the median, the worst 5 %, and the worst."""
     rows = []
-    for k, measure in enumerate(MEASURES):
-        known = quality.values[np.isfinite(quality.values[:, k]), k]
-        if not len(known):
-            continue
-        bad, worst = (95, known.max()) if measure.worse == "high" else (5, known.min())
-        rows.append(
-            {
-                "measure": measure.title,
-                "median": _text(float(np.median(known))),
-                "worst 5 %": _text(float(np.percentile(known, bad))),
-                "worst": _text(float(worst)),
-                "episodes": str(len(known)),
-            }
-        )
+    for measure, column in zip(MEASURES, quality.values.T, strict=True):
+        known = column[np.isfinite(column)]
+        bad, worst = (95, 100) if measure.worse == "high" else (5, 0)
+        if len(known):
+            middle, most, end = (_text(x) for x in np.percentile(known, (50, bad, worst)))
+            row = {"measure": measure.title, "median": middle, "worst 5 %": most, "worst": end}
+            rows.append({**row, "episodes": str(len(known))})
     return rows
 
 
 def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
-    """Return a table of the worst episodes, with the measure in which they are worst.
-
-    Args:
-        quality: The ranking.
-        count: How many.
-    """
-    rows = []
+    """Return a table of the worst episodes, with the measure in which they are worst."""
     worst = zip(quality.lines[:count], quality.worst_measure, quality.values, strict=False)
-    for rank, (line, k, values) in enumerate(worst, start=1):
-        rows.append(
-            {
-                "#": str(rank),
-                "episode": line.name,
-                "worst in": MEASURES[k].title,
-                "value": _text(float(values[k])),
-                "samples": str(line.frames),
-            }
-        )
-    return rows
+    return [
+        {
+            "#": str(rank),
+            "episode": line.name,
+            "worst in": MEASURES[k].title,
+            "value": _text(values[k]),
+            "samples": str(line.frames),
+        }
+        for rank, (line, k, values) in enumerate(worst, start=1)
+    ]
 
 
-def filter_text(quality: Quality) -> str:
-    """Return the filter: the file of every episode that is kept, one a line, by name."""
-    kept = sorted(
-        line.out for line, kept in zip(quality.lines, quality.is_kept, strict=True) if kept
-    )
-    return "".join(f"{out}\n" for out in kept)
-
-
-def markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
-    """Return the report as Markdown.
+def write_report(folder: Path, quality: Quality, worst: int, *, draws: bool) -> tuple[Path, ...]:
+    """Write report, table, filter and pictures.
 
     Args:
+        folder: Folder of the batch.
         quality: The ranking.
-        count: How many of the worst to list.
-        pictures: Files of pictures, beside the report.
+        worst: How many of the worst episodes to list.
+        draws: Whether to draw pictures.
+
+    Returns:
+        The files.
+
+    Raises:
+        InvalidInputError: If the folder cannot be written.
+        MissingExtraError: If pictures are wanted, and matplotlib or trimesh is not installed.
     """
-    kept = int(quality.is_kept.sum())
+    out = folder / FOLDER
+    make_folder(out, "DIR")
+    pictures: list[Path] = []
+    if draws:
+        # Imports matplotlib.
+        from handmap_qp.datasets.report_pictures import draw_report
+
+        pictures = draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
+    texts = {
+        "report.md": _markdown(quality, worst, [file.name for file in pictures]),
+        "episodes.csv": _csv(quality),
+        "keep.txt": _filter(quality),
+    }
+    for name, text in texts.items():
+        with replaced_file(out / name, "DIR") as file:
+            file.write(text.encode())
+    return (*(out / name for name in texts), *pictures)
+
+
+def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
+    samples = sum(line.frames for line in quality.lines)
     parts = [
         "# Quality of the episodes\n",
-        f"{_counted(len(quality.lines), 'episode')}, "
-        f"{sum(line.frames for line in quality.lines)} samples; "
+        f"{_counted(len(quality.lines), 'episode')}, {samples} samples; "
         f"{_counted(len(quality.failed), 'recording')} failed. "
-        f"The filter keeps {_counted(kept, 'episode')}: `keep.txt`.\n",
+        f"The filter keeps {_counted(int(quality.is_kept.sum()), 'episode')}: `keep.txt`.\n",
         "## Measures\n",
         _table(summary_rows(quality)),
         "\n".join(f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES) + "\n",
@@ -155,10 +173,29 @@ def markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
         _table(worst_rows(quality, count)),
     ]
     if quality.failed:
-        failed = [{"recording": line.name, "error": line.error} for line in quality.failed[:50]]
-        parts += ["## Failed recordings\n", _table(failed)]
+        failed = quality.failed[:_MOST_FAILED]
+        rows = [{"recording": line.name, "error": line.error} for line in failed]
+        parts += ["## Failed recordings\n", _table(rows)]
     parts += [f"![{name}]({name})\n" for name in pictures]
     return "\n".join(parts)
+
+
+def _csv(quality: Quality) -> str:
+    """Return all numbers as CSV, the worst episode first."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["episode", "file", "kept", "badness", "frames", *(m.key for m in MEASURES)])
+    rows = zip(quality.lines, quality.is_kept, quality.badness, strict=True)
+    for line, kept, badness in rows:
+        values = [line.metrics.get(measure.key) for measure in MEASURES]
+        writer.writerow([line.key, line.out, int(kept), f"{badness:.4f}", line.frames, *values])
+    return text.getvalue()
+
+
+def _filter(quality: Quality) -> str:
+    """Return the file of every episode that is kept, one a line, by name."""
+    pairs = zip(quality.lines, quality.is_kept, strict=True)
+    return "".join(sorted(f"{line.out}\n" for line, is_kept in pairs if is_kept))
 
 
 def _counted(count: int, noun: str) -> str:
@@ -166,30 +203,9 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _table(rows: Sequence[dict[str, str]]) -> str:
-    heads = list(rows[0])
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    lines += [
-        "| " + " | ".join(row[head].replace("|", "\\|") for head in heads) + " |" for row in rows
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _number(line: Line, measure: Measure) -> float:
-    value = line.metrics.get(measure.key)
-    return np.nan if value is None else float(value)
-
-
-def _ranks(values: np.ndarray, measure: Measure) -> np.ndarray:
-    """Return the share of episodes that are better, from 0 to 1; 0 where there is no value."""
-    known = np.isfinite(values)
-    ranks = np.zeros(len(values))
-    if known.sum() > 1:
-        sign = 1.0 if measure.worse == "high" else -1.0
-        # Values that are all good enough do not tell episodes apart.
-        costs = np.maximum(sign * values[known], sign * measure.enough)
-        better = np.searchsorted(np.sort(costs), costs, side="left")
-        ranks[known] = better / (known.sum() - 1)
-    return ranks
+    cells = [list(rows[0]), ["---"] * len(rows[0]), *(row.values() for row in rows)]
+    lines = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in cells]
+    return "".join(f"| {line} |\n" for line in lines)
 
 
 def _text(value: float) -> str:

@@ -24,17 +24,29 @@ _LONGEST_NAME = 21  # characters beside a picture
 _KEPT, _LEFT_OUT = "#3d6fb4", "#d8472f"
 
 
-def draw_distributions(file: Path, quality: Quality) -> None:
-    """Draw a histogram of every measure, with the episodes that the filter leaves out in red.
+def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+    """Draw distributions, and the worst episodes of each robot.
 
     Args:
-        file: PNG file to write.
+        folder: Folder of the batch.
         quality: The ranking.
+        count: How many episodes of each robot. Those whose recording has gone are left out.
+        out: Folder to write to.
+
+    Returns:
+        The files, `distributions.png` and `worst_ROBOT.png`.
 
     Raises:
-        MissingExtraError: If matplotlib is not installed.
+        MissingExtraError: If matplotlib or trimesh is not installed.
     """
     require_matplotlib()
+    file = out / "distributions.png"
+    _draw_distributions(file, quality)
+    return [file, *_draw_worst(folder, quality, count, out)]
+
+
+def _draw_distributions(file: Path, quality: Quality) -> None:
+    """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
     from matplotlib.figure import Figure
 
     shown = [k for k in range(len(MEASURES)) if np.isfinite(quality.values[:, k]).any()]
@@ -59,32 +71,19 @@ def draw_distributions(file: Path, quality: Quality) -> None:
     for row in grid:
         row[0].set_ylabel("episodes", fontsize=8)
     kept = int(quality.is_kept.sum())
-    left_out = len(quality.lines) - kept
-    title = f"{kept} episodes kept, {left_out} left out (red)"
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(
+        f"{kept} episodes kept, {len(quality.lines) - kept} left out (red)", fontsize=10
+    )
     figure.savefig(file)
 
 
-def draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
     """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
 
     The sample is the worst one in what the episode is worst in, and else the one with the largest
     distance of a point from its target. The first half second counts only where there is no more:
     the robot is still on its way to the hand.
-
-    Args:
-        folder: Folder of the batch.
-        quality: The ranking.
-        count: How many episodes of each robot. Those whose recording has gone are left out.
-        out: Folder to write to.
-
-    Returns:
-        The files, `worst_ROBOT.png`.
-
-    Raises:
-        MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    require_matplotlib()
     rows: dict[str, list[SheetRow]] = {}
     for place, line in enumerate(quality.lines):
         own = rows.setdefault(line.robot, [])

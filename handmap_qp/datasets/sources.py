@@ -1,4 +1,4 @@
-"""The tasks of a batch: every recording of every input file, with its robot and its output."""
+"""The tasks of a batch: every recording of every input file."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from handmap_qp.datasets.workers import each_apart
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import (
     FORMATS,
     SEPARATOR,
     Source,
+    hdf5,
     known_suffixes,
     list_sources,
 )
+
+PATIENCE = 30.0
+"""Longest time for listing an HDF5 file [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,28 +46,41 @@ class Task:
     """One recording of one hand.
 
     Attributes:
-        key: Name of the file, `::`, and of the recording in it: its identity in the manifest.
         file: The file.
         source: The recording in it; None where the file could not be listed.
-        side: Which hand; None where the file could not be listed.
-        frames: Number of samples.
         entries: How many recordings the file has.
         error: Why the file could not be listed; empty if it could.
     """
 
-    key: str
     file: InputFile
     source: Source | None = None
-    side: Side | None = None
-    frames: int = 0
     entries: int = 1
     error: str = ""
 
     @property
+    def entry(self) -> str:
+        """Name of the recording in its file; empty where the file holds only one."""
+        return "" if self.source is None else self.source.entry.name
+
+    @property
+    def key(self) -> str:
+        """Name of the file, `::`, and of the recording: its identity in the manifest."""
+        return f"{self.file.name}{SEPARATOR}{self.entry}"
+
+    @property
+    def side(self) -> Side | None:
+        """Which hand; None where the file could not be listed."""
+        return None if self.source is None else self.source.entry.side
+
+    @property
+    def frames(self) -> int:
+        """Number of samples."""
+        return 0 if self.source is None else self.source.entry.samples
+
+    @property
     def out(self) -> str:
         """File to write, below the folder of the batch, with `/`."""
-        entry = self.source.entry.name if self.source is not None else ""
-        tail = f".{entry.replace('/', '_')}" if entry else ""
+        tail = f".{self.entry.replace('/', '_')}" if self.entry else ""
         return f"episodes/{self.file.name}{tail}.npz"
 
 
@@ -98,15 +116,16 @@ def find_files(
 
     for given in inputs:
         before = len(files) + len(repeated)
-        for file in _files_of(given, is_new):
-            if file.name in files:
+        for path in _paths_of(given, is_new):
+            name = given.name if path is given else path.relative_to(given).as_posix()
+            if name in files:
                 raise InvalidInputError(
                     argument="INPUT",
                     expected="files of different names",
-                    got=f"{file.name} twice",
+                    got=f"{name} twice",
                     advice="name the folder above both",
                 )
-            files[file.name] = file
+            files[name] = _stamped(name, path)
         if len(files) + len(repeated) == before:
             raise InvalidInputError(
                 argument="INPUT", problem=f"{given}: has no files of a known form"
@@ -114,51 +133,45 @@ def find_files(
     return tuple(files[name] for name in sorted(files)), tuple(repeated)
 
 
-def tasks_of(
-    files: Sequence[InputFile],
-    shard: tuple[int, int] = (1, 1),
-    progress: Callable[[int], None] | None = None,
-) -> list[Task]:
+def tasks_of(files: Sequence[InputFile], shard: tuple[int, int] = (1, 1)) -> list[Task]:
     """List the recordings of files, the longest first.
+
+    HDF5 files are listed in another process: on some damaged ones the library crashes, or loops for
+    ever.
 
     Args:
         files: The files.
         shard: Which part of how many, counted from 1. A part has the files whose names fall to it,
             so that parts do not depend on each other.
-        progress: Called with the number of files listed.
 
     Returns:
         The tasks. A file that cannot be listed is a task with an error.
     """
     part, parts = shard
+    own = [file for file in files if zlib.crc32(file.name.encode()) % parts == part - 1]
+    risky = [file.path for file in own if file.path.suffix.lower() in hdf5.SUFFIXES]
+    listings = dict(zip(risky, each_apart(_listing, risky, PATIENCE), strict=True))
     tasks = []
-    for i, file in enumerate(files):
-        if zlib.crc32(file.name.encode()) % parts == part - 1:
-            tasks += _tasks_of_file(file)
-        if progress is not None:
-            progress(i + 1)
+    for file in own:
+        found = listings[file.path] if file.path in listings else _listing(file.path)
+        if isinstance(found, tuple):
+            tasks += [Task(file, source, len(found)) for source in found]
+        else:
+            error = f"{file.path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
+            tasks.append(Task(file, error=found or error))
     return sorted(tasks, key=lambda task: (-task.frames, task.key))
 
 
-def _tasks_of_file(file: InputFile) -> list[Task]:
+def _listing(path: Path) -> tuple[Source, ...] | str:
+    """Return the recordings of a file, or why it cannot be listed."""
     try:
-        sources = list_sources(file.path)
+        return list_sources(path)
     except HandmapError as error:
-        return [Task(key=f"{file.name}{SEPARATOR}", file=file, error=" ".join(str(error).split()))]
-    return [
-        Task(
-            key=f"{file.name}{SEPARATOR}{source.entry.name}",
-            file=file,
-            source=source,
-            side=source.entry.side,
-            frames=source.entry.samples,
-            entries=len(sources),
-        )
-        for source in sources
-    ]
+        return " ".join(str(error).split())
 
 
-def _files_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[InputFile]:
+def _paths_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[Path]:
+    """Yield the path itself, or the files and data sets below it."""
     if not given.exists():
         raise InvalidInputError(argument="INPUT", problem=f"{given}: no such file or folder")
     suffixes = known_suffixes()
@@ -166,17 +179,15 @@ def _files_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[InputFile
     waiting, links = deque([given]), deque[Path]()
     while waiting or links:
         path = (waiting or links).popleft()
-        is_folder = path.is_dir() and not _is_set(path)
-        is_file = path is given or path.is_dir() or path.suffix.lower() in suffixes
-        if not (is_folder or is_file) or not is_new(path):
+        is_known = path is given or path.is_dir() or path.suffix.lower() in suffixes
+        if not is_known or not is_new(path):
             continue
-        if is_folder:
-            for inside in sorted(path.iterdir()):
-                if not inside.name.startswith("."):
-                    (links if inside.is_symlink() else waiting).append(inside)
-        else:
-            name = given.name if path is given else path.relative_to(given).as_posix()
-            yield _stamped(name, path)
+        if not path.is_dir() or _is_set(path):
+            yield path
+            continue
+        for inside in sorted(path.iterdir()):
+            if not inside.name.startswith("."):
+                (links if inside.is_symlink() else waiting).append(inside)
 
 
 def _identity(path: Path) -> object:
@@ -193,11 +204,6 @@ def _is_set(folder: Path) -> bool:
 
 
 def _stamped(name: str, path: Path) -> InputFile:
-    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
-    stats = [file.stat() for file in files]
-    return InputFile(
-        name=name,
-        path=path,
-        size=sum(stat.st_size for stat in stats),
-        mtime_ns=max((stat.st_mtime_ns for stat in stats), default=0),
-    )
+    stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
+    latest = max((stat.st_mtime_ns for stat in stats), default=0)
+    return InputFile(name, path, sum(stat.st_size for stat in stats), latest)

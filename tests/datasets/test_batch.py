@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from batch_cases import (
     batch,
     die_at_once,
     episodes,
+    list_or_die,
     piece,
     with_format,
     write_pieces,
@@ -29,17 +31,19 @@ from patience import wait_until
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.arguments import MappingArguments
 from handmap_qp.cli import main
-from handmap_qp.datasets import engines
+from handmap_qp.datasets import engines, sources
 from handmap_qp.datasets.assemble import assemble
 from handmap_qp.datasets.batch import plan_batch, run_batch
-from handmap_qp.datasets.engines import PoolEngine, SerialEngine
-from handmap_qp.datasets.manifest import MOST_KILLS, Line, Manifest, read_manifests
+from handmap_qp.datasets.engines import PoolEngine, SerialEngine, _next_group
+from handmap_qp.datasets.episodes import Job
+from handmap_qp.datasets.manifest import MOST_KILLS, Line, open_manifest, read_manifests
 from handmap_qp.datasets.measures import MEASURES
 from handmap_qp.datasets.report_pictures import _worst_sample
 from handmap_qp.datasets.sources import find_files, tasks_of
 from handmap_qp.offline.fidelity import SETTLING
 from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import write_recordings
+from handmap_qp.trackers.formats.robomimic import RobomimicFormat
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -141,9 +145,9 @@ def test_a_torn_last_line_is_done_again(tmp_path: Path) -> None:
 
 
 def test_two_batches_do_not_write_to_one_folder(tmp_path: Path) -> None:
-    with Manifest(tmp_path), pytest.raises(InvalidInputError, match="another handmap batch"):
-        Manifest(tmp_path).__enter__()
-    with Manifest(tmp_path, (1, 2)), Manifest(tmp_path, (2, 2)):
+    with open_manifest(tmp_path), pytest.raises(InvalidInputError, match="another handmap batch"):
+        open_manifest(tmp_path).__enter__()
+    with open_manifest(tmp_path, (1, 2)), open_manifest(tmp_path, (2, 2)):
         pass
 
 
@@ -175,14 +179,21 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
 def test_short_recordings_go_to_a_worker_together(tmp_path: Path) -> None:
     write_pieces(tmp_path / "in", 9, frames=12)
     jobs = list(plan_batch([tmp_path / "in"], tmp_path / "out", OPTIONS).jobs)
-    engine = PoolEngine(2)
+
+    def of_frames(count: int) -> list[Job]:
+        source = jobs[0].task.source
+        assert source is not None
+        longer = source._replace(entry=source.entry._replace(samples=count))
+        return [replace(job, task=replace(job.task, source=longer)) for job in jobs]
+
     # At most a quarter of what is left, and at least one.
-    assert engine._next_group(jobs) == tuple(jobs[:2])
-    assert engine._next_group(jobs[:3]) == tuple(jobs[:1])
-    long = [replace(job, task=replace(job.task, frames=engines.GROUP_FRAMES)) for job in jobs]
-    assert engine._next_group(long) == tuple(long[:1])
-    many = [replace(job, task=replace(job.task, frames=100)) for job in jobs * 20]
-    assert len(engine._next_group(many)) == engines.GROUP_FRAMES // 100
+    for count in (len(jobs), 3):
+        waiting = deque(jobs[:count])
+        group = _next_group(waiting, 2)
+        assert group == tuple(jobs[: max(1, count // 4)])
+        assert [*group, *waiting] == jobs[:count]
+    assert len(_next_group(deque(of_frames(engines.GROUP_FRAMES)), 2)) == 1
+    assert len(_next_group(deque(of_frames(100) * 20), 2)) == engines.GROUP_FRAMES // 100
 
 
 @pytest.mark.slow
@@ -198,8 +209,7 @@ def test_workers_that_never_start_end_the_batch_with_one_line(
     assert error.count("\n") == 1
     monkeypatch.undo()
     # No recording is blamed, nothing is lost.
-    plan = plan_batch([inputs], tmp_path / "out", OPTIONS)
-    assert list(plan.kills.values()) == [0, 0, 0]
+    assert not plan_batch([inputs], tmp_path / "out", OPTIONS).kills
 
 
 def test_what_a_killed_batch_leaves_is_taken_away(inputs: Path, tmp_path: Path) -> None:
@@ -209,13 +219,28 @@ def test_what_a_killed_batch_leaves_is_taken_away(inputs: Path, tmp_path: Path) 
     torn = [file.with_name(f".{file.name}.{name * 8}.part") for name in ("a", "b")]
     for each in torn:
         each.write_bytes(b"torn")
-    marker = engines._marker(job)
-    marker.parent.mkdir()
-    marker.write_text(json.dumps({"key": job.task.key, "alone": True, "out": job.task.out}))
+    # It was alone when everything died, so that it counts as the one to blame.
+    with open_manifest(tmp_path) as append:
+        append(job.line("killed", kills=1))
+    plan_batch([inputs], tmp_path, OPTIONS, (1, 2))
+    assert all(each.exists() for each in torn), "another shard may be writing them"
     plan = plan_batch([inputs], tmp_path, OPTIONS)
-    assert plan.kills == {job.task.key: 1} | {j.task.key: 0 for j in plan.jobs[1:]}
+    assert plan.kills == {job.task.key: 1}
     assert not any(each.exists() for each in torn)
-    assert not marker.exists()
+
+
+def test_a_file_that_crashes_or_holds_its_reader_holds_no_listing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("h5py")
+    for name in ("1.hdf5", "crash.hdf5", "hold.hdf5", "3.hdf5"):
+        write_recordings([piece(0, 12)], tmp_path / name, RobomimicFormat())
+    monkeypatch.setattr(sources, "_listing", list_or_die)
+    monkeypatch.setattr(sources, "PATIENCE", 1.0)
+    tasks = tasks_of(find_files([tmp_path])[0])
+    assert [task.frames for task in tasks] == [12, 12, 0, 0]
+    assert [task.key for task in tasks[2:]] == ["crash.hdf5::", "hold.hdf5::"]
+    assert all("crashed, or took 1 s" in task.error for task in tasks[2:])
 
 
 def start(inputs: Path, out: Path) -> subprocess.Popen[str]:
@@ -245,7 +270,7 @@ def is_alive(pid: int) -> bool:
 def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
     tmp_path: Path,
 ) -> None:
-    count = len(write_pieces(tmp_path / "in", 24, frames=40))
+    count = len(write_pieces(tmp_path / "in", 16, frames=30))
     out, manifest = tmp_path / "out", tmp_path / "out" / "manifest.jsonl"
     process = start(tmp_path / "in", out)
     wait_until(lambda: manifest.exists() and manifest.read_bytes().count(b"\n"), "begins", LONG)

@@ -23,8 +23,8 @@ from handmap_qp.cli import main
 from handmap_qp.datasets import cli
 from handmap_qp.datasets.batch import plan_batch
 from handmap_qp.datasets.engines import run_group
-from handmap_qp.datasets.episode_files import is_intact, read_episode
-from handmap_qp.datasets.manifest import Manifest, read_manifests
+from handmap_qp.datasets.episodes import is_intact, read_episode
+from handmap_qp.datasets.manifest import open_manifest, read_manifests
 from handmap_qp.datasets.sources import find_files
 from handmap_qp.errors import DiskFullError
 
@@ -241,9 +241,9 @@ def test_a_group_of_a_worker_is_on_the_disk_before_its_lines(
 ) -> None:
     disk = Disk(tmp_path, tmp_path / "out" / "manifest.jsonl", monkeypatch)
     jobs = plan_batch([inputs], tmp_path / "out", OPTIONS).jobs
-    with Manifest(tmp_path / "out") as manifest:
+    with open_manifest(tmp_path / "out") as append:
         for line in run_group(jobs):
-            manifest.append(line)
+            append(line)
     assert disk.failures == 3
 
 
@@ -268,8 +268,8 @@ def test_a_recording_that_is_left_alone_has_failed(
     inputs: Path, out: Path, capsys: pytest.CaptureFixture
 ) -> None:
     line = read_manifests(out)["take1.npz::"]
-    with Manifest(out) as manifest:
-        manifest.append(msgspec.structs.replace(line, status="failed", kills=3, error="given up"))
+    with open_manifest(out) as append:
+        append(msgspec.structs.replace(line, status="failed", kills=3, error="given up"))
     assert run(inputs, out) == 1
     assert "handmap: 1 recordings failed" in capsys.readouterr().err
 
@@ -310,14 +310,11 @@ def test_a_disk_may_be_full_at_any_moment(
     assert at > 12, "each episode has three moments of its own, and the manifest one for each"
 
 
-def test_a_manifest_on_a_full_disk_is_one_error(out: Path) -> None:
+def test_a_manifest_on_a_full_disk_is_one_error(tmp_path: Path, out: Path) -> None:
     line = read_manifests(out)["take1.npz::"]
-    with pytest.raises(DiskFullError, match="No space left"), Manifest(out) as manifest:  # noqa: PT012
-        assert manifest._stream is not None
-        manifest._stream.close()
-        # What cannot be written stays in the stream, which fails again when it is closed.
-        manifest._stream = open("/dev/full", "ab")  # noqa: SIM115
-        manifest.append(line)
+    (tmp_path / "manifest.jsonl").symlink_to("/dev/full")
+    with pytest.raises(DiskFullError, match="No space left"), open_manifest(tmp_path) as append:
+        append(line)
 
 
 def test_room_for_hdf5_is_checked_before_each_episode(

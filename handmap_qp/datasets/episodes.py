@@ -1,4 +1,4 @@
-"""One job of a batch: read a recording, map it, measure the episode, write it.
+"""Episodes of a batch: read a recording, map it, measure the episode, write and verify its file.
 
 A job depends on nothing but its recording and the options, so its columns are the same bytes in any
 process, in any order.
@@ -6,20 +6,22 @@ process, in any order.
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from hashlib import file_digest, sha256
+from io import BytesIO
 from pathlib import Path
 from time import process_time
 
 import msgspec
+import numpy as np
 
 from handmap_qp.arguments import MappingArguments
-from handmap_qp.datasets.episode_files import save_episode
 from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
-from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError
+from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
@@ -31,8 +33,13 @@ from handmap_qp.offline.both_ways import map_both_ways
 from handmap_qp.offline.look_ahead import LookAhead, look_ahead
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording
+from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.plausibility import check_recording
+
+_COLUMNS = ("time", "q", "wrist", "valid")
+"""What a data set for training is made of."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class JobOptions:
     @property
     def digest(self) -> str:
         """A short text that changes if the robots, their URDFs or the options do."""
-        digest = hashlib.sha256(repr((self.arguments, self.smoother)).encode())
+        digest = sha256(repr((self.arguments, self.smoother)).encode())
         files = [self.arguments.options] if self.arguments.options else []
         for side in sorted(self.robots):
             robot = self.load_robot(side)
@@ -94,17 +101,16 @@ class Job:
 
     def line(self, status: Status, *, error: str = "", kills: int = 0, cpu_s: float = 0.0) -> Line:
         """Return a line of the manifest about this job, without results."""
-        task = self.task
-        side = task.side or ""
+        task, file = self.task, self.task.file
         return Line(
             key=task.key,
             status=status,
-            path=str(task.file.path),
-            size=task.file.size,
-            mtime_ns=task.file.mtime_ns,
+            path=str(file.path),
+            size=file.size,
+            mtime_ns=file.mtime_ns,
             options=self.digest,
             entries=task.entries,
-            side=side,
+            side=task.side or "",
             robot=self.options.robots.get(task.side, "") if task.side else "",
             frames=task.frames,
             cpu_s=round(cpu_s, 6),
@@ -182,8 +188,8 @@ def map_episode(
         trajectory = map_both_ways(human, robot, choice.method, choice.ik, recording)
         return recording, trajectory, person
     smoothing = options.arguments.smoothing
-    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
-    return recording, map_recording(mapper, recording, smoothing=smoothing), person
+    mapper = HandMapper(human, robot, choice.method, ik=choice.ik, smoothing=smoothing)
+    return recording, map_recording(mapper, recording), person
 
 
 @lru_cache(maxsize=8)
@@ -199,3 +205,81 @@ def _meter(robot: Hand) -> GapMeter | None:
         return GapMeter(robot)
     except HandmapError:
         return None
+
+
+def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
+    """Write the columns of an episode, without those that a reader can compute again; see `synced`.
+
+    They are not compressed: that would save a fifth of the space, and take as long as reading the
+    recording.
+
+    Args:
+        file: The file; its folder is made.
+        trajectory: What the robot does.
+        side: Which hand.
+
+    Returns:
+        SHA-256 of the file, as `sha256sum` prints it.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
+    left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
+    columns = {name: a for name, a in trajectory.columns.items() if name not in left_out}
+    # Written at once: the parts of an archive, one by one, take twice as long.
+    archive = BytesIO()
+    np.savez(archive, allow_pickle=False, **columns, side=np.array(side))
+    make_folder(file.parent, "--out")
+    with replaced_file(file, "--out", is_synced=False) as stream:
+        stream.write(archive.getbuffer())
+    return sha256(archive.getbuffer()).hexdigest()
+
+
+def synced(folder: Path, lines: Sequence[Line]) -> Sequence[Line]:
+    """Return lines for the manifest when their episodes are on the disk.
+
+    Raises:
+        DiskFullError: If the disk is full.
+        InvalidInputError: If they cannot be written for another reason.
+    """
+    with writing(folder, "--out"):
+        sync_all([folder / line.out for line in lines if line.out])
+    return lines
+
+
+def read_episode(folder: Path, line: Line) -> dict[str, np.ndarray]:
+    """Verify an episode, and read what a data set for training needs of it.
+
+    Args:
+        folder: Folder of the batch.
+        line: The episode's line in the manifest. Where it has no digest, as up to version 0.2, all
+            arrays are read, because the archive has a checksum of each.
+
+    Returns:
+        `time`, `q`, `wrist` and `valid`, each with `line.frames` rows.
+
+    Raises:
+        RecordingError: If the file is missing, or is not what was written.
+    """
+    file = folder / line.out
+    try:
+        with file.open("rb") as stream:
+            is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
+    except OSError as error:
+        raise RecordingError(f"cannot be read: {error.strerror or error}", file=file) from error
+    if not is_same:
+        raise RecordingError("is not what was written: its digest differs", file=file)
+    arrays = read_archive(file, _COLUMNS if line.sha256 else None)
+    for name in _COLUMNS:
+        if name not in arrays or arrays[name].shape[:1] != (line.frames,):
+            raise RecordingError("is missing or torn", file=file, array=name)
+    return {name: arrays[name] for name in _COLUMNS}
+
+
+def is_intact(folder: Path, line: Line) -> bool:
+    """Return whether an episode is what was written; see `read_episode`."""
+    try:
+        read_episode(folder, line)
+    except RecordingError:
+        return False
+    return True
