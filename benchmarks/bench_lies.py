@@ -28,7 +28,7 @@ from handmap_qp import InvalidInputError, load_hand, read_recording
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.guard import StreamGuard, Verdict
 from handmap_qp.trackers.landmarks import human_name, measure_hand
-from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import InputCheck
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample

@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.presets import PRESETS
     from handmap_qp.mapping.smoothing import Smoothing
     from handmap_qp.mapping.step import MapStep, RobotCommand
-    from handmap_qp.trackers.layouts import Layout, load_layout
+    from handmap_qp.trackers.layouts.base import Layout
+    from handmap_qp.trackers.layouts.tables import load_layout
     from handmap_qp.trackers.plausibility import InputCheck
     from handmap_qp.trackers.recording import Recording, read_recording
     from handmap_qp.trackers.sample import HumanSample
@@ -124,7 +125,8 @@ _NAMES = {
     "mapping.presets": "PRESETS",
     "mapping.smoothing": "Smoothing",
     "mapping.step": "MapStep RobotCommand",
-    "trackers.layouts": "Layout load_layout",
+    "trackers.layouts.base": "Layout",
+    "trackers.layouts.tables": "load_layout",
     "trackers.plausibility": "InputCheck",
     "trackers.recording": "Recording read_recording",
     "trackers.sample": "HumanSample",

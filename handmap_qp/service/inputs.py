@@ -14,7 +14,9 @@ from handmap_qp.service.convert import to_matrix
 from handmap_qp.service.messages import Open, Step
 from handmap_qp.service.opening import Hands
 from handmap_qp.trackers.landmarks import PalmShape
-from handmap_qp.trackers.layouts import Layout, layout_names, load_layout
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.sample import LANDMARK_COUNT, HumanSample
 
 InputKind = Literal["q", "landmarks", "points"]
@@ -62,8 +64,8 @@ class SampleForm:
         if request.input != "landmarks":
             raise RefusedError("invalid", "needs input=landmarks", field="layout")
         # Only layouts of the package: a name must not open files of the server.
-        if name not in layout_names():
-            message = f"no layout {name!r}; there are {', '.join(layout_names())}"
+        if name not in LAYOUTS:
+            message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
             raise RefusedError("invalid", message, field="layout")
         return cls(request.input, request.side, load_layout(name))
 

@@ -21,8 +21,8 @@ from handmap_qp.live.service_source import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
 from handmap_qp.service.websocket import WebSettings
-from handmap_qp.trackers.layouts import load_layout
 from handmap_qp.trackers.layouts.points import PointLayout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.recording import recording_samples
 
 pytestmark = pytest.mark.slow

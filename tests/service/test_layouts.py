@@ -27,7 +27,8 @@ from handmap_qp.service.convert import to_matrix, to_pose
 from handmap_qp.service.messages import PROTOCOL, Error, Step, decode_request
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.session import Session
-from handmap_qp.trackers.layouts import Layout, load_layout
+from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.sample import HumanSample
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -10,7 +10,6 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib import import_module
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
@@ -22,9 +21,9 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.fit import LandmarkFitter
 from handmap_qp.trackers.landmarks import human_name
+from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.recording import Recording
 from handmap_qp.trackers.sample import HumanSample
 from handmap_qp.trackers.wrist_axes import axes_convention
@@ -163,6 +162,10 @@ class Layout(abc.ABC, Generic[Table]):
     def wrist_table(self) -> WristTable | None:
         """How a wrist pose is obtained; None if it cannot be."""
         return getattr(self.table, "wrist", None)
+
+    def order(self, side: Side) -> np.ndarray | None:
+        """Return the index of each of our landmarks among joints; None if there are no joints."""
+        return None
 
     @abc.abstractmethod
     def rows(self) -> list[dict[str, Any]]:
@@ -382,20 +385,6 @@ class Layout(abc.ABC, Generic[Table]):
         else:
             values = check_poses(values, "wrist", seen)
         return to_own_axes(values, table.axes(side), self.table.reflection, self._length)
-
-
-def _check(layout: Layout) -> None:
-    if not isinstance(layout, Layout):
-        raise TypeError("expected a Layout")
-
-
-LAYOUTS: Mapping[str, Layout] = Plugins(
-    # Imported when used: the kinds of layouts build on this module.
-    "handmap_qp.layouts",
-    lambda: import_module("handmap_qp.trackers.layouts").read_tables(),
-    _check,
-)
-"""All layouts by name."""
 
 
 def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:

@@ -17,7 +17,8 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats.archive import damages, read_archive
 from handmap_qp.trackers.formats.base import SIDES, side_of
-from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, layouts_of_shape
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
 from handmap_qp.trackers.plausibility import Finding, examine_recording
 from handmap_qp.trackers.recording import Recording, as_flags
 from handmap_qp.trackers.sample import LANDMARK_COUNT
