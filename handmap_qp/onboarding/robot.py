@@ -160,8 +160,9 @@ class Robot:
         except (RuntimeError, ValueError) as error:
             problem = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
             raise HandError(problem) from error
+        # Copies: a placement is a view into frames that move when one is added.
         self._placed_on = {
-            frame.name: (frame.parentJoint, frame.placement)
+            frame.name: (frame.parentJoint, frame.placement.copy())
             for frame in self.model.frames
             if frame.type == pin.FrameType.BODY
         }
