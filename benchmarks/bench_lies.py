@@ -33,7 +33,7 @@ from handmap_qp.human.verdict import Verdict
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers import plausibility
 from handmap_qp.trackers.hand_geometry import log_size, measured_distances, sample_measures
-from handmap_qp.trackers.layouts import load_layout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import InputCheck
 
 WINDOW = 1.0  # s

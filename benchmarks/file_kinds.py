@@ -26,7 +26,8 @@ from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, rea
 from handmap_qp.service.store import PostureStore, Record
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import format_to_write, list_sources, read_recording
-from handmap_qp.trackers.layouts import layout_names, load_layout, table_text
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.tables import load_layout, table_text
 
 _SAMPLES = 12
 _MJCF = """<mujoco model="claw">
@@ -188,7 +189,7 @@ KINDS = (
     _text("MJCF", "hand.xml", lambda: _MJCF, convert_mjcf),
     _text("person", "person.yaml", lambda: person_text(measure_person(_demo())), read_person),
     _text("options", "options.yaml", _options, read_options),
-    _text("layout", "layout.yaml", lambda: table_text(layout_names()[0]), load_layout),
+    _text("layout", "layout.yaml", lambda: table_text(next(iter(LAYOUTS))), load_layout),
     _text("token", "token", lambda: "a-token-of-the-tests-0123456789\n", read_token),
     Kind("keys", _write_keys, _read_keys),
     Kind("state", _write_state, _read_state),

@@ -14,7 +14,8 @@ from pathlib import Path
 from PIL import Image
 
 from handmap_qp.drawing.layout_pictures import save_layout_picture
-from handmap_qp.trackers.layouts.base import LAYOUTS, Layout
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout
 
 DOCS = Path(__file__).parent
 OVERVIEW = DOCS / "trackers.md"

@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from handmap_qp.stream.follower import Follower
     from handmap_qp.stream.smoothing import Smoothing
     from handmap_qp.trackers.formats import read_recording
-    from handmap_qp.trackers.layouts import load_layout
     from handmap_qp.trackers.layouts.base import Layout
+    from handmap_qp.trackers.layouts.tables import load_layout
     from handmap_qp.trackers.plausibility import InputCheck
 
 __all__ = [
@@ -127,7 +127,8 @@ _NAMES = {
     "mapping.methods.virtual_sphere": "VirtualSphere",
     "mapping.presets": "PRESETS",
     "mapping.step": "MapStep RobotCommand",
-    "trackers.layouts": "Layout load_layout",
+    "trackers.layouts.base": "Layout",
+    "trackers.layouts.tables": "load_layout",
     "trackers.plausibility": "InputCheck",
     "human.recording": "Recording",
     "stream.follower": "Follower",

@@ -33,8 +33,8 @@ from handmap_qp.mapping.presets import (
 from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats import read_hands, read_recording
 from handmap_qp.trackers.formats.base import SIDES
-from handmap_qp.trackers.layouts import load_layout
 from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import check_recording
 
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]

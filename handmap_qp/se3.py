@@ -75,7 +75,7 @@ def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
 
 
 def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Apply a pose or a motion (..., 4, 4) to points [m], shape (..., n, 3), or to one point (3,)."""
+    """Apply a pose or a motion (..., 4, 4) to points [m], shape (..., n, 3) or (3,)."""
     origin = motion[..., :3, 3] if points.ndim == 1 else motion[..., None, :3, 3]
     return points @ motion[..., :3, :3].swapaxes(-1, -2) + origin
 

@@ -53,8 +53,8 @@ class Layouts:
 
     def run(self) -> None:
         """Print the list or the layout, and write what is asked for."""
-        from handmap_qp.trackers.layouts import load_layout
-        from handmap_qp.trackers.layouts.base import LAYOUTS
+        from handmap_qp.trackers.layouts import LAYOUTS
+        from handmap_qp.trackers.layouts.tables import load_layout
 
         if self.layout is None:
             for name in ("template", "picture"):
@@ -87,7 +87,7 @@ class Layouts:
     def _template(self, layout: Layout) -> Path | None:
         """Copy the table, with its comments."""
         from handmap_qp.output_files import replaced_file
-        from handmap_qp.trackers.layouts import table_text
+        from handmap_qp.trackers.layouts.tables import table_text
 
         if self.template is None:
             return None

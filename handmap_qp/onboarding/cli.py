@@ -30,14 +30,15 @@ from handmap_qp.onboarding.write import check_free, write_hand
 from handmap_qp.output_files import check_output
 from handmap_qp.tables import print_rows, print_table
 
+_WROTE = "wrote {0}; check it with: handmap hands check {0}"
 
-def _print_written(hand: Hand, found: Detection, rows: list[dict[str, Any]], out: Path) -> None:
-    """Print what was found of a hand, and where it was written."""
+
+def _print_found(hand: Hand, found: Detection, rows: list[dict[str, Any]]) -> None:
+    """Print what was found of a hand."""
     followers = hand.all_joint_roles.count("follower")
     print_rows(f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows)
     for note in found.notes:
         print(f"note: {note}")
-    print(f"wrote {out}; check it with: handmap hands check {out}")
 
 
 def _optional(metavar: str, default: str) -> Any:
@@ -162,9 +163,10 @@ class HandsInit:
             notes, out = list(found.notes), str(self.out)
             print(json.dumps({"name": hand.name, "out": out, "found": rows, "notes": notes}))
             return
+        _print_found(hand, found, rows)
         for path in source.written:
             print(f"wrote {path}, with the kinematics of {self.urdf}")
-        _print_written(hand, found, rows, self.out)
+        print(_WROTE.format(self.out))
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,8 @@ class HandsMigrate:
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
         rows = [{"reference point": point.name, "link": point.link} for point in hand.spec.points]
-        _print_written(hand, found, rows, self.out)
+        _print_found(hand, found, rows)
+        print(_WROTE.format(self.out))
 
 
 @dataclass(frozen=True)

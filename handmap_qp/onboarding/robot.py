@@ -74,7 +74,7 @@ class Robot:
         kinds: Type of each joint: `revolute`, `prismatic` or `fixed`.
         axes: Axis of each movable joint in its child link's frame, a unit vector.
         balls: Centres of each link's spheres, in its frame [m], shape (k, 3).
-        model: Pinocchio model of the movable joints, without frames of links.
+        model: Pinocchio model of the movable joints.
         carried: First link of the body on each joint of the model.
         active: The n joints that are neither fixed nor mimic joints, in the order of the file.
         lower_limits: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
@@ -158,29 +158,22 @@ class Robot:
         for joint, parent, child in edges(robot):
             self.parent[child] = (joint.get("name", ""), parent)
             self.children[parent].append((joint.get("name", ""), child))
-        # Pinocchio takes long to add frames of thousands of links: the model has joints only.
-        self.model, self.carried = pin.Model(), {0: self.root}
-        self._placed_on = {self.root: (0, pin.SE3.Identity())}
-        pending = [self.root]
-        for link in pending:
-            carrier, placement = self._placed_on[link]
-            for name, child in self.children[link]:
-                pose, at = placement * pin.SE3(origin_of(joints[name])), carrier
-                if name in self.axes:
-                    at, pose = self._add_joint(joints[name], carrier, pose), pin.SE3.Identity()
-                    self.carried[at] = child
-                self._placed_on[child] = (at, pose)
-                pending.append(child)
-
-    def _add_joint(self, joint: ET.Element, carrier: int, pose: pin.SE3) -> int:
-        name, limit = joint.get("name", ""), joint.find("limit")
-        if limit is None or limit.get("effort") is None:
-            raise HandError(f"the joint {name!r} has no <limit> with an effort", value=name)
-        is_slide = self.kinds[name] == "prismatic"
-        kind = pin.JointModelPrismaticUnaligned if is_slide else pin.JointModelRevoluteUnaligned
-        ends = [np.array([_number(limit, key)]) for key in ("velocity", "lower", "upper")]
-        effort = np.array([_number(limit, "effort")])
-        return self.model.addJoint(carrier, kind(self.axes[name]), pose, name, effort, *ends)
+        try:
+            self.model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
+        except (RuntimeError, ValueError) as error:
+            problem = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
+            raise HandError(problem) from error
+        # Copies: a placement is a view into frames that move when one is added.
+        self._placed_on = {
+            frame.name: (frame.parentJoint, frame.placement.copy())
+            for frame in self.model.frames
+            if frame.type == pin.FrameType.BODY
+        }
+        self.carried = {0: self.root} | {
+            self.model.getJointId(name): child
+            for child, (name, _) in self.parent.items()
+            if name in self.axes
+        }
 
     @property
     def notes(self) -> list[str]:

@@ -12,8 +12,9 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.service.opening import Hands
-from handmap_qp.trackers.layouts import layout_names, load_layout
+from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.trackers.layouts.tables import load_layout
 
 _FIELDS = ("q", "landmarks", "points", "values")
 
@@ -132,8 +133,8 @@ def _layout_of(request: Open) -> Layout | None:
     if request.input != "landmarks":
         raise _invalid("layout", "needs input=landmarks")
     # Only layouts of the package: a name must not open files of the server.
-    if name not in layout_names():
-        raise _invalid("layout", f"no layout {name!r}; there are {', '.join(layout_names())}")
+    if name not in LAYOUTS:
+        raise _invalid("layout", f"no layout {name!r}; there are {', '.join(LAYOUTS)}")
     return load_layout(name)
 
 

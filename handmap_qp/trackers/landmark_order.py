@@ -17,8 +17,7 @@ from handmap_qp.trackers.hand_geometry import (
     palmar_evidence,
     shape_misfit,
 )
-from handmap_qp.trackers.layouts.base import LAYOUTS
-from handmap_qp.trackers.layouts.points import PointLayout
+from handmap_qp.trackers.layouts import LAYOUTS
 
 # A misfit that no hand has (`hand_geometry.own_misfit`): at most 1.2 in recordings.
 _NO_HAND = 1.45
@@ -88,11 +87,10 @@ def named_orders() -> dict[str, np.ndarray]:
         By name of the layout, the index at which each of our landmarks is found, shape (21,).
     """
     found = {}
-    for layout in LAYOUTS.values():
-        if isinstance(layout, PointLayout) and layout.table.count == LANDMARK_COUNT:
-            order = layout.order("right")
-            if (order != np.arange(LANDMARK_COUNT)).any():
-                found[layout.name] = order
+    for name, layout in LAYOUTS.items():
+        order = layout.order("right") if layout.shapes[0][0] == LANDMARK_COUNT else None
+        if order is not None and (order != np.arange(LANDMARK_COUNT)).any():
+            found[name] = order
     return found
 
 

@@ -21,8 +21,8 @@ from handmap_qp.human.recording import recording_samples
 from handmap_qp.live.service import ServiceSource
 from handmap_qp.service.server import Server
 from handmap_qp.service.session import Session
-from handmap_qp.trackers.layouts import load_layout
 from handmap_qp.trackers.layouts.points import PointLayout
+from handmap_qp.trackers.layouts.tables import load_layout
 
 pytestmark = pytest.mark.slow
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")

@@ -163,7 +163,7 @@ server.stop()
 from handmap_qp import load_layout, read_recording
 from handmap_qp.trackers.formats import DEMO_FILE, write_recordings
 
-demo = read_recording(DEMO_FILE)
+demo = read_recording(DEMO_FILE, "right")
 assert "the words about the source" in write_recordings([demo], "demo.json")
 np.testing.assert_array_equal(read_recording("demo.json").landmarks, demo.landmarks)
 
@@ -209,7 +209,7 @@ LINES = (
     (f"{MAP} --preset follow --wrist-share 2", 2, "--wrist-share: expected a number in [0"),
     (f"{MAP} --preset paper --wrist-share 0.25", 2, "the preset paper has no such option"),
     (f"{MAP} --help", 0, "Share of the wrist's way."),
-    ("convert demo demo.json", 0, "wrote demo.json"),
+    ("convert demo::right demo.json", 0, "wrote demo.json"),
     ("map demo.json --robot three_finger --out out.npz", 0, "wrote out.npz"),
     ("convert --help", 0, "mano,json}"),
     ("layouts glove", 0, "A glove of ten joints"),

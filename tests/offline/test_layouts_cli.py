@@ -13,8 +13,9 @@ from PIL import Image
 from handmap_qp import HumanLengths, cli
 from handmap_qp.human.person import Person, write_person
 from handmap_qp.se3 import affine
-from handmap_qp.trackers.layouts import layout_names, load_layout
+from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import sized_human
+from handmap_qp.trackers.layouts.tables import load_layout
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -40,7 +41,7 @@ def run(*words: str | Path) -> int:
 def test_layouts_are_listed_and_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("layouts", "--json") == 0
     rows = json.loads(capsys.readouterr().out)
-    assert tuple(row["name"] for row in rows) == layout_names()
+    assert tuple(row["name"] for row in rows) == tuple(LAYOUTS)
     assert run("layouts", "openxr26", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["entries"][10] == {"index": 10, "joint": "index tip", "landmark": "index_tip"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from handmap_qp.hands.sources import urdf_directory, urdf_path
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
 from handmap_qp.onboarding.check import Report, _check_speeds, check_hand
 from handmap_qp.onboarding.cli import HandsCheck, HandsInit
-from handmap_qp.onboarding.detect import detect, detect_text
+from handmap_qp.onboarding.detect import Detection, detect, detect_text
 from handmap_qp.onboarding.measure import (
     colliding_links,
     measure_reach,
@@ -39,6 +40,12 @@ OWN = (
     "one_finger",
     "seven_fingers",
 )
+
+
+@cache
+def chained_mimics() -> Detection:
+    """Detect a hand that many tests describe wrongly."""
+    return detect(DATA / "chained_mimics.urdf")
 
 
 def levels(report: Report) -> list[str]:
@@ -145,7 +152,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
 
 
 def described(tmp_path: Path, change: dict[str, Any]) -> Path:
-    document = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))
+    document = yaml.safe_load(hand_text(chained_mimics(), tmp_path))
     (tmp_path / "hand.yaml").write_text(yaml.safe_dump({**document, **change}))
     return tmp_path / "hand.yaml"
 
@@ -166,7 +173,7 @@ def test_a_mistake_is_found_with_advice(
 
 
 def test_fingers_in_the_wrong_order_are_found(tmp_path: Path) -> None:
-    document = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))
+    document = yaml.safe_load(hand_text(chained_mimics(), tmp_path))
     index, ring = document["points"][1], document["points"][3]
     index["link"], ring["link"] = ring["link"], index["link"]
     report = check_hand(str(described(tmp_path, {"points": document["points"]})), has_motion=False)
@@ -178,7 +185,7 @@ def test_fingers_in_the_wrong_order_are_found(tmp_path: Path) -> None:
 
 
 def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
-    points = yaml.safe_load(hand_text(detect(DATA / "chained_mimics.urdf"), tmp_path))["points"]
+    points = yaml.safe_load(hand_text(chained_mimics(), tmp_path))["points"]
     points[1] |= {"link": "a_l3", "xyz": [0.0, 0.0, 0.1]}
     report = check_hand(str(described(tmp_path, {"points": points})), has_motion=False)
     (found,) = (finding for finding in report.findings if finding.level == "warning")

@@ -29,8 +29,8 @@ from handmap_qp.service.decoding import decode_request
 from handmap_qp.service.opening import prepare_hands
 from handmap_qp.service.samples import to_matrix, to_pose
 from handmap_qp.service.session import Session
-from handmap_qp.trackers.layouts import load_layout
 from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.trackers.layouts.tables import load_layout
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

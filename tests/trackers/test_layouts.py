@@ -20,10 +20,11 @@ from handmap_qp import InvalidInputError, RecordingError, read_recording
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import affine, transform_points
-from handmap_qp.trackers.layouts import layout_names, load_layout
-from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, sized_human
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.files import read_with_layout
 from handmap_qp.trackers.layouts.points import PointLayout
+from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import examine_recording
 from handmap_qp.trackers.wrist_axes import palm_axes
 
@@ -209,9 +210,9 @@ def test_a_table_of_ones_own_is_one_file(tmp_path: Path) -> None:
 
 
 def test_every_table_has_sources_and_says_what_it_lacks() -> None:
-    assert len(layout_names()) >= 15
+    assert len(LAYOUTS) >= 15
     for layout in LAYOUTS.values():
-        assert layout.name in layout_names()
+        assert layout.name in LAYOUTS
         assert layout.table.sources
         assert layout.table.axes
         assert layout.table.values
@@ -349,7 +350,7 @@ def test_anything_else_is_refused_in_one_line(data: st.DataObject) -> None:
 
 @given(data=st.data())
 def test_changed_tables_are_read_or_refused(data: st.DataObject, tmp_path_factory: Any) -> None:
-    name = data.draw(st.sampled_from(layout_names()))
+    name = data.draw(st.sampled_from(tuple(LAYOUTS)))
     lines = (TABLES / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     place = data.draw(st.integers(0, len(lines) - 1))
     lines[place] = data.draw(

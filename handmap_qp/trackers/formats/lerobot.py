@@ -93,13 +93,11 @@ class LeRobotFormat(RecordingFormat):
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """Refuse: no data set is read."""
-        problem = "is a LeRobot data set, which is written and not read"
-        raise RecordingError(f"{problem}: read the recordings that it was made from", file=path)
+        raise _written_only(path)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Refuse: no data set is read."""
-        self.entries(path)
-        raise AssertionError("no data set has entries")
+        raise _written_only(path)
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
@@ -126,6 +124,11 @@ class LeRobotFormat(RecordingFormat):
                     f"{recording.side} human hand",
                     {"name": recording.name, "side": recording.side, "source": recording.source},
                 )
+
+
+def _written_only(path: Path) -> RecordingError:
+    problem = "is a LeRobot data set, which is written and not read"
+    return RecordingError(f"{problem}: read the recordings that it was made from", file=path)
 
 
 class LeRobotWriter:

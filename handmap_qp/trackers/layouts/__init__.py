@@ -1,7 +1,7 @@
 """Layouts of trackers, by name or by file.
 
 A layout is a table, a YAML file of this folder or one of the user's own, not code. Other packages
-add layouts by entry points of the group `handmap_qp.layouts`.
+add layouts by entry points of the group `handmap_qp.layouts`. They are loaded at the first use.
 
     layout = load_layout("openxr26")
     sample = layout.read(poses, time=0.0, side="right")     # a HumanSample
@@ -10,78 +10,24 @@ add layouts by entry points of the group `handmap_qp.layouts`.
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-import msgspec
+from handmap_qp.plugins import Plugins
 
-from handmap_qp.errors import InvalidInputError, did_you_mean, without_errno
-from handmap_qp.trackers.layouts.angles import AngleLayout, AngleTable
-from handmap_qp.trackers.layouts.base import LAYOUTS, Layout
-from handmap_qp.trackers.layouts.markers import MarkerLayout, MarkerTable
-from handmap_qp.trackers.layouts.points import PointLayout, PointTable
-
-_FOLDER = Path(__file__).parent
+if TYPE_CHECKING:
+    from handmap_qp.trackers.layouts.base import Layout
 
 
-def layout_names() -> tuple[str, ...]:
-    """Return the names of all layouts."""
-    return tuple(LAYOUTS)
+def _own() -> Mapping[str, Layout]:
+    return import_module(f"{__name__}.tables").read_tables()
 
 
-def read_tables() -> dict[str, Layout]:
-    """Return the layouts of the package by name."""
-    return {file.stem: _load(file) for file in sorted(_FOLDER.glob("*.yaml"))}
+def _check(layout: Layout) -> None:
+    if not isinstance(layout, import_module(f"{__name__}.base").Layout):
+        raise TypeError("expected a Layout")
 
 
-def table_text(layout: str | Path) -> str:
-    """Return the text of a layout's table, with its comments if it is a file.
-
-    Raises:
-        InvalidInputError: As of `load_layout`.
-    """
-    found = load_layout(layout)
-    file = _FOLDER / f"{layout}.yaml" if str(layout) in LAYOUTS else Path(layout)
-    if not file.is_file():
-        return msgspec.yaml.encode(found.table).decode()
-    return file.read_text(encoding="utf-8")
-
-
-def load_layout(layout: str | Path | Layout) -> Layout:
-    """Load a layout.
-
-    Args:
-        layout: Name of a layout, path of a table (`.yaml`), or a layout.
-
-    Raises:
-        InvalidInputError: If there is no such layout, or the table is not one.
-    """
-    if isinstance(layout, Layout):
-        return layout
-    if not isinstance(layout, str | Path):
-        raise InvalidInputError(argument="layout", expected="a name or a path", value=layout)
-    name = str(layout)
-    if Path(name).suffix in (".yaml", ".yml"):
-        return _load(Path(name))
-    if name in LAYOUTS:
-        # Each caller gets one of its own, because a layout of markers keeps its last model.
-        file = _FOLDER / f"{name}.yaml"
-        return _load(file) if file.is_file() else LAYOUTS[name]
-    raise InvalidInputError(
-        argument="layout",
-        expected=f"one of {', '.join(LAYOUTS)}, or the path of a table (.yaml)",
-        value=name,
-        advice=did_you_mean(name, LAYOUTS).strip(),
-    )
-
-
-def _load(file: Path) -> Layout:
-    try:
-        table = msgspec.yaml.decode(file.read_bytes(), type=PointTable | AngleTable | MarkerTable)
-        if isinstance(table, PointTable):
-            return PointLayout(table)
-        return AngleLayout(table) if isinstance(table, AngleTable) else MarkerLayout(table)
-    # ValueError and TypeError: also those of yaml and msgspec.
-    except (OSError, ValueError, TypeError) as error:
-        words = f"cannot be read: {without_errno(error)}" if isinstance(error, OSError) else error
-        problem = f"{file}: {' '.join(str(words).split())}"
-        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
+LAYOUTS: Mapping[str, Layout] = Plugins("handmap_qp.layouts", _own, _check)
+"""All layouts by name."""

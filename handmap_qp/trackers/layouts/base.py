@@ -10,7 +10,6 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib import import_module
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
@@ -26,8 +25,8 @@ from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import check_poses, poses_from_quats
+from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
@@ -163,6 +162,10 @@ class Layout(abc.ABC, Generic[Table]):
     def wrist_table(self) -> WristTable | None:
         """How a wrist pose is obtained; None if it cannot be."""
         return getattr(self.table, "wrist", None)
+
+    def order(self, side: Side) -> np.ndarray | None:
+        """Return the index of each of our landmarks among joints; None if there are no joints."""
+        return None
 
     @abc.abstractmethod
     def rows(self) -> list[dict[str, Any]]:
@@ -382,20 +385,6 @@ class Layout(abc.ABC, Generic[Table]):
         else:
             values = check_poses(values, "wrist", seen)
         return to_own_axes(values, table.axes(side), self.table.reflection, self._length)
-
-
-def _check(layout: Layout) -> None:
-    if not isinstance(layout, Layout):
-        raise TypeError("expected a Layout")
-
-
-LAYOUTS: Mapping[str, Layout] = Plugins(
-    # Imported when used: the kinds of layouts build on this module.
-    "handmap_qp.layouts",
-    lambda: import_module("handmap_qp.trackers.layouts").read_tables(),
-    _check,
-)
-"""All layouts by name."""
 
 
 def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:

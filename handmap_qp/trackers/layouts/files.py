@@ -17,11 +17,11 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.human.verdict import Finding
 from handmap_qp.trackers.formats.archive import damages, read_archive
 from handmap_qp.trackers.formats.base import SIDES, side_of
-from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, layouts_of_shape
-from handmap_qp.trackers.plausibility import examine_recording
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
+from handmap_qp.trackers.plausibility import Finding, examine_recording
 
 _TIMES = {"time": 1.0, "time_s": 1.0, "t": 1.0, "timestamp": 1.0, "time_ms": 1e-3, "time_ns": 1e-9}
 """Names of arrays and columns of time, with their unit [s]."""
