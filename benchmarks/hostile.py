@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -114,7 +114,7 @@ class IkRun:
         self._hand = hand
         self._rng = np.random.default_rng(seed)
         if hand.spec.collision is None:
-            options = replace(options, avoids_self_collision=False)
+            options = options.replaced(avoids_self_collision=False)
         self._ik, self.checker = PointIk(hand, options), Checker(hand)
         self._place()
 
@@ -251,7 +251,7 @@ class MapperRun:
             mapper.release()
         elif kind == 4:
             limit = LIMITS[rng.integers(len(LIMITS))]
-            mapper.configure(ik=replace(mapper.ik, max_acceleration=limit))
+            mapper.configure(ik=mapper.ik.replaced(max_acceleration=limit))
         elif kind == 2:
             self._last = None
             mapper.reset(robot_q=rng.uniform(mapper.robot.lower_limits, mapper.robot.upper_limits))

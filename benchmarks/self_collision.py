@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import common
@@ -141,7 +140,7 @@ def mapped(hand: Hand, shapes: ShapePairs, recording: Recording, most: float | N
         human_name(recording.side), points="landmarks", lengths=measure_hand(recording)
     )
     preset, tally = get_preset("teleoperation"), Tally(hand, shapes)
-    mapper = HandMapper(human, hand, preset.method, ik=replace(preset.ik, max_acceleration=most))
+    mapper = HandMapper(human, hand, preset.method, ik=preset.ik.replaced(max_acceleration=most))
     is_first = True
     for landmarks, is_valid, dt in zip(
         recording.landmarks, recording.valid, recording.steps, strict=True

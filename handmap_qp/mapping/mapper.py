@@ -573,7 +573,7 @@ def _method_of(method: Method | str | None, options: dict[str, Any]) -> tuple[Me
         preset = get_preset(method)
         return preset.method, preset.ik
     chosen: Any = Homogeneous() if method is None else method
-    if hasattr(chosen, "replaced" if options else "bind") and not isinstance(chosen, str):
+    if hasattr(chosen, "replaced" if options else "bind") and not isinstance(chosen, str | type):
         return chosen.replaced(**options) if options else chosen, IkOptions()
     raise InvalidOptionsError(
         option="method",
