@@ -218,7 +218,7 @@ def build_recording(
 
 def finite_samples(points: np.ndarray) -> np.ndarray:
     """Tell of samples (T, ...) whether all their numbers are finite, shape (T,)."""
-    return np.isfinite(points).all(axis=tuple(range(1, points.ndim)))
+    return np.asarray(np.isfinite(points).all(axis=tuple(range(1, points.ndim))))
 
 
 def landmark_rows(recording: Recording) -> np.ndarray:
