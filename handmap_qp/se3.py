@@ -124,8 +124,17 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     the points x to y (Kabsch, Acta Cryst. A32, 1976).
     """
     left, _, right = svd3(matrix)
-    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    left[..., 2] *= mirror_sign(left @ right)[..., None]
     return left @ right
+
+
+def mirror_sign(orthogonal: np.ndarray) -> np.ndarray:
+    """Return -1 for orthogonal matrices (..., 3, 3) that mirror, 1 for rotations, shape (...)."""
+    if orthogonal.size != 9:
+        return np.sign(np.linalg.det(orthogonal))
+    a, b, c, d, e, f, g, h, i = orthogonal.ravel().tolist()
+    turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return np.full(orthogonal.shape[:-2], math.copysign(1.0, turn))
 
 
 def rigid_fit(
