@@ -32,7 +32,7 @@ from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Verdict
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers import plausibility
-from handmap_qp.trackers.hand_geometry import log_size, measured_distances, sample_measures
+from handmap_qp.trackers.hand_geometry import log_size, own_distances, palmar_evidence
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -179,9 +179,10 @@ def measure_left_out(people: dict[str, Sequence[lies.Take]]) -> list[dict[str, A
     found: dict[str, dict[str, np.ndarray]] = {}
     for name, takes in people.items():
         sides = [
-            (-1.0 if take.side == "right" else 1.0) * np.median(rows[:, -2:], axis=0)
+            (-1.0 if take.side == "right" else 1.0)
+            * np.median([evidence.total, evidence.fingers], axis=1)
             for take in takes
-            for rows in batches(take)
+            for evidence in map(palmar_evidence, batches(take))
         ]
         found[name] = {
             "bends back": np.array(sides)[:, 1],
@@ -204,14 +205,14 @@ def measure_left_out(people: dict[str, Sequence[lies.Take]]) -> list[dict[str, A
 
 
 def batches(take: lies.Take) -> list[np.ndarray]:
-    """Return the measures of the check for each batch of 16 samples."""
+    """Return the landmarks of each batch of 16 samples, as the check takes them."""
     starts = range(0, len(take.time) - 15, 16)
-    return [sample_measures(take.landmarks[start : start + 16]) for start in starts]
+    return [take.landmarks[start : start + 16] for start in starts]
 
 
 def log_sizes(take: lies.Take) -> np.ndarray:
     """Return how far sizes of batches are from that of the first ones, as logarithms."""
-    sizes = [log_size(measured_distances(rows)) for rows in batches(take)]
+    sizes = [log_size(own_distances(landmarks)) for landmarks in batches(take)]
     return np.abs(np.array(sizes) - np.median(sizes[: plausibility._FIRST_SIZES]))
 
 

@@ -35,7 +35,15 @@ class HandmapError(Exception):
 
 
 class _DescribedError(HandmapError, ValueError):
-    """What is wrong with one named thing, as attributes from which the text is composed."""
+    """What is wrong with one named thing, as attributes from which the text is composed.
+
+    Attributes:
+        problem: What is wrong, where "expected X, got Y" does not say it.
+        expected: What it must be.
+        value: What it is; None where it was not given.
+        got: The same as text; a short form of `value` if omitted.
+        advice: What to do about it.
+    """
 
     def __init__(
         self, name: str, problem: str, expected: str, value: Any, got: str, advice: str
@@ -62,21 +70,9 @@ class _DescribedError(HandmapError, ValueError):
 class InvalidInputError(_DescribedError):
     """A value given to a public function cannot be used.
 
-    Args:
-        problem: What is wrong, where "expected X, got Y" does not say it.
-        argument: The argument at fault, such as `human_q` or `points[3]`.
-        expected: What it must be.
-        value: What it is.
-        got: The same as text; a short form of `value` if omitted.
-        advice: What to do about it.
-
     Attributes:
-        argument: The argument at fault; empty where there is none.
-        expected: What it must be.
-        value: What it is; None where it was not given.
-        got: The same as text.
-        problem: What is wrong, where "expected X, got Y" does not say it.
-        advice: What to do about it.
+        argument: The argument at fault, such as `human_q` or `points[3]`; empty where there is
+            none. The other arguments are attributes too (`_DescribedError`).
     """
 
     def __init__(
@@ -100,21 +96,9 @@ class DiskFullError(InvalidInputError):
 class InvalidOptionsError(_DescribedError):
     """Options that contradict each other or the hands they are used with.
 
-    Args:
-        problem: What is wrong, where "expected X, got Y" does not say it.
-        option: The option at fault.
-        expected: What it must be.
-        value: What it is.
-        got: The same as text; a short form of `value` if omitted.
-        advice: What to do about it.
-
     Attributes:
-        option: The option at fault; empty where there is no single one.
-        expected: What it must be.
-        value: What it is; None where it was not given.
-        got: The same as text.
-        problem: What is wrong, where "expected X, got Y" does not say it.
-        advice: What to do about it.
+        option: The option at fault; empty where there is no single one. The other arguments are
+            attributes too (`_DescribedError`).
     """
 
     def __init__(

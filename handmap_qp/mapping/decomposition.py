@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import affine, as_floats, quat_wxyz_from_rotation
+from handmap_qp.se3 import affine, as_floats, mirror_sign, quat_wxyz_from_rotation, svd3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +67,8 @@ def polar(linear: np.ndarray) -> PolarFactors:
     Returns:
         Rotation, axes and stretches.
     """
-    axes, stretches, right = np.linalg.svd(linear)
-    sign = np.sign(np.linalg.det(axes @ right))[..., None]
+    axes, stretches, right = svd3(linear)
+    sign = mirror_sign(axes @ right)[..., None]
     right[..., 2, :] *= sign
     stretches[..., 2:] *= sign
     return PolarFactors(axes @ right, axes, stretches)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from copy import copy
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -110,13 +110,12 @@ class HandPair:
     """
 
     def __init__(self, human: Hand, robot: Hand, matched: np.ndarray | None = None) -> None:
-        self.human, self._given_robot = human, robot
+        self.human, self._measured = human, _robot_fingers(robot)
         names = {point.name: k for k, point in enumerate(human.reference_points)}
-        self.chains, self.pads = _fingers_and_pads(robot)
-        self.fingers = _common_fingers(robot)
+        self.chains, self.pads = self._measured.chains, self._measured.pads
+        self.fingers, self.has_jaws = self._measured.names, self._measured.has_jaws
         self._check(names)
-        self.has_jaws, shared = _with_finger_points(robot)
-        self.robot = copy(shared)
+        self.robot = copy(self._measured.with_points)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
         self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
@@ -152,7 +151,7 @@ class HandPair:
     @property
     def contacts(self) -> ShapePairs:
         """All pairs of the robot's collision shapes that may collide."""
-        return _contacts(self._given_robot)
+        return self._measured.contacts
 
     def _check(self, names: dict[str, int]) -> None:
         if not self.fingers:
@@ -185,7 +184,7 @@ class HandPair:
             return self._open_jaws()
         robot = self.robot
         in_palm = np.empty((len(robot.reference_points), 3))
-        knuckles = _knuckles_at_rest(self._given_robot)
+        knuckles = self._measured.knuckles
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
             human = self.human_rest[self.partners[j]]
@@ -194,7 +193,7 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        targets = transform_points(_palm_at_rest(self._given_robot), in_palm)
+        targets = transform_points(self._measured.palm, in_palm)
         costs = IkOptions().point_costs(robot)
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
@@ -202,7 +201,7 @@ class HandPair:
         """Return the posture that matches the person of the package's own hand, once known."""
         if self.human.name not in HUMAN_HANDS or self.human is _standard_human(self.human.name):
             return self.robot.rest
-        return _standard_match(self.human.name, self._given_robot)
+        return _standard_match(self.human.name, self._measured.hand)
 
     def _open_jaws(self) -> np.ndarray:
         """Solve the posture in which each jaw's gap to the thumb is the resting human's."""
@@ -231,46 +230,55 @@ class HandPair:
         middle = knuckles[others].mean(axis=0)
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
-        pinching = _pinching_robot(self._given_robot)
         ends = find_fingers(self.human)
         human_pinching = _pinching_thumb(self.human, ends, _human_pads(self.human, ends))
         return (
-            _THUMB_FROM_PINCH * (pinching + gain * (tip - human_pinching))
+            _THUMB_FROM_PINCH * (self._measured.pinching_thumb + gain * (tip - human_pinching))
             + (1.0 - _THUMB_FROM_PINCH) * above
         )
 
 
-# A robot's parts are shared by all people, because reading meshes takes longest.
-@lru_cache(maxsize=32)
-def _fingers_and_pads(robot: Hand) -> tuple[dict[str, Finger], dict[str, Pad]]:
-    chains = find_fingers(robot)
-    return chains, find_pads(robot, chains)
+class _RobotFingers:
+    """What is measured on a robot alone, shared by all people: reading meshes takes longest."""
+
+    def __init__(self, robot: Hand) -> None:
+        self.hand = robot
+        self.chains = find_fingers(robot)
+        self.pads = find_pads(robot, self.chains)
+        self.names = tuple(f for f in FINGERS if f in self.chains and self.chains[f].joints)
+        used = [self.chains[finger] for finger in self.names]
+        self.has_jaws = len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
+
+    @cached_property
+    def with_points(self) -> Hand:
+        """The robot with its fingers' points."""
+        used = {finger: self.chains[finger] for finger in self.names}
+        weight = _JAW_WEIGHT if self.has_jaws else 1.0
+        return self.hand.with_points(tuple(_finger_points(self.hand, used, weight)))
+
+    @cached_property
+    def knuckles(self) -> np.ndarray:
+        """Base of each finger at rest, in palm axes [m], shape (f, 3)."""
+        places = [self.chains[finger].knuckle for finger in self.names]
+        return frozen(points_in_palm_at(self.hand, places))
+
+    @cached_property
+    def palm(self) -> np.ndarray:
+        """Pose of the palm at rest, shape (4, 4)."""
+        return frozen(_palm_pose(self.hand, _placed(self.hand, self.hand.rest)))
+
+    @cached_property
+    def pinching_thumb(self) -> np.ndarray:
+        """Mean tip of the thumb where it pinches, in palm axes [m], shape (3,)."""
+        return frozen(_pinching_thumb(self.with_points, self.chains, self.pads))
+
+    @cached_property
+    def contacts(self) -> ShapePairs:
+        """All pairs of collision shapes that may collide."""
+        return all_pairs(self.hand, self.chains)
 
 
-def _common_fingers(robot: Hand) -> tuple[str, ...]:
-    chains = _fingers_and_pads(robot)[0]
-    return tuple(finger for finger in FINGERS if finger in chains and chains[finger].joints)
-
-
-@lru_cache(maxsize=32)
-def _with_finger_points(robot: Hand) -> tuple[bool, Hand]:
-    """Return whether a robot has jaws, and the robot with its fingers' points."""
-    chains = _fingers_and_pads(robot)[0]
-    used = {finger: chains[finger] for finger in _common_fingers(robot)}
-    has_jaws = len(used) > 1 and THUMB in used and all(c.is_jaw for c in used.values())
-    weight = _JAW_WEIGHT if has_jaws else 1.0
-    return has_jaws, robot.with_points(tuple(_finger_points(robot, used, weight)))
-
-
-@lru_cache(maxsize=32)
-def _knuckles_at_rest(robot: Hand) -> np.ndarray:
-    chains = _fingers_and_pads(robot)[0]
-    return frozen(points_in_palm_at(robot, [chains[f].knuckle for f in _common_fingers(robot)]))
-
-
-@lru_cache(maxsize=32)
-def _palm_at_rest(robot: Hand) -> np.ndarray:
-    return frozen(_palm_pose(robot, _placed(robot, robot.rest)))
+_robot_fingers = lru_cache(maxsize=32)(_RobotFingers)
 
 
 @lru_cache(maxsize=32)
@@ -281,17 +289,6 @@ def _standard_match(name: str, robot: Hand) -> np.ndarray:
 @lru_cache(maxsize=2)
 def _standard_human(name: str) -> Hand:
     return load_hand(name, points="landmarks")
-
-
-@lru_cache(maxsize=32)
-def _pinching_robot(robot: Hand) -> np.ndarray:
-    placed = _with_finger_points(robot)[1]
-    return frozen(_pinching_thumb(placed, *_fingers_and_pads(robot)))
-
-
-@lru_cache(maxsize=32)
-def _contacts(robot: Hand) -> ShapePairs:
-    return all_pairs(robot, _fingers_and_pads(robot)[0])
 
 
 def require_partners(

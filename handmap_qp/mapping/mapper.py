@@ -20,6 +20,7 @@ import numpy.typing as npt
 from msgspec import structs
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.ik.gate import Motion
@@ -35,10 +36,16 @@ from handmap_qp.mapping.method import (
     TargetMap,
     Targets,
 )
-from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.mapping.step import MapStep, RobotCommand
-from handmap_qp.se3 import PoseLike, QuatOrder, as_floats, check_pose, inverse_pose
+from handmap_qp.se3 import (
+    PoseLike,
+    QuatOrder,
+    as_floats,
+    check_pose,
+    inverse_pose,
+    transform_points,
+)
 
 
 class HandMapper:
@@ -110,6 +117,7 @@ class HandMapper:
         bound = chosen.bind(human, robot)
         solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self._plan = _Plan(chosen, bound, solver, tuple(tasks))
+        self._human_vector = human.configuration_vector(human.rest)
         self._start: _Start | None = _Start(robot.rest, None)
         self._reference: _Reference | None = None
         self._is_released = False
@@ -160,6 +168,11 @@ class HandMapper:
             InvalidOptionsError: If a reference point of the human is not a landmark.
         """
         return LandmarkReader(self.human)
+
+    @cached_property
+    def _human(self) -> Configuration:
+        """The workspace of `map_step`; streams of landmarks need none."""
+        return self.human.configuration()
 
     # -- one sample
 
@@ -503,7 +516,10 @@ class HandMapper:
                 value=float(angles[i]),
             )
         outside = tuple(human.joint_names[i] for i in np.flatnonzero(excess > 0.0))
-        return HumanPose(human.points(angles, wrist), wrist), outside
+        # The wrist stays at the origin; points move with it afterwards.
+        human.write_configuration(self._human_vector, angles)
+        self._human.place_frames(self._human_vector)
+        return HumanPose(transform_points(wrist, self._human.points), wrist), outside
 
     def _check_robot(self, robot_q: npt.ArrayLike) -> np.ndarray:
         robot = self.robot
@@ -572,7 +588,7 @@ def _method_of(method: Method | str | None, options: dict[str, Any]) -> tuple[Me
     if isinstance(method, str) and not options:
         preset = get_preset(method)
         return preset.method, preset.ik
-    chosen: Any = Homogeneous() if method is None else method
+    chosen: Any = get_preset("paper").method if method is None else method
     if hasattr(chosen, "replaced" if options else "bind") and not isinstance(chosen, str | type):
         return chosen.replaced(**options) if options else chosen, IkOptions()
     raise InvalidOptionsError(

@@ -6,10 +6,30 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import affine, frozen, inverse_pose
 
 _ORIGIN = frozen(np.zeros(3))
+
+
+class PalmMethod:
+    """Base of methods for two hands whose wrist target is that of a `PalmFollower`.
+
+    See `BoundMethod`.
+    """
+
+    contacts: ShapePairs | None = None
+    needs_wrist = "the pose of the palm"
+    reference_needs_wrist = ""
+    renews_reference = False
+
+    def __init__(self, human: Hand, robot: Hand) -> None:
+        self.human, self.robot = human, robot
+
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
+        """Return the human's palm."""
+        return palm_of(sample, self.human)
 
 
 class PalmFollower:

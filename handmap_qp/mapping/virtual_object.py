@@ -17,7 +17,6 @@ import numpy as np
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -26,7 +25,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, palm_of
+from handmap_qp.mapping.palm import PalmFollower, PalmMethod, palm_of
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
@@ -81,7 +80,7 @@ class VirtualObject(Protocol):
         ...
 
 
-class BoundVirtualObject:
+class BoundVirtualObject(PalmMethod):
     """A method of this kind for two hands; see `BoundMethod`.
 
     Args:
@@ -94,10 +93,7 @@ class BoundVirtualObject:
         InvalidOptionsError: If the human has fewer than three points, or the robot fewer than two.
     """
 
-    contacts: ShapePairs | None = None
     needs_wrist = "the motion of the fingertips in palm axes"
-    reference_needs_wrist = ""
-    renews_reference = False
 
     def __init__(
         self,
@@ -107,12 +103,8 @@ class BoundVirtualObject:
         robot: Hand,
     ) -> None:
         self.enclose, self.scale = enclose, scale
-        self.human, self.robot = human, robot
+        super().__init__(human, robot)
         self.human_points, self.robot_points = _tips(human, _FEWEST), _tips(robot, 2)
-
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
-        """Return the human's palm."""
-        return palm_of(sample, self.human)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> VirtualObjectMap:
         """Enclose both hands' points as they are; see `BoundMethod.start`."""

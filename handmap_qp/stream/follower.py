@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.human.verdict import Verdict
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
@@ -117,15 +117,8 @@ class Follower:
         """
         verdicts = self._guard.judge(samples)
         used = [i for i, verdict in enumerate(verdicts) if not verdict.is_held]
-        landmarks = np.array([samples[i].landmarks for i in used]).reshape(-1, 21, 3)
-        fitted = self.mapper.landmarks.read(landmarks)
-        wrists = [samples[i].wrist for i in used]
-        if any(wrist is not None for wrist in wrists) and fitted.wrist is not None:
-            pairs = zip(wrists, fitted.wrist, strict=True)
-            fitted = HumanPose(
-                fitted.points, np.array([own if given is None else given for given, own in pairs])
-            )
-        place = dict(zip(used, range(len(used)), strict=True))
+        poses = self._read_all([samples[i] for i in used])
+        places = {i: k for k, i in enumerate(used)}
         reference, targets = None, None
         for i, (sample, verdict) in enumerate(zip(samples, verdicts, strict=True)):
             if verdict.is_held:
@@ -133,11 +126,24 @@ class Follower:
                 continue
             if self.mapper.reference is not reference:
                 reference = self.mapper.reference
-                targets = None if self.smoothing else self.mapper.targets_of(fitted)
-            k = place[i]
-            wrist = None if fitted.wrist is None else fitted.wrist[k]
-            known = targets[k] if targets else None
-            yield self._follow(HumanPose(fitted.points[k], wrist), sample, verdict, targets=known)
+                targets = None if self.smoothing else self.mapper.targets_of(poses)
+            k = places[i]
+            pose = HumanPose(poses.points[k], None if poses.wrist is None else poses.wrist[k])
+            yield self._follow(pose, sample, verdict, targets=targets[k] if targets else None)
+
+    def _read_all(self, samples: Sequence[HumanSample]) -> HumanPose:
+        """Return the poses of samples along a leading axis; palms are fitted where none is given.
+
+        Raises:
+            InvalidInputError: If a coordinate is too large.
+            InvalidOptionsError: If a reference point of the human is not a landmark.
+        """
+        landmarks = np.array([sample.landmarks for sample in samples])
+        poses = self.mapper.landmarks.read(landmarks.reshape(-1, LANDMARK_COUNT, 3))
+        for i, sample in enumerate(samples):
+            if poses.wrist is not None and sample.wrist is not None:
+                poses.wrist[i] = sample.wrist
+        return poses
 
     def map(
         self, pose: HumanPose, dt: float, *, targets: Targets | None = None, speed: float = 1.0

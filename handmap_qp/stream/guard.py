@@ -157,9 +157,8 @@ class StreamGuard:
         if tick.rule in ("duplicate", "disorder"):
             self.state = state
             return Verdict(tick.rule, True, False, tick.dt, math.nan)
-        if _is_seen(sample) and (sight is None or not sight.is_after(state.last)):
-            times, shortest = np.array([[state.now], [clock.shortest]])
-            (sight,) = measure(state.last, times, sample.landmarks[None], shortest)
+        if _is_seen(sample):
+            sight = _measured(sample, sight, state)
         rule, finding = self._input_fault(sample, sight, arrival)
         if rule or sight is None:
             self.state = _holding(state, rule)
@@ -167,8 +166,9 @@ class StreamGuard:
         verdict, self.state = self._follow(sight, state, tick, before.clock.late_count > 0)
         if self.state.cause and not state.cause:
             self._input.alert()
-        is_unproven = sample.wrist is not None and not self._input.is_wrist_proven
-        return verdict._replace(rule="unproven") if is_unproven and not verdict.is_held else verdict
+        if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
+            return verdict
+        return verdict._replace(rule="unproven")
 
     def check_side(self, side: Side) -> None:
         """Reject samples of the other hand.
@@ -209,17 +209,18 @@ class StreamGuard:
         fresh, last, change = sight.fresh, state.last, sight.change
         consistency = math.sqrt(np.square(fresh.lengths - self._lengths).mean())
         verdict = Verdict("", False, False, tick.dt, consistency)
+        if not sight.is_same:
+            state = state._replace(same_since=state.now)
         if last is None or change is None:
-            is_return = state.cause != ""
-            state = state._replace(good=fresh, last=fresh, cause="", same_since=state.now)
-            return verdict._replace(is_return=is_return), state
-        state = state if sight.is_same else state._replace(same_since=state.now)
-        if sight.is_same and state.now - state.same_since >= FROZEN_AFTER:
+            first = state._replace(good=fresh, last=fresh, cause="")
+            return verdict._replace(is_return=state.cause != ""), first
+        if state.now - state.same_since >= FROZEN_AFTER:
             return verdict._replace(rule="frozen", is_held=True), _holding(state, "frozen")
         rule = _named(change, state.usual)
-        if tick.rule == "gap":
-            jump = change_between(last, fresh, state.clock.period)
-            rule = "gap" if _named(jump, state.usual) else rule
+        if tick.rule == "gap" and _named(
+            change_between(last, fresh, state.clock.period), state.usual
+        ):
+            rule = "gap"
         state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
         if rule:
             state = _holding(state._replace(last=fresh), rule)
@@ -248,6 +249,14 @@ class StreamGuard:
 
 def _is_seen(sample: HumanSample) -> bool:
     return sample.valid and sample.confidence != 0.0
+
+
+def _measured(sample: HumanSample, sight: Sight | None, state: GuardState) -> Sight:
+    """Return what a sample shows after the last one; what is known of it, if that holds."""
+    if sight is not None and sight.is_after(state.last):
+        return sight
+    times, shortest = np.array([[state.now], [state.clock.shortest]])
+    return measure(state.last, times, sample.landmarks[None], shortest)[0]
 
 
 def _holding(state: GuardState, rule: Rule) -> GuardState:

@@ -16,8 +16,6 @@ import numpy as np
 from handmap_qp.human.sample import LANDMARK_COUNT
 
 _BASES = (1, 5, 9, 13, 17)
-MEASURES = 28
-"""Numbers that `sample_measures` gives for each sample."""
 _PAIRS = np.array(
     [pair for base in _BASES for pair in ((0, base), *((base + k, base + k + 1) for k in range(3)))]
     + [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
@@ -112,29 +110,7 @@ def own_distances(landmarks: np.ndarray) -> Distances:
     Returns:
         Medians and spreads, shape (26,).
     """
-    return _measure(landmarks, _PAIRS[:, 0], _PAIRS[:, 1])
-
-
-def sample_measures(landmarks: np.ndarray) -> np.ndarray:
-    """Measure each sample by itself: squared distances as of `own_distances`, and the palmar side.
-
-    Args:
-        landmarks: Finite landmarks in our order and any unit, shape (T, 21, 3).
-
-    Returns:
-        A row for each sample, shape (T, 28): 26 squared distances, then `PalmarEvidence.total` and
-        `PalmarEvidence.fingers`.
-    """
-    evidence = palmar_evidence(landmarks)
-    rows = np.empty((len(landmarks), len(_PAIRS) + 2))
-    rows[:, :-2] = _squares(landmarks, _PAIRS[:, 0], _PAIRS[:, 1])
-    rows[:, -2], rows[:, -1] = evidence.total, evidence.fingers
-    return rows
-
-
-def measured_distances(measures: np.ndarray) -> Distances:
-    """Return `own_distances` of samples that were measured by `sample_measures`, shape (T, 28)."""
-    return _distances(measures[:, :-2].copy())
+    return _measure(landmarks, *_PAIRS.T)
 
 
 def all_distances(landmarks: np.ndarray) -> Distances:
@@ -159,19 +135,18 @@ def log_size(distances: Distances) -> float:
     return median(distances.medians - _CENTRES)
 
 
-def stuck_fingers(landmarks: np.ndarray, measures: np.ndarray) -> np.ndarray:
+def stuck_fingers(landmarks: np.ndarray) -> np.ndarray:
     """Tell which fingers repeat to rounding while the landmarks of most others tremble.
 
     A finger that is held still trembles too. Of a tracker with rigid bones nothing can be told.
 
     Args:
         landmarks: Some samples [m], shape (T, 21, 3).
-        measures: Of `sample_measures`, shape (T, 28).
 
     Returns:
         True or False for each finger, shape (5,).
     """
-    bones = measures[:, :20].reshape(-1, 5, 4)[:, :, 2:]
+    bones = _squares(landmarks, *_PAIRS[:20].T).reshape(-1, 5, 4)[:, :, 2:]
     trembling = (np.ptp(bones, axis=0) / bones.mean(axis=0)).max(axis=1)
     usual = median(trembling)
     # Rounded landmarks of a hand at rest repeat in the tracker's world too.
@@ -217,21 +192,16 @@ def misfits_of_orders(distances: Distances, orders: np.ndarray) -> np.ndarray:
 
 
 def _measure(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> Distances:
-    return _distances(_squares(landmarks, first, second))
-
-
-def _squares(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    offsets = landmarks[:, first] - landmarks[:, second]
-    return np.einsum("tpi,tpi->tp", offsets, offsets)
-
-
-def _distances(squares: np.ndarray) -> Distances:
-    """Return medians and spreads of squared distances (T, p), which are sorted in place."""
-    squares.sort(axis=0)
+    """Return medians and spreads of the distances between pairs."""
+    squares = np.sort(_squares(landmarks, first, second), axis=0)
     count = len(squares)
     rows = squares[[count // 4, count // 2, count - 1 - count // 4]]
     low, middle, high = 0.5 * np.log(np.maximum(rows, 1e-24))
     return Distances(middle, (high - low) / _QUARTILES_APART)
+
+
+def _squares(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.square(landmarks[:, first] - landmarks[:, second]).sum(axis=-1)
 
 
 def _misfits(logs: np.ndarray, spreads: np.ndarray) -> np.ndarray:

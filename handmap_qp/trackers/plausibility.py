@@ -23,10 +23,10 @@ from handmap_qp.human.verdict import Finding
 from handmap_qp.trackers.hand_geometry import (
     Distances,
     log_size,
-    measured_distances,
     median,
+    own_distances,
     own_misfit,
-    sample_measures,
+    palmar_evidence,
     stuck_fingers,
 )
 from handmap_qp.trackers.landmark_order import find_order, prepare
@@ -174,24 +174,23 @@ class InputCheck:
             wrists = None if wrists is None else wrists[is_hand]
             if not len(landmarks):
                 return None
-        measures = sample_measures(landmarks)
-        distances = measured_distances(measures)
+        distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
         misfit = own_misfit(distances)
-        total = median(self._sign * measures[:, -2])
+        total = median(self._sign * evidence.total)
         is_known = misfit < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         guess = None if is_known else find_order(landmarks, self._sign, total)
         if unit := find_length_unit(landmarks, distances, is_hand=guess is None):
             return Finding("unit", *unit)
         if guess is not None:
             return self._order_finding(guess.name)
-        fingers = median(self._sign * measures[:, -1])
+        fingers = median(self._sign * evidence.fingers)
         if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
             return _BENT_BACK
         if total < -_SURE_SIDE:
             return self._other_side(landmarks, wrists)
         if not is_known:
             self._misfit = misfit
-        stuck = np.flatnonzero(stuck_fingers(landmarks, measures))
+        stuck = np.flatnonzero(stuck_fingers(landmarks))
         if len(stuck):
             problem = f"the {FINGERS[stuck[0]]} finger repeats exactly while the others tremble"
             return Finding("frozen", problem, "check the tracker's sensor or model of that finger")

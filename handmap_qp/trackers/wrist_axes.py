@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from handmap_qp.se3 import nearest_rotation
+from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.hand_geometry import cross, median
 
 _X, _Y, _Z = np.eye(3)
@@ -61,9 +61,9 @@ def palm_axes(landmarks: np.ndarray, sign: float) -> np.ndarray:
     """
     offsets = landmarks - landmarks[:, :1]
     dorsal = -sign * cross(offsets[:, 5], offsets[:, 17])
-    dorsal /= _lengths(dorsal)[:, None]
+    dorsal /= lengths(dorsal)[:, None]
     lateral = cross(offsets[:, 9], dorsal)
-    lateral /= _lengths(lateral)[:, None]
+    lateral /= lengths(lateral)[:, None]
     return np.stack([lateral, cross(dorsal, lateral), dorsal], axis=2)
 
 
@@ -102,7 +102,7 @@ class WristCheck:
         return mistake
 
     def _mistake(self, landmarks: np.ndarray, wrists: np.ndarray) -> tuple[str, str] | None:
-        apart = median(_lengths(wrists[:, :, 3] - landmarks[:, 0]))
+        apart = median(lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
             return problem, "give both in metres and in the same world"
@@ -153,10 +153,6 @@ def _cosine(a: np.ndarray, b: np.ndarray) -> float:
 def _is_known(relative: np.ndarray) -> bool:
     traces = np.einsum("gik,ik->g", CONVENTIONS, relative)
     return float((traces.max() - 1.0) / 2.0) > _FARTHEST
-
-
-def _lengths(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("ti,ti->t", vectors, vectors))
 
 
 def _reinterpreted(rotations: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

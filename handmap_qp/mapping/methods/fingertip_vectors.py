@@ -23,7 +23,6 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.mapping.hand_pair import (
     KNUCKLES,
     bone_lengths,
@@ -38,7 +37,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, palm_of
+from handmap_qp.mapping.palm import PalmFollower, PalmMethod
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, transform_points
 
@@ -84,16 +83,13 @@ PRESETS = {
 }
 
 
-class BoundFingertipVectors:
+class BoundFingertipVectors(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
-    contacts: ShapePairs | None = None
     needs_wrist = "vectors in palm axes"
-    reference_needs_wrist = ""
-    renews_reference = False
 
     def __init__(self, method: FingertipVectors, human: Hand, robot: Hand) -> None:
-        self.human, self.robot = human, robot
+        super().__init__(human, robot)
         pairs = require_partners(human, robot, option="method")
         if method.origin == "knuckle":
             pairs = [pair for pair in pairs if robot.reference_points[pair[0]].finger]
@@ -106,10 +102,6 @@ class BoundFingertipVectors:
             self.scales = np.full(len(pairs), method.scale or ratio)
         else:
             self._begin_at_knuckles(method.scale)
-
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
-        """Return the human's palm."""
-        return palm_of(sample, self.human)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> FingertipVectorMap:
         """Count the palm's displacement from here; the fingers need no reference."""

@@ -36,7 +36,6 @@ from handmap_qp.hands.fingers import (
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
 from handmap_qp.mapping.method import (
@@ -47,7 +46,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, palm_of
+from handmap_qp.mapping.palm import PalmFollower, PalmMethod
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
@@ -125,20 +124,17 @@ class JointPositions:
         return TaskRows(_JOINT_WEIGHT * (hand.q[self._q_indices] - self._wanted), jacobian)
 
 
-class BoundJointToJoint:
+class BoundJointToJoint(PalmMethod):
     """The method for two hands; see `BoundMethod`.
 
     Attributes:
         links: The joints that correspond.
     """
 
-    contacts: ShapePairs | None = None
     needs_wrist = "joint angles in palm axes"
-    reference_needs_wrist = ""
-    renews_reference = False
 
     def __init__(self, human: Hand, robot: Hand) -> None:
-        self.human, self.robot = human, robot
+        super().__init__(human, robot)
         chains = {name: chain for name, chain in find_fingers(robot).items() if chain.joints}
         if not chains:
             raise InvalidOptionsError(
@@ -160,10 +156,6 @@ class BoundJointToJoint:
             )
         ]
         self.columns = np.unique([link.column for link in self.links])
-
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
-        """Return the human's palm."""
-        return palm_of(sample, self.human)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> JointMap:
         """Count the palm's displacement from here; the joints need no reference."""

@@ -29,7 +29,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, palm_of, transform_point
+from handmap_qp.mapping.palm import PalmFollower, PalmMethod, palm_of, transform_point
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
@@ -153,17 +153,13 @@ class TeleoperationDiagnostics(Diagnostics):
         return self._estimate.residual_norms
 
 
-class BoundTeleoperation:
+class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
-    needs_wrist = "the pose of the palm"
-    reference_needs_wrist = ""
-    renews_reference = False
-
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
-        self.choices, self.human = choices, human
-        self.pair = pair = hand_pair(human, robot)
-        self.robot = pair.robot
+        self.choices, self.pair = choices, hand_pair(human, robot)
+        pair = self.pair
+        super().__init__(human, pair.robot)
         self.contacts = pair.contacts if choices.avoids_contact else None
         self.estimator = MotionEstimator(pair.human_rest[pair.shape_points], ridge=choices.ridge)
         self.pinched = tuple(f for f in pair.fingers if f != THUMB) if THUMB in pair.fingers else ()
@@ -172,7 +168,7 @@ class BoundTeleoperation:
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
-        palm = palm_of(sample, self.human)
+        palm = super().start_palm(sample)
         palm[:3, 3] += palm[:3, :3] @ (self.pair.human_knuckles - self.pair.robot_knuckles)
         return palm
 
