@@ -80,7 +80,7 @@ keep-tip = added_method:keep_tip
 PROGRAM = """
 import numpy as np
 import viser
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.viewer.option_controls import OptionControls
 from service_tools import make_session, Sampler
