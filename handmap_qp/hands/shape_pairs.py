@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -74,14 +75,15 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     geometry, parents = read_collision_shapes(hand), hand.model.parents
     shapes = geometry.geometryObjects
     owner = {joint: finger for finger, chain in chains.items() for joint in chain.joints}
-    for i, first in enumerate(shapes):
-        for j in range(i + 1, len(shapes)):
-            a, b = first.parentJoint, shapes[j].parentJoint
-            is_one_finger = a in owner and owner.get(a) == owner.get(b)
-            if a != b and parents[a] != b and parents[b] != a and not is_one_finger:
-                geometry.addCollisionPair(pin.CollisionPair(i, j))
-    pairs = list(geometry.collisionPairs)
-    overlaps = _overlaps(hand, geometry)
+
+    def may_touch(a: int, b: int) -> bool:
+        is_one_finger = a in owner and owner[a] == owner.get(b)
+        return a != b and parents[a] != b and parents[b] != a and not is_one_finger
+
+    for i, j in combinations(range(len(shapes)), 2):
+        if may_touch(shapes[i].parentJoint, shapes[j].parentJoint):
+            geometry.addCollisionPair(pin.CollisionPair(i, j))
+    pairs, overlaps = list(geometry.collisionPairs), _overlaps(hand, geometry)
     geometry.removeAllCollisionPairs()
     kept = [pair for pair, overlap in zip(pairs, overlaps, strict=True) if not overlap]
     for pair in kept:
@@ -105,24 +107,19 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     Returns:
         Indices into `geometry.geometryObjects`; empty if the finger has no shapes.
     """
-    for joint in reversed(chain.joints):
-        found = [
-            i for i, shape in enumerate(geometry.geometryObjects) if shape.parentJoint == joint
-        ]
-        if found:
-            return found
-    return []
+    shapes = list(enumerate(geometry.geometryObjects))
+    found = ([i for i, s in shapes if s.parentJoint == joint] for joint in reversed(chain.joints))
+    return next(filter(None, found), [])
 
 
 def _pinching_finger(pair: pin.CollisionPair, distal: dict[str, set[int]]) -> str:
-    thumb = distal.get(THUMB, set())
-    for finger, shapes in distal.items():
-        if finger != THUMB and (
-            (pair.first in thumb and pair.second in shapes)
-            or (pair.second in thumb and pair.first in shapes)
-        ):
-            return finger
-    return ""
+    ends, thumb = {pair.first, pair.second}, distal.get(THUMB, set())
+    pinches = (
+        finger
+        for finger, shapes in distal.items()
+        if finger != THUMB and ends & thumb and ends & shapes
+    )
+    return next(pinches, "")
 
 
 def _overlaps(hand: Hand, geometry: pin.GeometryModel) -> np.ndarray:

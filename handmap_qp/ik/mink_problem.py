@@ -138,11 +138,7 @@ class DampingTask(mink.Task):
 
 
 class RowsTask(mink.Task):
-    """A `Task` as a `mink.Task`: its rows, and its damping as further rows without an error.
-
-    Args:
-        task: The task.
-    """
+    """A `Task` as a `mink.Task`: its rows, and its damping as further rows without an error."""
 
     def __init__(self, task: Task) -> None:
         super().__init__(cost=np.ones(1))
@@ -207,8 +203,7 @@ class _ActiveConfiguration:
 
 def make_limits(lower: np.ndarray, upper: np.ndarray, rows: Rows | None) -> list[mink.Limit]:
     """Return the box, and the rows of self-collision avoidance if there are any."""
-    box = BoxLimit(lower, upper)
-    return [box] if rows is None else [box, RowsLimit(rows)]
+    return [BoxLimit(lower, upper), *([] if rows is None else [RowsLimit(rows)])]
 
 
 def make_tasks(hand: Hand, options: IkOptions, goal: Goal) -> list[mink.Task]:

@@ -136,37 +136,6 @@ def direct_cost(
     return H, c
 
 
-def outcome(
-    end: Literal["solved", "failed", "released"],
-    errors: np.ndarray,
-    active: np.ndarray,
-    last_step: float,
-    options: IkOptions,
-) -> Status:
-    """Return how well targets were met; see `IkResult`.
-
-    Args:
-        end: How the iterations ended.
-        errors: Target minus point [m], shape (m, 3).
-        active: As of `IkResult`.
-        last_step: As of `IkResult`.
-        options: Weights and settings.
-    """
-    if end != "solved":
-        return end
-    if np.sqrt(np.einsum("ij,ij->i", errors, errors)).max() <= options.point_tolerance:
-        return "converged"
-    if active.any():
-        return "limited"
-    return "unreachable" if last_step <= _AT_REST else "unsettled"
-
-
-def active_bounds(displacement: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return -1 at a lower bound, +1 at an upper one, 0 between, shape (k,) as the arguments."""
-    near = _AT_BOUND * np.minimum(upper - lower, 1.0)
-    return (upper - displacement <= near).astype(np.int8) - (displacement - lower <= near)
-
-
 class PointIk:
     """Moves a hand's reference points and wrist towards their targets, within its limits.
 
@@ -186,6 +155,7 @@ class PointIk:
 
     Raises:
         InvalidOptionsError: If there is no such solver or task.
+        OverflowError: If a weight has no finite square.
     """
 
     def __init__(
@@ -197,6 +167,9 @@ class PointIk:
         contacts: ShapePairs | CollisionLimit | None = None,
     ) -> None:
         self.hand, self.options = hand, options
+        for name in ("rest_weight", "damping", "speed_weight", "acceleration_weight"):
+            # A square that overflows is refused here, not at a sample.
+            math.pow(getattr(options, name), 2.0)
         self.configuration = hand.configuration()
         if isinstance(contacts, ShapePairs):
             contacts = CollisionLimit(hand, pairs=contacts, horizon=_HORIZON)
@@ -400,10 +373,21 @@ class PointIk:
         iterations: int,
         last_step: float,
     ) -> IkResult:
-        points = self.configuration.points.copy()
-        active = active_bounds(displacement, lower, upper)
+        points, width = self.configuration.points.copy(), np.minimum(upper - lower, 1.0)
+        is_high = upper - displacement <= _AT_BOUND * width
+        is_low = displacement - lower <= _AT_BOUND * width
+        active = is_high.astype(np.int8) - is_low
+        errors = points - targets
+        farthest = math.sqrt(np.einsum("ij,ij->i", errors, errors).max())
+        status: Status = "unreachable" if last_step <= _AT_REST else "unsettled"
+        if end != "solved":
+            status = end
+        elif farthest <= self.options.point_tolerance:
+            status = "converged"
+        elif active.any():
+            status = "limited"
         return IkResult(
-            outcome(end, targets - points, active, last_step, self.options),
+            status,
             points,
             targets,
             frozen(displacement),

@@ -215,8 +215,8 @@ LINES = (
     ("layouts glove", 0, "A glove of ten joints"),
     ("layouts", 0, "glove"),
     ("map glove.npz --layout glove --robot three_finger --side right", 0, "wrote"),
-    (f"{MAP} --tasks keep-tip --formulation mink --solver osqp", 0, "wrote"),
-    (f"{MAP} --tasks juggle", 2, "tasks: expected keep-tip, got 'juggle'"),
+    (f"{MAP} --ik.tasks keep-tip --ik.formulation mink --ik.solver osqp", 0, "wrote"),
+    (f"{MAP} --ik.tasks juggle", 2, "expected keep-tip"),
 )
 COMMANDS = """
 import contextlib, io, json, sys
