@@ -9,9 +9,9 @@ file knows both orders.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from handmap_qp.hands.model import (
     check_wrist,
     choose_mount,
     compose_urdf,
+    move_joint,
     palm_in_link,
     with_frames,
 )
@@ -61,7 +62,6 @@ class Hand:
 
     Attributes:
         spec: The description.
-        urdf_text: The URDF as it was built, after scaling and mirroring.
         name: Short name.
         side: `right` or `left`.
         mount: `floating` or `fixed`.
@@ -118,8 +118,9 @@ class Hand:
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         arm_text = None if spec.arm is None else read_urdf(spec.arm)
-        self.urdf_text, locked, rules = compose_urdf(spec, file_text, arm_text)
-        self.model = model = build_model(spec, self.urdf_text, self.mount, rules)
+        text, locked, rules = compose_urdf(spec, file_text, arm_text)
+        self._compose: Callable[[], str] = partial(str, text)
+        self.model = model = build_model(spec, text, self.mount, rules)
         self.notes = tighten_model(model, rules)
         for note in self.notes:
             warnings.warn(f"{self.name}: {note}", stacklevel=2)
@@ -138,6 +139,11 @@ class Hand:
         self._add_wrist_and_palm()
         self._pointless_model = model
         self._take_points(chosen)
+
+    @cached_property
+    def urdf_text(self) -> str:
+        """The URDF as it was built, after scaling and mirroring."""
+        return self._compose()
 
     @property
     def is_floating(self) -> bool:
@@ -195,6 +201,25 @@ class Hand:
         # All but the model is read-only, so both hands share it.
         hand = copy(self)
         hand._take_points(chosen)
+        return hand
+
+    def with_joints(
+        self, moves: Mapping[str, tuple[np.ndarray, float]], compose: Callable[[], str]
+    ) -> Hand:
+        """Return the same hand with joints in other places, without reading a URDF.
+
+        Args:
+            moves: By joint name, fixed ones too, its position on its parent link [m], shape (3,),
+                and a turn about its own x axis [rad]. None may lie between wrist and palm.
+            compose: Composes the URDF of that hand; called when `urdf_text` is first read.
+        """
+        hand = copy(self)
+        hand.__dict__.pop("urdf_text", None)
+        hand._compose = compose
+        hand._pointless_model = model = pin.Model(self._pointless_model)
+        for name, (origin, roll) in moves.items():
+            move_joint(model, name, origin, roll)
+        hand._take_points(self.reference_points)
         return hand
 
     def configuration(self) -> Configuration:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Self
+from typing import NamedTuple, Self
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -177,6 +177,41 @@ class HumanLengths:
         return cls(
             np.array([places[chain[0]] for chain in chains]), np.array(segments), np.array(rolls)
         )
+
+
+class JointMove(NamedTuple):
+    """Where a joint of a person's hand is, against that of the hand that is scaled.
+
+    Attributes:
+        origin: Its position on its parent link [m], shape (3,).
+        roll: Turn about its own x axis, from its orientation there [rad].
+    """
+
+    origin: np.ndarray
+    roll: float
+
+
+def joint_moves(
+    old: HumanLengths, new: HumanLengths, *, mirrors: bool = False
+) -> dict[str, JointMove]:
+    """Return how joints move when a hand is scaled to a person.
+
+    Args:
+        old: Lengths of the hand.
+        new: Lengths of the person.
+        mirrors: Return the moves of a left hand.
+
+    Returns:
+        Moves by the joint's name: of each finger its first joint, the two at the ends of bones, and
+        the fixed one of its tip.
+    """
+    signs, moves = np.array([-1.0 if mirrors else 1.0, 1.0, 1.0]), {}
+    for i, finger in enumerate(FINGERS):
+        chain = _chain(finger)
+        moves[chain[0]] = JointMove(new.bases[i] * signs, float(new.rolls[i] - old.rolls[i]))
+        for name, length in zip(chain[2:], new.segments[i], strict=True):
+            moves[name] = JointMove(np.array([length, 0.0, 0.0]) * signs, 0.0)
+    return moves
 
 
 def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:

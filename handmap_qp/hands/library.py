@@ -8,6 +8,8 @@ human hand is one of them, and the only one that can be scaled to a person.
 from __future__ import annotations
 
 from contextlib import suppress
+from copy import copy
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,8 @@ from handmap_qp.errors import (
     did_you_mean,
 )
 from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points
-from handmap_qp.hands.human import HumanLengths, scaled_human_urdf
+from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
+from handmap_qp.hands.model import compose_urdf
 from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
 from handmap_qp.hands.spec import HandSpec, Mount, is_named_source, read_hand_spec
 
@@ -95,6 +98,9 @@ def load_hand(
     if not isinstance(hand, str | Path | HandSpec):
         expected = "a name, the path of a hand.yaml, or a HandSpec"
         raise InvalidInputError(argument="hand", expected=expected, value=hand)
+    is_person = hand in HUMAN_HANDS and hand_length is None
+    if is_person and isinstance(hand, str) and isinstance(lengths, HumanLengths):
+        return _person(hand, lengths, points, mount)
     spec = hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
     if lengths is None and hand_length is None:
         return Hand(spec, points=points, mount=mount)
@@ -109,6 +115,34 @@ def load_hand(
         raise InvalidInputError(problem, argument=argument, value=value)
     text = scaled_human_urdf(read_urdf(spec), lengths)
     return Hand(spec, points=points, mount=mount, urdf_text=text)
+
+
+def _person(name: str, lengths: HumanLengths, points: Points | None, mount: Mount | None) -> Hand:
+    """Scale a human hand of the package to a person, without reading its URDF again."""
+    hand = _scaled_human(name, lengths, mount)
+    chosen = hand.with_points(points)
+    # Each caller has a workspace of its own.
+    return copy(hand) if chosen is hand else chosen
+
+
+# A recording's person is loaded to look for faults, and to map it.
+@lru_cache(maxsize=2)
+def _scaled_human(name: str, lengths: HumanLengths, mount: Mount | None) -> Hand:
+    standard, own = _standard_human(name, mount)
+    spec = standard.spec
+    compose = partial(_person_urdf, spec, lengths)
+    return standard.with_joints(joint_moves(own, lengths, mirrors=spec.mirror), compose)
+
+
+def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
+    return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
+
+
+@lru_cache(maxsize=8)
+def _standard_human(name: str, mount: Mount | None) -> tuple[Hand, HumanLengths]:
+    """Load a human hand of the package once, and its lengths; hands are read-only."""
+    hand = Hand(read_hand_spec(_find(name)), mount=mount)
+    return hand, HumanLengths.from_urdf(read_urdf(hand.spec))
 
 
 def list_hands() -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from handmap_qp import Hand, load_hand
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.human import (
     FINGERS,
@@ -175,6 +176,25 @@ def test_scaled_hand_has_the_lengths_asked_for(person: HumanLengths, angles: np.
     np.testing.assert_allclose(
         np.linalg.norm(np.diff(positions, axis=1), axis=2), person.segments, atol=1e-9
     )
+
+
+@settings(max_examples=6)
+@given(person=persons(), name=st.sampled_from(["human", "human_left"]))
+def test_a_person_is_the_hand_of_the_scaled_urdf(person: HumanLengths, name: str) -> None:
+    hand = load_hand(name, lengths=person, points="landmarks")
+    text = scaled_human_urdf(HUMAN, person)
+    read = Hand(hand.spec, points="landmarks", urdf_text=text)
+    assert hand.urdf_text == read.urdf_text
+    for own, other in (
+        (hand.model.jointPlacements, read.model.jointPlacements),
+        ([f.placement for f in hand.model.frames], [f.placement for f in read.model.frames]),
+    ):
+        np.testing.assert_allclose(
+            [place.homogeneous for place in own], [p.homogeneous for p in other], atol=1e-15
+        )
+    q = 0.5 * (hand.lower_limits + hand.upper_limits)
+    np.testing.assert_allclose(hand.points(q), read.points(q), atol=1e-15)
+    np.testing.assert_array_equal(hand.with_points("landmarks").points(q), hand.points(q))
 
 
 @given(person=persons(), angles=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
