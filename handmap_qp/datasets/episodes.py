@@ -21,6 +21,7 @@ from handmap_qp.arguments import MappingArguments
 from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
+from handmap_qp.datasets.workers import time_limit
 from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand, urdf_path
 from handmap_qp.hands.spec import Side
@@ -36,6 +37,8 @@ from handmap_qp.trackers.person import Person, measure_person
 from handmap_qp.trackers.plausibility import check_recording
 from handmap_qp.trackers.recording import Recording
 
+_READING = 120
+"""Longest time for which a worker reads a recording [s]."""
 _COLUMNS = ("time", "q", "wrist", "valid")
 """What a data set for training is made of."""
 
@@ -149,7 +152,8 @@ def _run(job: Job, started: float) -> Line:
         raise InvalidInputError(
             argument="--robot", problem=f"there is no robot for the {task.side} hand"
         )
-    recording = task.source.read()
+    with time_limit(_READING):
+        recording = task.source.read()
     check_recording(recording)
     robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
     recording, trajectory, person = map_episode(recording, robot, job.options)
