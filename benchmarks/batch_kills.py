@@ -4,7 +4,8 @@
 
 Makes recordings from real ones, maps them one after the other, then again with two workers while
 workers and parents are killed by SIGKILL at random places and finished episodes are emptied, cut,
-damaged or deleted, and compares every byte of all episodes.
+damaged or deleted, and compares every byte of all episodes. After `--starts` starts nothing is
+attacked any more, so that the batch comes to its end.
 With --ray, a third time under Ray.
 """
 
@@ -61,6 +62,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1000, help="recordings to make")
     parser.add_argument("--frames", type=int, default=90, help="mean number of samples")
     parser.add_argument("--every", type=float, default=8.0, help="mean time between kills [s]")
+    parser.add_argument("--starts", type=int, default=12, help="starts that are attacked")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--ray", action="store_true", help="map them under Ray too")
     parser.add_argument("--folder", type=Path, help="folder to keep (default: a temporary one)")
@@ -81,7 +83,9 @@ def run(inputs: Path, folder: Path, given: argparse.Namespace) -> bool:
     count = len(list(inputs.iterdir()))
     result, seconds = mapped(inputs, folder / "serial", "--workers", "0")
     say(f"serial: {result['done']} episodes, {result['frames']} samples, {seconds:.0f} s")
-    attack = attacked(inputs, folder / "killed", random.Random(given.seed), given.every)
+    attack = attacked(
+        inputs, folder / "killed", random.Random(given.seed), given.every, given.starts
+    )
     say(
         f"attacked: {attack.workers} workers and {attack.parents} parents killed, "
         f"{attack.damaged} episodes damaged, {attack.starts} starts, {attack.orphans} orphans"
@@ -107,8 +111,8 @@ def mapped(inputs: Path, out: Path, *words: str) -> tuple[dict, float]:
     return json.loads(done.stdout.splitlines()[-1]), time.monotonic() - started
 
 
-def attacked(inputs: Path, out: Path, rng: random.Random, every: float) -> Attack:
-    """Run a batch with two workers, and kill until it is done."""
+def attacked(inputs: Path, out: Path, rng: random.Random, every: float, starts: int) -> Attack:
+    """Run a batch with two workers until it has nothing to do, and kill in the first starts."""
     attack = Attack()
     while True:
         process = subprocess.Popen(
@@ -116,7 +120,7 @@ def attacked(inputs: Path, out: Path, rng: random.Random, every: float) -> Attac
         )
         attack.starts += 1
         parents = attack.parents
-        while process.poll() is None:
+        while attack.starts <= starts and process.poll() is None:
             try:
                 process.wait(rng.expovariate(1.0 / every))
                 continue
@@ -167,10 +171,10 @@ def compare(serial: Path, other: Path, count: int) -> bool:
         name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)
     )
     ok = not differ and not failed and len(ours) == len(lines) == count
-    left = list((other / ".running").glob("*"))
+    left = list(other.rglob(".*.part"))
     say(
         f"  {other.name}: {len(theirs)} of {count} episodes, {len(differ)} differ in a byte, "
-        f"{len(failed)} failed, {len(left)} markers left: {'equal' if ok else 'NOT EQUAL'}"
+        f"{len(failed)} failed, {len(left)} torn files left: {'equal' if ok else 'NOT EQUAL'}"
     )
     for name in (*differ[:5], *failed[:5]):
         say(f"    {name}")

@@ -21,6 +21,7 @@ from handmap_qp.arguments import MappingArguments
 from handmap_qp.datasets.manifest import Line, Status
 from handmap_qp.datasets.measures import measure_episode
 from handmap_qp.datasets.sources import Task
+from handmap_qp.datasets.workers import time_limit
 from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError, RecordingError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
@@ -38,6 +39,8 @@ from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.plausibility import check_recording
 
+_READING = 120
+"""Longest time for which a worker reads a recording [s]."""
 _COLUMNS = ("time", "q", "wrist", "valid")
 """What a data set for training is made of."""
 
@@ -151,7 +154,8 @@ def _run(job: Job, started: float) -> Line:
         raise InvalidInputError(
             argument="--robot", problem=f"there is no robot for the {task.side} hand"
         )
-    recording = task.source.read()
+    with time_limit(_READING):
+        recording = task.source.read()
     check_recording(recording)
     robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
     recording, trajectory, person = map_episode(recording, robot, job.options)

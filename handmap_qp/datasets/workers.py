@@ -48,6 +48,19 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
+@contextmanager
+def time_limit(seconds: int) -> Iterator[None]:
+    """End a worker whose block takes longer, as libhdf5 may; a kill is counted and tried again."""
+    is_worker = multiprocessing.parent_process() is not None
+    if is_worker:
+        signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        if is_worker:
+            signal.alarm(0)
+
+
 def no_start(count: int) -> InvalidInputError:
     """Return the error of workers that do not start: memory, or how a script starts processes."""
     return InvalidInputError(

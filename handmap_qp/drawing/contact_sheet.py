@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -51,6 +51,7 @@ VIEWS: tuple[tuple[float, float], ...] = ((-90.0, 8.0), (-25.0, 18.0))
 
 The fingers point up and the palm looks along -y. For left hands, azimuths are mirrored.
 """
+_VIEW_NAMES = "palm side  |  three-quarter"
 CELL = (170, 190)
 """Width and height of one view [pixel]."""
 
@@ -162,8 +163,14 @@ def contact_sheet(
         InvalidInputError: If there are no rows, or shapes do not fit.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    canvas, lefts, tops = _drawn(columns, rows, side)
-    return _figure(canvas, lefts, tops, columns, rows, title=title, footnote=footnote)
+    pictures = pose_pictures(columns, rows, side=side)
+    (width, height), (count, wide) = CELL, pictures.shape[:2]
+    bottom, span = _TOP + count * height, len(VIEWS) * width
+    canvas = np.ones((bottom + _BOTTOM, _LEFT + wide * span, 3))
+    canvas[_TOP:bottom, _LEFT:] = np.moveaxis(pictures, 3, 1).reshape(count * height, -1, 3)
+    canvas[_TOP - 1 : bottom : height] = _RULE
+    canvas[_TOP - 1 : bottom, _LEFT::span] = _RULE
+    return _figure(canvas, columns, rows, title=title, footnote=footnote)
 
 
 def pose_pictures(
@@ -184,25 +191,18 @@ def pose_pictures(
         InvalidInputError: If there are no rows, or shapes do not fit.
         MissingExtraError: If trimesh is not installed.
     """
-    canvas, lefts, tops = _drawn(columns, rows, side)
-    width, height = CELL
-    cells = canvas[tops[0] : tops[-1] + height, lefts[0] :]
-    cells = cells.reshape(len(rows), height, len(lefts), len(VIEWS), width, 3)
-    return np.moveaxis(cells, 1, 3)
-
-
-def _drawn(
-    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow], side: Side
-) -> tuple[np.ndarray, list[int], list[int]]:
-    """Return the picture without labels, its columns' left edges and its rows' tops."""
     _check(columns, rows)
-    canvas, lefts, tops = _canvas(columns, rows)
-    human = [_human_triangles(row.landmarks) for row in rows]
-    frame = np.concatenate([triangles.vertices.reshape(-1, 3) for triangles in human])
-    _paste(canvas, lefts[0], tops, human, _cameras(frame, side))
+    human = _pictures([_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND)
+    pictures = np.empty((len(rows), 1 + len(columns), *human.shape[1:]))
+    pictures[:, 0] = human
+    # Columns of the same hand have the same scale.
     for hand in {id(hand): hand for _, hand in columns}.values():
-        _draw_robot(canvas, lefts, tops, columns, rows, hand)
-    return canvas, lefts, tops
+        shape = _coloured(load_shape(hand))
+        own = [i for i, (_, other) in enumerate(columns) if other is hand]
+        solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
+        drawn = _pictures(solids, hand.spec.side, 1.0)
+        pictures[:, [1 + i for i in own]] = drawn.reshape(len(own), *human.shape).swapaxes(0, 1)
+    return pictures
 
 
 def save_contact_sheet(
@@ -266,45 +266,10 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
             )
 
 
-def _canvas(
-    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]
-) -> tuple[np.ndarray, list[int], list[int]]:
-    """Make an empty picture (height, width, 3), its columns' left edges and its rows' tops."""
-    lefts = [cell_of(column, 0, 0)[0] for column in range(len(columns) + 1)]
-    tops = [cell_of(0, row, 0)[1] for row in range(len(rows))]
-    span = len(VIEWS) * CELL[0]
-    canvas = np.ones((tops[-1] + CELL[1] + _BOTTOM, lefts[-1] + span, 3))
-    canvas[tops[0] : tops[-1] + CELL[1], lefts[0] : lefts[0] + span] = _HUMAN_BACKGROUND
-    for top in [*tops, tops[-1] + CELL[1]]:
-        canvas[top - 1] = _RULE
-    for left in lefts:
-        canvas[tops[0] - 1 : tops[-1] + CELL[1], left] = _RULE
-    return canvas, lefts, tops
-
-
-def _draw_robot(
-    canvas: np.ndarray,
-    lefts: list[int],
-    tops: list[int],
-    columns: Sequence[tuple[str, Hand]],
-    rows: Sequence[SheetRow],
-    hand: Hand,
-) -> None:
-    """Draw all columns of one robot."""
-    shape = _coloured(load_shape(hand))
-    own = [i for i, (_, other) in enumerate(columns) if other is hand]
-    drawn = {i: [_robot_triangles(shape, row.q[i]) for row in rows] for i in own}
-    frame = np.concatenate(
-        [solid.vertices.reshape(-1, 3) for cells in drawn.values() for solid in cells]
-    )
-    cameras = _cameras(frame, hand.spec.side)
-    for i, cells in drawn.items():
-        _paste(canvas, lefts[i + 1], tops, cells, cameras)
-
-
-def _cameras(points: np.ndarray, side: Side) -> list[Camera]:
-    """The cameras of `VIEWS` with points (n, 3) in the picture."""
-    return [
+def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
+    """Render solids at one scale, shape (solids, views, height, width, 3)."""
+    points = merged(list(solids)).vertices.reshape(-1, 3)
+    cameras = [
         Camera.framing(
             points,
             CELL,
@@ -314,34 +279,16 @@ def _cameras(points: np.ndarray, side: Side) -> list[Camera]:
         )
         for azimuth, elevation in VIEWS
     ]
-
-
-def _paste(
-    canvas: np.ndarray,
-    left: int,
-    tops: list[int],
-    solids: Sequence[Triangles],
-    cameras: Sequence[Camera],
-) -> None:
-    width, height = CELL
-    for top, solid in zip(tops, solids, strict=True):
-        for view, camera in enumerate(cameras):
-            image = render(solid, camera)
-            x = left + view * width
-            cell = canvas[top : top + height, x : x + width]
-            opacity = image[..., 3:]
-            # The rules at the cell's edges stay.
-            cell[:-1, 1:] = (opacity * image[..., :3] + (1.0 - opacity) * cell)[:-1, 1:]
+    images = np.array([[render(solid, camera) for camera in cameras] for solid in solids])
+    opacity = images[..., 3:]
+    return opacity * images[..., :3] + (1.0 - opacity) * background
 
 
 def _human_triangles(landmarks: np.ndarray) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
     points = transform_points(_UPRIGHT, landmarks)
-    parts = [
-        _faces(points),
-        *(_bone(points[[a, b]], _PALM_BONE, _PALM_COLOUR) for a, b in _PALM_BONES),
-    ]
-    parts.append(spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR))
+    parts = [_faces(points), spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR)]
+    parts += [_bone(points[[a, b]], _PALM_BONE, _PALM_COLOUR) for a, b in _PALM_BONES]
     for i, finger in enumerate(FINGERS):
         chain = points[1 + 4 * i : 5 + 4 * i]
         colour = FINGER_COLOURS[finger]
@@ -378,9 +325,8 @@ def _coloured(shape: HandShape) -> HandShape:
             continue
         finger = _finger_of(hand, link.link)
         colour = _ROBOT_COLOUR if finger is None else FINGER_COLOURS[finger]
-        vertices, colours, normals = link.triangles
-        triangles = Triangles(vertices, np.broadcast_to(colour, colours.shape), normals)
-        links.append(LinkShape(link.link, triangles))
+        colours = np.broadcast_to(colour, link.triangles.colours.shape)
+        links.append(LinkShape(link.link, link.triangles._replace(colours=colours)))
     return HandShape(hand, tuple(links), shape.missing)
 
 
@@ -403,14 +349,11 @@ def _carrier(hand: Hand, link: str) -> int:
 def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
     """The robot in its palm frame, upright."""
     pose = _UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
-    vertices, colours, normals = shape.triangles(q)
-    return Triangles(transform_points(pose, vertices), colours, normals @ pose[:3, :3].T)
+    return shape.triangles(q).moved(pose)
 
 
 def _figure(
     canvas: np.ndarray,
-    lefts: list[int],
-    tops: list[int],
     columns: Sequence[tuple[str, Hand]],
     rows: Sequence[SheetRow],
     *,
@@ -426,33 +369,16 @@ def _figure(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
         axes.set_axis_off()
-        middle = 0.5 * len(VIEWS) * CELL[0]
-        for left, name in zip(lefts, ["human", *(name for name, _ in columns)], strict=True):
-            axes.text(
-                left + middle,
-                24,
-                name,
-                ha="center",
-                va="center",
-                fontsize=10,
-                fontweight="bold",
-                color=_INK,
-            )
-            axes.text(
-                left + middle,
-                43,
-                "palm side  |  three-quarter",
-                ha="center",
-                va="center",
-                fontsize=6.5,
-                color=_PALE,
-            )
-        for top, row in zip(tops, rows, strict=True):
-            centre = top + 0.5 * CELL[1]
-            axes.text(
-                10, centre - 8, row.label, va="center", fontsize=9.5, fontweight="bold", color=_INK
-            )
-            axes.text(10, centre + 4, row.note, va="top", fontsize=7.5, color=_PALE)
-        axes.text(10, 24, title, va="center", fontsize=7, color=_PALE)
-        axes.text(10, height - 0.5 * _BOTTOM, footnote, va="center", fontsize=8, color=_PALE)
+        bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
+        pale: dict[str, Any] = {"color": _PALE, "va": "center"}
+        for column, name in enumerate(["human", *(name for name, _ in columns)]):
+            middle = cell_of(column, 0, 0)[0] + 0.5 * len(VIEWS) * CELL[0]
+            axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
+            axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
+        for k, row in enumerate(rows):
+            centre = cell_of(0, k, 0)[1] + 0.5 * CELL[1]
+            axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
+            axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
+        axes.text(10, 24, title, fontsize=7, **pale)
+        axes.text(10, height - 0.5 * _BOTTOM, footnote, fontsize=8, **pale)
     return figure

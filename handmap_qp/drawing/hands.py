@@ -104,30 +104,25 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
         MissingExtraError: If trimesh is not installed.
     """
     trimesh = _trimesh()
-    from yourdfpy import URDF, Visual
+    from yourdfpy import URDF
 
     robot = URDF.load(
         io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
     ).robot
-    palette: dict[str | None, Any] = {
-        material.name: material.color for material in robot.materials if material.color is not None
-    }
-    links, missing = [], []
+    # A material defined inside a visual may be referred to by name elsewhere.
+    inside = [v.material for link in robot.links for v in link.visuals if v.material is not None]
+    palette = {each.name: each.color for each in (*robot.materials, *inside) if each.color}
     has_visuals = any(link.visuals for link in robot.links)
+    links, missing = [], []
     for link in robot.links:
         parts = []
         for visual in link.visuals if has_visuals else link.collisions:
-            # A material defined inside a visual may be referred to by name elsewhere.
-            material = visual.material if isinstance(visual, Visual) else None
-            if material is not None and material.color is not None:
-                palette[material.name] = material.color
-            if visual.geometry is None:
-                continue
             found = _solid(trimesh, visual.geometry, hand.spec)
             if found is None:
-                missing.append(visual.geometry.mesh.filename if visual.geometry.mesh else link.name)
+                mesh = visual.geometry.mesh if visual.geometry else None
+                missing.append(mesh.filename if mesh else link.name)
                 continue
-            tint = colour or _colour(material, palette)
+            tint = colour or _colour(getattr(visual, "material", None), palette)
             part = solid(*found, tint)
             parts.append(part if visual.origin is None else part.moved(visual.origin))
         if parts:
@@ -188,13 +183,9 @@ def tube(
     Raises:
         InvalidInputError: If the path has no two different points.
     """
-    points = np.asarray(path, dtype=float)
-    is_new = (
-        np.r_[True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6]
-        if len(points)
-        else np.zeros(0, dtype=bool)
-    )
-    points = points[is_new]
+    points = np.asarray(path, dtype=float).reshape(-1, 3)
+    steps = np.linalg.norm(np.diff(points, axis=0, prepend=np.inf), axis=1)
+    points = points[steps > 1e-6]
     if len(points) < 2:
         raise InvalidInputError(
             argument="path", expected="at least two different points", value=path
@@ -208,20 +199,17 @@ def tube(
     for ring, tangent in zip(rings, tangents, strict=True):
         normal -= (normal @ tangent) * tangent
         normal /= np.linalg.norm(normal)
-        ring[:] = np.outer(np.cos(angles), normal) + np.outer(
-            np.sin(angles), np.cross(tangent, normal)
-        )
+        ring[:] = np.outer(np.cos(angles), normal)
+        ring += np.outer(np.sin(angles), np.cross(tangent, normal))
+    # Corners of two triangles for each side of each piece.
+    row, side = np.mgrid[: len(points) - 1, :sides].reshape(2, -1)
+    after = (side + 1) % sides
+    a, b, c, d = ((row, side), (row, after), (row + 1, side), (row + 1, after))
+    order = [np.stack(pair, axis=-1) for pair in zip(a, b, c, b, d, c, strict=True)]
+    rows, columns = (index.reshape(-1, 3) for index in order)
     surface = points[:, None] + radius * rings
-    turned = np.roll(np.arange(sides), -1)
-
-    def corners(grid: np.ndarray) -> np.ndarray:
-        a, b, c, d = grid[:-1], grid[:-1, turned], grid[1:], grid[1:, turned]
-        return np.stack([np.stack([a, b, c], axis=2), np.stack([b, d, c], axis=2)], axis=2).reshape(
-            -1, 3, 3
-        )
-
-    vertices = corners(surface)
-    return Triangles(vertices, np.tile(colour, (len(vertices), 1)), corners(rings))
+    vertices = surface[rows, columns]
+    return Triangles(vertices, np.tile(colour, (len(vertices), 1)), rings[rows, columns])
 
 
 def draw_hands(
@@ -281,33 +269,33 @@ def _trimesh() -> Any:
 
 
 def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return vertices (v, 3) and faces (f, 3) of a URDF geometry; None for an unreadable mesh."""
-    if geometry.box is not None:
-        solid = trimesh.creation.box(extents=geometry.box.size)
-    elif geometry.sphere is not None:
-        solid = trimesh.creation.icosphere(subdivisions=3, radius=geometry.sphere.radius)
-    elif geometry.cylinder is not None:
-        solid = trimesh.creation.cylinder(
-            geometry.cylinder.radius, geometry.cylinder.length, sections=40
-        )
-    elif geometry.mesh is None:
+    """Return vertices (v, 3) and faces (f, 3) of a URDF geometry; None for an unreadable one."""
+    made = trimesh.creation
+    match geometry:
+        case None:
+            return None
+        case _ if geometry.box is not None:
+            found = made.box(extents=geometry.box.size)
+        case _ if geometry.sphere is not None:
+            found = made.icosphere(subdivisions=3, radius=geometry.sphere.radius)
+        case _ if geometry.cylinder is not None:
+            size = geometry.cylinder
+            found = made.cylinder(size.radius, size.length, sections=40)
+        case _:
+            return _mesh(trimesh, geometry.mesh, spec)
+    return np.asarray(found.vertices), np.asarray(found.faces)
+
+
+def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
+    try:
+        found = trimesh.load_mesh(mesh_file(mesh.filename, spec))
+    # Mesh readers raise many types; draw the hand without this part.
+    except Exception:
         return None
-    else:
-        try:
-            solid = trimesh.load_mesh(mesh_file(geometry.mesh.filename, spec))
-        # Mesh readers raise many types; draw the hand without this part.
-        except Exception:
-            return None
-        if not isinstance(solid, trimesh.Trimesh) or len(solid.faces) == 0:
-            return None
-        solid.merge_vertices(merge_norm=True, merge_tex=True)
-        return _one_sided(
-            solid,
-            np.ones(3)
-            if geometry.mesh.scale is None
-            else np.asarray(geometry.mesh.scale, dtype=float),
-        )
-    return np.asarray(solid.vertices), np.asarray(solid.faces)
+    if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
+        return None
+    found.merge_vertices(merge_norm=True, merge_tex=True)
+    return _one_sided(found, np.ones(3) if mesh.scale is None else np.asarray(mesh.scale, float))
 
 
 def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -380,7 +368,8 @@ def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _colour(material: Any, palette: dict[str | None, Any]) -> tuple[float, float, float]:
     """Return the colour of a URDF material, its own or by name; grey without one."""
-    if material is None or material.name not in palette:
+    own = material and (material.color or palette.get(material.name))
+    if not own:
         return _GREY
-    red, green, blue = (float(value) for value in palette[material.name].rgba[:3])
+    red, green, blue = (float(value) for value in own.rgba[:3])
     return red, green, blue

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.drawing.hands import draw_hands, load_shape, require_matplotlib
-from handmap_qp.drawing.raster import Camera, Triangles
+from handmap_qp.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import UNITS, Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
@@ -27,7 +27,7 @@ _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 _AXIS_LENGTH = 0.045  # m
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-_TO_PICTURE = np.block([[_UPRIGHT, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+_TO_PICTURE = affine(_UPRIGHT, np.zeros(3))
 _FARTHEST = 0.12  # m; joints of the forearm that lie farther from the wrist are left out
 
 
@@ -72,7 +72,7 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
 def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
     human = sized_human(side)
     q = _open_posture(human)
-    solid = _placed(load_shape(human, colour=_SKIN).triangles(q))
+    solid = load_shape(human, colour=_SKIN).triangles(q).moved(_TO_PICTURE)
     points, labels, is_used = _entries(layout, human, q)
     places = transform_points(_TO_PICTURE, points)
     directions = _wrist_axes(layout, side)
@@ -116,12 +116,6 @@ def _halo() -> dict[str, Any]:
     return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}
 
 
-def _placed(triangles: Triangles) -> Triangles:
-    return Triangles(
-        triangles.vertices @ _UPRIGHT.T, triangles.colours, triangles.normals @ _UPRIGHT.T
-    )
-
-
 def _open_posture(human: Hand) -> np.ndarray:
     """Return an open hand with spread fingers, so that indices do not cover one another."""
     q = 0.25 * human.rest
@@ -137,33 +131,23 @@ def _entries(
     layout: Layout, human: Hand, q: np.ndarray
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Return places [m], indices as text, and whether they are landmarks."""
-    side = human.spec.side
-    if isinstance(layout, PointLayout):
-        places = np.full((layout.table.count, 3), np.inf)
-        written = layout.write_posture(human, q, np.eye(4))
-        read = written if written.shape[1:] == (3,) else None
-        scale = UNITS[layout.table.unit]
-        if read is None:
-            read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
-        places = read * layout.table.reflection * scale
-        if layout.table.is_relative and layout.table.wrist is not None:
-            rotation = layout.table.wrist.axes(side).rotation(layout.table.reflection)
-            places = places @ rotation.T
-        used = set(layout.order(side).tolist())
-        shown = [
-            i
-            for i in range(len(places))
-            if i in used or (i in layout.table.between and np.linalg.norm(places[i]) < _FARTHEST)
-        ]
-        is_used = np.array([i in used for i in shown])
-        return places[shown], [str(i) for i in shown], is_used
-    if isinstance(layout, MarkerLayout):
-        places = layout.write_posture(human, q, np.eye(4)) * layout.table.reflection
-        places = places * UNITS[layout.table.unit]
-        return places, [str(i) for i in range(len(places))], np.ones(len(places), dtype=bool)
     if isinstance(layout, AngleLayout):
         return _angle_entries(layout, human.points(q))
-    raise InvalidInputError(argument="layout", expected="points, angles or markers", value=layout)
+    if not isinstance(layout, PointLayout | MarkerLayout):
+        expected = "points, angles or markers"
+        raise InvalidInputError(argument="layout", expected=expected, value=layout)
+    table, written = layout.table, layout.write_posture(human, q, np.eye(4))
+    # Rows are points, poses, or a position and a quaternion.
+    read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
+    places = read * table.reflection * UNITS[table.unit]
+    shown = used = range(len(places))
+    if isinstance(layout, PointLayout):
+        if table.is_relative and table.wrist is not None:
+            places = places @ table.wrist.axes(human.spec.side).rotation(table.reflection).T
+        used = set(layout.order(human.spec.side).tolist())
+        is_near = np.linalg.norm(places, axis=1) < _FARTHEST
+        shown = [i for i in shown if i in used or (i in table.between and is_near[i])]
+    return places[shown], [str(i) for i in shown], np.array([i in used for i in shown])
 
 
 def _angle_entries(
