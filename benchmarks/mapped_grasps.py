@@ -8,8 +8,7 @@ import numpy as np
 
 from handmap_qp.experiments.section_four import HandMotion, Scene
 from handmap_qp.hands.library import load_hand
-from handmap_qp.offline.comparison import ComparedMethod
-from handmap_qp.offline.takes import prepare_take
+from handmap_qp.offline.comparison import ComparedMethod, prepare_take
 from handmap_qp.simulation.commands import between_poses
 from handmap_qp.simulation.mapped import map_commands
 from handmap_qp.trackers.recording import Recording

@@ -23,8 +23,7 @@ from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand, urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.offline.both_ways import map_both_ways
-from handmap_qp.offline.look_ahead import LookAhead, look_ahead
+from handmap_qp.offline.look_ahead import LookAhead, look_ahead, map_both_ways
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording
 from handmap_qp.trackers.landmarks import scaled_human

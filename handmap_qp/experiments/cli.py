@@ -166,7 +166,7 @@ class Compare:
 
     def run(self) -> None:
         """Check everything, measure, print and write."""
-        from handmap_qp.experiments.comparison_run import ComparisonRequest, run_comparison
+        from handmap_qp.experiments.compare import ComparisonRequest, run_comparison
 
         request = ComparisonRequest(
             self.recordings,

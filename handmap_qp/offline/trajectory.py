@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -78,27 +78,16 @@ class Trajectory:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Plain arrays by name, as written to a file; angles in rad, lengths in m."""
-        return {
-            "time": self.time,
-            "joint_names": np.array(self.robot.joint_names),
-            "q": self.q,
-            "all_joint_names": np.array(self.robot.all_joint_names),
-            "all_joint_roles": np.array(self.robot.all_joint_roles),
-            "all_q": self.robot.all_joints(self.q),
-            "wrist": self.wrist,
-            "targets": self.targets,
-            "points": self.points,
-            "point_names": np.array([point.name for point in self.robot.reference_points]),
-            "point_error": self.point_error,
-            "wrist_error": self.wrist_error,
-            "valid": self.valid,
-            "at_limit": self.at_limit,
-            "at_speed_limit": self.at_speed_limit,
-            "status": self.status,
-            "rule": self.rule,
-            "consistency": self.consistency,
-            "confidence": self.confidence,
-            "robot": np.array(self.robot.name),
+        robot = self.robot
+        arrays = {one.name: getattr(self, one.name) for one in fields(self)}
+        del arrays["step_cpu"]
+        return arrays | {
+            "joint_names": np.array(robot.joint_names),
+            "all_joint_names": np.array(robot.all_joint_names),
+            "all_joint_roles": np.array(robot.all_joint_roles),
+            "all_q": robot.all_joints(self.q),
+            "point_names": np.array([point.name for point in robot.reference_points]),
+            "robot": np.array(robot.name),
             "versions": np.array(_versions()),
         }
 
@@ -130,11 +119,11 @@ def map_motion(
     """
 
     def map_sample(i: int) -> MapStep | Verdict:
+        if not motion.valid[i]:
+            return _UNSEEN
         return mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
 
-    return _map_samples(
-        mapper, motion.time, lambda i: map_sample(i) if motion.valid[i] else _UNSEEN, progress
-    )
+    return _map_samples(mapper, motion.time, map_sample, progress)[0]
 
 
 def map_recording(
@@ -161,9 +150,23 @@ def map_recording(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
+    return map_steps(mapper, recording, progress, wrist_poses=wrist_poses)[0]
+
+
+def map_steps(
+    mapper: HandMapper,
+    recording: Recording,
+    progress: Callable[[int], None] | None = None,
+    *,
+    wrist_poses: np.ndarray | None = None,
+) -> tuple[Trajectory, list[MapStep]]:
+    """Map a recording as `map_recording` does, and return the step of every sample too."""
     if wrist_poses is not None:
         # The guard examines them too.
-        return map_samples(mapper, recording_samples(recording, wrist_poses), progress)
+        samples = recording_samples(recording, wrist_poses)
+        return _map_samples(
+            mapper, recording.time, lambda i: mapper.map_sample(samples[i]), progress
+        )
     steps = mapper.map_recorded(recorded_samples(recording))
     return _map_samples(mapper, recording.time, lambda i: next(steps), progress)
 
@@ -192,7 +195,7 @@ def follow_recording(
         wrist = None if wrist_poses is None else wrist_poses[i]
         return mapper.map_landmarks(landmarks[i], wrist, dt=steps[i])
 
-    return _map_samples(mapper, recording.time, map_sample, None)
+    return _map_samples(mapper, recording.time, map_sample, None)[0]
 
 
 def map_samples(
@@ -214,7 +217,7 @@ def map_samples(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     time = np.array([sample.time for sample in samples])
-    return _map_samples(mapper, time, lambda i: mapper.map_sample(samples[i]), progress)
+    return _map_samples(mapper, time, lambda i: mapper.map_sample(samples[i]), progress)[0]
 
 
 def _map_samples(
@@ -222,7 +225,7 @@ def _map_samples(
     time: np.ndarray,
     map_sample: Callable[[int], MapStep | Verdict],
     progress: Callable[[int], None] | None,
-) -> Trajectory:
+) -> tuple[Trajectory, list[MapStep]]:
     """Map every sample, by index; those that give a verdict alone hold the posture before them."""
     count = len(time)
     steps: list[MapStep] = []
@@ -260,14 +263,13 @@ def _map_samples(
     at_limit = mapper.robot.at_position_limit(q)
     targets = np.array([step.targets for step in steps])
     points = np.array([step.points for step in steps])
-    results = [step.ik for step in steps]
-    outcome = IkColumns.of(results)
-    at_bound = (outcome.active[:, results[0].joint_columns] != 0) & ~is_held[:, None]
+    outcome = IkColumns.of([step.ik for step in steps])
+    at_bound = (outcome.active[:, steps[0].ik.joint_columns] != 0) & ~is_held[:, None]
     status = [
-        "held" if verdict.is_held else step.named(status)
-        for step, verdict, status in zip(steps, verdicts, outcome.status, strict=True)
+        "held" if held else step.named(end)
+        for step, held, end in zip(steps, is_held, outcome.status, strict=True)
     ]
-    return Trajectory(
+    trajectory = Trajectory(
         robot=mapper.robot,
         time=time,
         q=q,
@@ -285,6 +287,7 @@ def _map_samples(
         consistency=np.array([verdict.consistency for verdict in verdicts]),
         confidence=confidence,
     )
+    return trajectory, steps
 
 
 _UNSEEN = Verdict("missing", True, False, 0.0, math.nan)

@@ -229,7 +229,7 @@ class Simulate:
 
     def _scenes(self, recording: Path) -> Iterator[tuple[str, PinchScene]]:
         """Map a pinch by every mapping."""
-        from handmap_qp.offline.takes import prepare_take
+        from handmap_qp.offline.comparison import prepare_take
         from handmap_qp.simulation.mapped import chosen_methods, map_commands
         from handmap_qp.simulation.pinch import PinchScene
         from handmap_qp.simulation.pinch_window import find_pinch

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.offline.compared_methods import outside_methods, own_method
-from handmap_qp.offline.comparison import ComparedMethod
-from handmap_qp.offline.takes import Take
+from handmap_qp.offline.comparison import ComparedMethod, Take, outside_methods, own_method
 from handmap_qp.simulation.commands import Commands
 
 
@@ -24,10 +22,8 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
         hand: The robot hand.
     """
     motion = method.map_take(take, hand)
-    wrist = motion.wrist
-    if wrist is None:
-        wrist = take.trace.palm @ np.linalg.inv(hand.wrist_to_palm)
-    return Commands(method.name, hand, np.asarray(take.recording.time), motion.q, wrist)
+    time, wrist = np.asarray(take.recording.time), motion.wrist_in(take, hand)
+    return Commands(method.name, hand, time, motion.q, wrist)
 
 
 def chosen_methods(names: tuple[str, ...], peers: Path | None, robot: str) -> list[ComparedMethod]:

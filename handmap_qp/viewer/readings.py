@@ -10,7 +10,7 @@ import pinocchio as pin
 from handmap_qp.errors import HandError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.offline.surface_gaps import PinchMeter
+from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.trackers.contact_gap import tip_gaps
 from handmap_qp.viewer.sample import ViewSample
 
@@ -42,7 +42,7 @@ class RobotReader:
     def __init__(self, robot: Hand) -> None:
         self._has_moving_wrist = robot.has_moving_wrist
         try:
-            self._meter = PinchMeter(robot)
+            self._meter = GapMeter(robot)
         except HandError:
             # Without readable collision shapes, only the pinch gaps are missing.
             self._meter = None
@@ -53,8 +53,12 @@ class RobotReader:
         return Readings(
             (float(error.mean()), float(error.max())) if len(error) else None,
             self._wrist_error(sample),
-            {} if self._meter is None else self._meter.measure(sample.robot_q),
+            self._pinches(sample),
         )
+
+    def _pinches(self, sample: ViewSample) -> dict[str, float]:
+        gaps = {} if self._meter is None else self._meter.pinches(sample.robot_q[None])
+        return {finger: float(gap[0]) for finger, gap in gaps.items()}
 
     def _wrist_error(self, sample: ViewSample) -> tuple[float, float] | None:
         wanted, wrist = sample.wrist_target, sample.robot_wrist

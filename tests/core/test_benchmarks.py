@@ -19,7 +19,7 @@ from handmap_qp.experiments.section_four import HandMotion
 from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
-from handmap_qp.offline.compared_methods import own_method
+from handmap_qp.offline.comparison import own_method
 from handmap_qp.simulation.arc import planned_scene
 from handmap_qp.trackers.recording import HumanMotion
 

@@ -11,7 +11,7 @@ import pytest
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.mapping.rejoin import PALM_SPEED, TURN_SPEED
-from handmap_qp.offline.events import count_rules, find_holds
+from handmap_qp.offline.summary import count_rules, find_holds
 from handmap_qp.offline.trajectory import Trajectory, map_samples, recording_samples
 from handmap_qp.trackers.injection import inject, parse_faults
 from handmap_qp.trackers.landmarks import scaled_human
