@@ -157,16 +157,6 @@ class Compare:
 
     def run(self) -> None:
         """Check everything, measure, print and write."""
-        from handmap_qp.experiments.compare import ComparisonRequest, run_comparison
+        from handmap_qp.experiments.compare import run_comparison
 
-        request = ComparisonRequest(
-            self.recordings,
-            self.robot,
-            self.methods,
-            self.peers,
-            self.peers_from,
-            self.out,
-            self.inputs,
-            self.person,
-        )
-        run_comparison(request, prints_json=self.json)
+        run_comparison(self)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import handmap_qp
-from handmap_qp.arguments import InputArguments
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments import comparison_pictures
@@ -38,6 +36,9 @@ from handmap_qp.output_files import make_folder, writing
 from handmap_qp.tables import progress
 from handmap_qp.trackers.person import Person, read_person
 
+if TYPE_CHECKING:
+    from handmap_qp.experiments.cli import Compare
+
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
 _PACKAGES = ("handmap-qp", "pin", "daqp", "numpy")
@@ -47,32 +48,7 @@ _LEGEND = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonRequest:
-    """What to compare.
-
-    Attributes:
-        recordings: Files of recordings.
-        robot: Robot hand, name or path.
-        methods: Names of methods, own and of peers.
-        has_peers: Whether to run peers.
-        peers_from: Folder of the program that runs the peers; that of the checkout if None.
-        out: Folder to write to; None to write nothing.
-        inputs: How the recordings are to be read.
-        person: File of the person's hand; measured in each recording if None.
-    """
-
-    recordings: tuple[Path, ...]
-    robot: str
-    methods: tuple[str, ...]
-    has_peers: bool = False
-    peers_from: Path | None = None
-    out: Path | None = None
-    inputs: InputArguments = field(default_factory=InputArguments)
-    person: Path | None = None
-
-
-def run_comparison(request: ComparisonRequest, *, prints_json: bool) -> None:
+def run_comparison(request: Compare) -> None:
     """Compare, print the result and write the files.
 
     Raises:
@@ -94,7 +70,7 @@ def run_comparison(request: ComparisonRequest, *, prints_json: bool) -> None:
         takes = _takes(request, robot, person, say)
         comparison = compare_methods(takes, robot, methods, say)
         written = [] if request.out is None else _write(request.out, comparison, say)
-    if prints_json:
+    if request.json:
         print(json.dumps(as_json(comparison), allow_nan=False))
         return
     for group in GROUPS:
@@ -203,10 +179,10 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _methods(request: ComparisonRequest) -> list[ComparedMethod]:
+def _methods(request: Compare) -> list[ComparedMethod]:
     """Return the methods by their names, peers last unless they are named."""
     outside = {}
-    if request.has_peers:
+    if request.peers:
         folder = request.peers_from or Path(handmap_qp.__file__).parents[1] / "benchmarks" / "peers"
         outside = {method.name: method for method in outside_methods(folder, request.robot)}
     own = [name + ending for name in own_methods() for ending in ("", SMOOTH, LOOK_AHEAD)]
@@ -217,14 +193,14 @@ def _methods(request: ComparisonRequest) -> list[ComparedMethod]:
             argument="--methods",
             expected=f"some of {known}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
             got=unknown[0],
-            advice="" if request.has_peers else "peers need --peers",
+            advice="" if request.peers else "peers need --peers",
         )
     chosen = [outside[n] if n in outside else own_method(n) for n in request.methods]
     return chosen if outside.keys() & set(request.methods) else [*chosen, *outside.values()]
 
 
 def _takes(
-    request: ComparisonRequest,
+    request: Compare,
     robot: Hand,
     person: Person | None,
     say: Callable[[str, int, int], None],

@@ -98,8 +98,8 @@ def test_holds_are_events_with_name_time_and_duration(stage: Stage) -> None:
     assert find_holds(stage.clean) == []
     faults = parse_faults("zero@1+0.2,dropout@2.5+0.3")
     holds = find_holds(stage.run(list(inject(stage.samples, faults))))
-    assert [hold.rule for hold in holds] == ["zero", "missing"]
-    np.testing.assert_allclose([hold.start for hold in holds], [1.0, 2.5], atol=stage.period)
+    assert [hold["rule"] for hold in holds] == ["zero", "missing"]
+    np.testing.assert_allclose([hold["start"] for hold in holds], [1.0, 2.5], atol=stage.period)
     # The settling time is part of a hold.
-    np.testing.assert_allclose([hold.duration for hold in holds], [0.3, 0.4], atol=0.05)
-    assert all(hold.samples > 10 for hold in holds)
+    np.testing.assert_allclose([hold["duration"] for hold in holds], [0.3, 0.4], atol=0.05)
+    assert all(hold["samples"] > 10 for hold in holds)
