@@ -27,10 +27,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.presets import default_preset
-from handmap_qp.offline.compared_methods import own_method
-from handmap_qp.offline.comparison import Run, compare_methods
+from handmap_qp.offline.comparison import Run, Take, compare_methods, own_method, prepare_take
 from handmap_qp.offline.metrics import METRICS, Metric
-from handmap_qp.offline.takes import Take, prepare_take
 from handmap_qp.onboarding.measure import measure_pinches
 from handmap_qp.trackers.formats import read_recording
 

@@ -9,8 +9,7 @@ import numpy as np
 from handmap_qp.experiments.section_four import HandMotion, Scene
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.offline.comparison import ComparedMethod
-from handmap_qp.offline.takes import prepare_take
+from handmap_qp.offline.comparison import ComparedMethod, prepare_take
 from handmap_qp.se3 import affine
 from handmap_qp.simulation.commands import map_commands
 from handmap_qp.simulation.simulator import poses_between

@@ -30,8 +30,7 @@ from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.offline.both_ways import map_both_ways
-from handmap_qp.offline.look_ahead import LookAhead, look_ahead
+from handmap_qp.offline.look_ahead import LookAhead, look_ahead, map_both_ways
 from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.offline.trajectory import Trajectory, map_recording
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing

@@ -57,27 +57,18 @@ class Demo:
 
     def run(self) -> None:
         """Run the demo, and print its errors and files."""
-        if self.robot is not None:
-            self._run_gestures(self.robot)
-            return
-        from handmap_qp.experiments.demo import run_demo
-
-        with progress("mapping") as advance:
-            result = run_demo(self.out, progress=advance)
-        title = "The paper's arc with the first synergy, human hand to three_finger"
-        print_table(title, result.table())
-        for file in result.files:
-            print(f"wrote {file}")
-
-    def _run_gestures(self, name: str) -> None:
-        from handmap_qp.experiments.demo_gestures import run_gestures
+        from handmap_qp.experiments.demo import run_demo, run_gestures
         from handmap_qp.offline.summary import summarise, table_rows
 
         with progress("mapping") as advance:
-            trajectory, files = run_gestures(name, self.out, advance)
-        title = f"the package's recording to {trajectory.robot.name}"
-        print_table(title, table_rows(summarise(trajectory)))
-        for file in files:
+            if self.robot is None:
+                result = run_demo(self.out, progress=advance)
+                title = "The paper's arc with the first synergy, human hand to three_finger"
+            else:
+                result = run_gestures(self.robot, self.out, advance)
+                title = f"the package's recording to {result.trajectory.robot.name}"
+        print_table(title, table_rows(summarise(result.trajectory)))
+        for file in result.files:
             print(f"wrote {file}")
 
 
@@ -166,16 +157,6 @@ class Compare:
 
     def run(self) -> None:
         """Check everything, measure, print and write."""
-        from handmap_qp.experiments.comparison_run import ComparisonRequest, run_comparison
+        from handmap_qp.experiments.compare import run_comparison
 
-        request = ComparisonRequest(
-            self.recordings,
-            self.robot,
-            self.methods,
-            self.peers,
-            self.peers_from,
-            self.out,
-            self.inputs,
-            self.person,
-        )
-        run_comparison(request, prints_json=self.json)
+        run_comparison(self)

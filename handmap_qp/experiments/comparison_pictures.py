@@ -11,8 +11,7 @@ import numpy as np
 
 from handmap_qp.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.drawing.hands import require_matplotlib
-from handmap_qp.offline.compared_methods import base_name, own_methods
-from handmap_qp.offline.comparison import Comparison
+from handmap_qp.offline.comparison import Comparison, base_name, own_methods
 from handmap_qp.offline.metrics import METRICS, Metric
 from handmap_qp.offline.poses import POSES, rank_poses
 
@@ -98,16 +97,21 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     bands = []
     for first in range(0, len(methods), _BAND):
         band = slice(first, first + _BAND)
-        columns = [(method, comparison.robot) for method in methods[band]]
         figure = contact_sheet(
-            columns,
+            [(method, comparison.robot) for method in methods[band]],
             [replace(row, q=row.q[band]) for row in rows],
             side=comparison.robot.spec.side,
             title=comparison.robot.name,
             footnote=footnote,
         )
         bands.append(_pixels(figure))
-    _save(file, _stacked(bands))
+    # One below the other, on white.
+    width = max(band.shape[1] for band in bands)
+    padded = [
+        np.pad(band, ((0, 0), (0, width - band.shape[1]), (0, 0)), constant_values=255)
+        for band in bands
+    ]
+    require_matplotlib().image.imsave(file, np.concatenate(padded))
     return file, missing
 
 
@@ -118,23 +122,6 @@ def _pixels(figure: Figure) -> np.ndarray:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3]
-
-
-def _save(file: Path, picture: np.ndarray) -> None:
-    from matplotlib.image import imsave
-
-    imsave(file, picture)
-
-
-def _stacked(pictures: list[np.ndarray]) -> np.ndarray:
-    """Return pictures one below the other, on white."""
-    width = max(picture.shape[1] for picture in pictures)
-    return np.concatenate(
-        [
-            np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0)), constant_values=255)
-            for p in pictures
-        ]
-    )
 
 
 def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:

@@ -1,84 +1,55 @@
-"""The demo: map the paper's wrist arc with the first synergy to the three-fingered hand."""
+"""The demo: a hand's motion mapped to a robot hand, as a trajectory and pictures.
+
+`run_demo` maps the paper's wrist arc with the first synergy to the three-fingered hand;
+`run_gestures` maps the recording that comes with the package to any robot hand.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.drawing.contact_sheet import save_contact_sheet
 from handmap_qp.drawing.hands import require_matplotlib
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.experiments.demo_figures import errors_figure, hands_figure, joints_figure
 from handmap_qp.experiments.output_folder import output_folder
+from handmap_qp.experiments.section_four import ARC_HEIGHT, ARC_LENGTH
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
+from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
-from handmap_qp.offline.trajectory import Trajectory, map_motion, save_npz
-from handmap_qp.se3 import affine, transform_points
+from handmap_qp.mapping.presets import default_preset, preset_choice
+from handmap_qp.offline.poses import find_poses
+from handmap_qp.offline.trajectory import Trajectory, map_motion, map_recording, save_npz
+from handmap_qp.se3 import affine
+from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers.formats import DEMO, read_recording
 
-ARC_LENGTH = 0.47
-"""Length of the wrist's arc along x [m]."""
-ARC_HEIGHT = 0.15
-"""Height of the wrist's arc along z [m]."""
 RATE = 60.0
-"""Samples per second."""
+"""Samples per second of the arc."""
 
 _START_HEIGHT = 0.15
 _OPEN, _CLOSED = 1.0, -0.4
-_POINT_ERRORS = ("mean", "p95", "max")
 # Back of the hand up, fingers along -y of the world: the arc is perpendicular to the fingers.
 _WRIST_ROTATION = np.diag([-1.0, -1.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DemoResult:
+class DemoResult(NamedTuple):
     """Result of the demo.
 
     Attributes:
-        motion: The human motion.
         trajectory: The robot's trajectory.
         files: Files written.
     """
 
-    motion: HumanMotion
     trajectory: Trajectory
     files: tuple[Path, ...]
-
-    def summary(self) -> dict[str, Any]:
-        """Summary numbers by name, with units in the names."""
-        trajectory = self.trajectory
-        points = 1e3 * trajectory.point_error
-        return {
-            "robot": trajectory.robot.name,
-            "samples": len(trajectory.time),
-            "point_error_mm_mean": float(points.mean()),
-            "point_error_mm_p95": float(np.percentile(points, 95)),
-            "point_error_mm_max": float(points.max()),
-            "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error.mean()),
-            "wrist_error_mm_max": 1e3 * float(trajectory.wrist_error.max()),
-            "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
-            "limit_violation_max": trajectory.limit_violation,
-            "step_cpu_us_median": 1e6 * float(np.median(trajectory.step_cpu)),
-        }
-
-    def table(self) -> dict[str, str]:
-        """The summary in words."""
-        found = self.summary()
-        points = [f"{found[f'point_error_mm_{name}']:.2f} mm {name}" for name in _POINT_ERRORS]
-        wrist = [f"{found[f'wrist_error_mm_{name}']:.2f} mm {name}" for name in ("mean", "max")]
-        return {
-            "samples": str(found["samples"]),
-            "step, CPU time": f"{found['step_cpu_us_median']:.0f} us median",
-            "point error": ", ".join(points),
-            "wrist error": ", ".join(wrist),
-            "samples at a limit": str(found["samples_at_limit"]),
-            "largest limit violation": f"{found['limit_violation_max']:.1e} rad",
-        }
 
 
 def run_demo(
@@ -87,7 +58,7 @@ def run_demo(
     samples: int = 241,
     progress: Callable[[int], None] | None = None,
 ) -> DemoResult:
-    """Map the demo's motion and write trajectory and pictures.
+    """Map the paper's arc with the first synergy, and write trajectory and pictures.
 
     Writes `trajectory.npz`, `hands.png`, `errors.png` and `joints.png`: all of them, or none on
     failure.
@@ -106,17 +77,60 @@ def run_demo(
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     require_matplotlib()
-    directory = Path(directory)
     motion = arc_motion(samples)
-    with output_folder(directory) as folder:
-        mapper = HandMapper(motion.human, load_hand("three_finger"), Homogeneous(), dt=1.0 / RATE)
+    mapper = HandMapper(motion.human, load_hand("three_finger"), Homogeneous(), dt=1.0 / RATE)
+    human = {
+        "human_joint_names": np.array(motion.human.joint_names),
+        "human_q": motion.q,
+        "human_wrist": motion.wrist,
+        "human_points": human_points(motion),
+    }
+
+    def make(folder: Path) -> Trajectory:
         trajectory = map_motion(mapper, motion, progress)
-        _save(folder / "trajectory.npz", motion, trajectory)
+        save_npz(folder / "trajectory.npz", {**trajectory.columns, **human})
         hands_figure(motion, trajectory).savefig(folder / "hands.png")
-        errors_figure(trajectory).savefig(folder / "errors.png")
-        joints_figure(trajectory).savefig(folder / "joints.png")
-        names = sorted(path.name for path in folder.iterdir())
-    return DemoResult(motion, trajectory, tuple(directory / name for name in names))
+        return trajectory
+
+    return _written(Path(directory), make)
+
+
+def run_gestures(
+    name: str, directory: Path, progress: Callable[[int], None] | None = None
+) -> DemoResult:
+    """Map the recording that comes with the package, and write trajectory and pictures.
+
+    Writes `trajectory.npz`, `gestures.png` (human and robot in each gesture), `errors.png` and
+    `joints.png`: all of them, or none on failure.
+
+    Args:
+        name: Robot hand, by name or by the path of its hand.yaml; its side decides which of the two
+            recorded hands leads.
+        directory: Folder to write to; created if it does not exist.
+        progress: Called after each sample with the number of samples done.
+
+    Returns:
+        The result.
+
+    Raises:
+        HandmapError: If the hand cannot be loaded, or the folder cannot be written.
+    """
+    require_matplotlib()
+    robot = load_hand(name)
+    recording = read_recording(DEMO, robot.spec.side)
+    person = measure_person(recording)
+    human = scaled_human(recording, lengths=person.lengths)
+    choice = preset_choice(default_preset(human, robot), person.contact_gap)
+    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
+
+    def make(folder: Path) -> Trajectory:
+        trajectory = map_recording(mapper, recording, progress)
+        save_npz(folder / "trajectory.npz", trajectory.columns)
+        columns = [(trajectory.robot.name, trajectory.robot, trajectory.q)]
+        save_contact_sheet(folder / "gestures.png", recording, find_poses(recording), columns)
+        return trajectory
+
+    return _written(directory, make)
 
 
 def arc_motion(samples: int) -> HumanMotion:
@@ -141,10 +155,10 @@ def arc_motion(samples: int) -> HumanMotion:
         raise InvalidInputError(argument="samples", expected="an integer >= 3", value=samples)
     human = load_hand("human", points="fingertips")
     progress = np.linspace(0.0, 1.0, samples)
-    way = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+    path = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
     wrist = np.tile(affine(_WRIST_ROTATION, np.zeros(3)), (samples, 1, 1))
-    wrist[:, 0, 3] = ARC_LENGTH * way
-    wrist[:, 2, 3] = _START_HEIGHT + ARC_HEIGHT * np.cos(np.pi * (way - 0.5))
+    wrist[:, 0, 3] = ARC_LENGTH * path
+    wrist[:, 2, 3] = _START_HEIGHT + ARC_HEIGHT * np.cos(np.pi * (path - 0.5))
     synergies = load_synergies()
     z_1 = 0.5 * (_OPEN + _CLOSED) + 0.5 * (_OPEN - _CLOSED) * np.cos(2.0 * np.pi * progress)
     return HumanMotion(
@@ -160,18 +174,15 @@ def arc_motion(samples: int) -> HumanMotion:
 
 def human_points(motion: HumanMotion) -> np.ndarray:
     """Reference points of the human in its world [m], shape (T, m, 3)."""
-    local = [motion.human.points(q) for q in motion.q]
-    return np.array(
-        [transform_points(wrist, points) for wrist, points in zip(motion.wrist, local, strict=True)]
-    )
+    samples = zip(motion.q, motion.wrist, strict=True)
+    return np.array([motion.human.points(*sample) for sample in samples])
 
 
-def _save(path: Path, motion: HumanMotion, trajectory: Trajectory) -> None:
-    """Write the columns of the trajectory and of the human motion."""
-    human = {
-        "human_joint_names": np.array(motion.human.joint_names),
-        "human_q": motion.q,
-        "human_wrist": motion.wrist,
-        "human_points": human_points(motion),
-    }
-    save_npz(path, {**trajectory.columns, **human})
+def _written(directory: Path, make: Callable[[Path], Trajectory]) -> DemoResult:
+    """Write what `make` writes and the pictures of errors and joints: all of them, or none."""
+    with output_folder(directory) as folder:
+        trajectory = make(folder)
+        errors_figure(trajectory).savefig(folder / "errors.png")
+        joints_figure(trajectory).savefig(folder / "joints.png")
+        names = sorted(path.name for path in folder.iterdir())
+    return DemoResult(trajectory, tuple(directory / name for name in names))

@@ -22,7 +22,6 @@ from handmap_qp.human.recording import HumanMotion
 from handmap_qp.offline.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -45,9 +44,8 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     size = (800, 672)
     instants = [0, len(motion.time) // 2, len(motion.time) - 1]
     human, robot = motion.human, trajectory.robot
-    human_way = np.array(
-        [human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)]
-    )
+    samples = zip(motion.q, motion.wrist, strict=True)
+    human_path = np.array([human.points(*sample) for sample in samples])
     hands = [
         _placed(human, motion.q, motion.wrist, instants),
         _placed(robot, trajectory.q, trajectory.wrist, instants),
@@ -60,40 +58,28 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     )
     # Move the scene down to make room for the titles.
     camera = replace(camera, centre=(camera.centre[0], camera.centre[1] + 34.0))
-    titles = (
-        (
-            "Human hand",
-            f"{len(human.joint_names)} joints, driven along the first synergy",
-            HUMAN_COLOUR,
-            human_way,
-        ),
+    below = min(float(camera.project(floor)[:, 1].max()) + 26.0, size[1] - 16.0)
+    panels = (
+        ("Human hand", human, "driven along the first synergy", HUMAN_COLOUR, human_path),
         (
             "Three-fingered robot hand",
-            f"{len(robot.joint_names)} joints, mapped by T and the QP",
+            robot,
+            "mapped by T and the QP",
             ROBOT_COLOUR,
             trajectory.points,
         ),
     )
-    below = min(float(camera.project(floor)[:, 1].max()) + 26.0, size[1] - 16.0)
-    for column, (hand, (title, subtitle, colour, way)) in enumerate(
-        zip(hands, titles, strict=True)
-    ):
+    for column, (title, model, how, colour, path) in enumerate(panels):
         axes = figure.add_axes((0.5 * column, 0.0, 0.5, 1.0))
-        balls = spheres(way[instants].reshape(-1, 3), 0.0065, colour)
-        paths = [tube(way[:, point], 0.0011, colour) for point in range(way.shape[1])]
-        draw_hands(axes, hand, camera, marks=merged([balls, *paths]), ground=0.0, supersampling=3)
+        marks = [spheres(path[instants].reshape(-1, 3), 0.0065, colour)]
+        marks += [tube(path[:, point], 0.0011, colour) for point in range(path.shape[1])]
+        draw_hands(axes, hands[column], camera, marks=merged(marks), ground=0.0, supersampling=3)
         axes.text(36, 50, title, fontsize=13, fontweight="bold")
-        axes.text(36, 79, subtitle, fontsize=9, color=PALE)
+        axes.text(36, 79, f"{len(model.joint_names)} joints, {how}", fontsize=9, color=PALE)
         for instant, word in zip(instants, ("start", "middle", "end"), strict=True):
             x = camera.project(motion.wrist[instant, :3, 3] * [1.0, 1.0, 0.0])[0]
-            axes.text(
-                x,
-                below,
-                f"{word}, {motion.time[instant]:.0f} s",
-                fontsize=8,
-                color=PALE,
-                ha="center",
-            )
+            label = f"{word}, {motion.time[instant]:.0f} s"
+            axes.text(x, below, label, fontsize=8, color=PALE, ha="center")
     return figure
 
 
@@ -103,28 +89,22 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 5.6), layout="constrained")
-    axes = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0))
-    time = trajectory.time
-    for point, (spec, colour) in enumerate(
-        zip(trajectory.robot.reference_points, COLOURS, strict=False)
-    ):
-        axes[0].plot(
-            time, 1e3 * trajectory.point_error[:, point], color=colour, label=words(spec.name)
-        )
-    axes[0].set_title("Reference points: distance from their targets")
-    axes[0].set_ylabel("mm")
-    axes[0].legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
-    axes[1].plot(time, 1e3 * trajectory.wrist_error, color=INK)
-    axes[1].set_title("Wrist: distance from its target")
-    axes[1].set_ylabel("mm")
-    axes[2].plot(time, 1e6 * trajectory.step_cpu, color=PALE, linewidth=1.0)
-    axes[2].set_title("CPU time of a step")
-    axes[2].set_ylabel("µs")
-    axes[2].set_ylim(0.0, 2.0 * float(np.nanpercentile(1e6 * trajectory.step_cpu, 95)))
-    axes[2].set_xlabel("time [s]")
-    for one in axes[:2]:
-        one.set_ylim(bottom=0.0)
-    axes[2].set_xlim(time[0], time[-1])
+    points, wrist, step = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0))
+    time, cpu = trajectory.time, 1e6 * trajectory.step_cpu
+    specs = zip(trajectory.robot.reference_points, COLOURS, strict=False)
+    for point, (spec, colour) in enumerate(specs):
+        error = 1e3 * trajectory.point_error[:, point]
+        points.plot(time, error, color=colour, label=words(spec.name))
+    points.legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
+    points.set(title="Reference points: distance from their targets", ylabel="mm")
+    wrist.plot(time, 1e3 * trajectory.wrist_error, color=INK)
+    wrist.set(title="Wrist: distance from its target", ylabel="mm")
+    for axes in (points, wrist):
+        axes.set_ylim(bottom=0.0)
+    step.plot(time, cpu, color=PALE, linewidth=1.0)
+    step.set(title="CPU time of a step", ylabel="µs", xlabel="time [s]")
+    step.set_ylim(0.0, 2.0 * float(np.nanpercentile(cpu, 95)))
+    step.set_xlim(time[0], time[-1])
     return figure
 
 
@@ -133,33 +113,26 @@ def joints_figure(trajectory: Trajectory) -> Figure:
     """Draw each joint of the robot over time, with its limits."""
     from matplotlib.figure import Figure
 
-    robot = trajectory.robot
-    columns = 4
-    rows = -(-len(robot.joint_names) // columns)
+    robot, time = trajectory.robot, trajectory.time
+    rows = -(-len(robot.joint_names) // 4)
     figure = Figure(figsize=(9.5, 2.1 * rows + 0.4), layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    for joint, axes in enumerate(grid.flat):
-        if joint >= len(robot.joint_names):
-            axes.set_axis_off()
-            continue
-        _joint_axes(axes, trajectory, joint)
+    grid = figure.subplots(rows, 4, sharex=True, squeeze=False)
+    limits = np.degrees([robot.lower_limits, robot.upper_limits]).T
+    for axes, name, q, (lower, upper) in zip(
+        grid.flat, robot.joint_names, np.degrees(trajectory.q).T, limits, strict=False
+    ):
+        room = 0.08 * (upper - lower)
+        axes.axhspan(lower - room, lower, color="#f3d9d4", linewidth=0.0)
+        axes.axhspan(upper, upper + room, color="#f3d9d4", linewidth=0.0)
+        axes.plot(time, q, color=COLOURS[2])
+        axes.set(xlim=(time[0], time[-1]), ylim=(lower - room, upper + room), title=words(name))
+    for axes in grid.flat[len(robot.joint_names) :]:
+        axes.set_axis_off()
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
-    for row in grid:
-        row[0].set_ylabel("deg")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("deg")
     return figure
-
-
-def _joint_axes(axes: Axes, trajectory: Trajectory, joint: int) -> None:
-    robot = trajectory.robot
-    lower, upper = np.degrees([robot.lower_limits[joint], robot.upper_limits[joint]])
-    room = 0.08 * (upper - lower)
-    axes.axhspan(lower - room, lower, color="#f3d9d4", linewidth=0.0)
-    axes.axhspan(upper, upper + room, color="#f3d9d4", linewidth=0.0)
-    axes.plot(trajectory.time, np.degrees(trajectory.q[:, joint]), color=COLOURS[2])
-    axes.set_ylim(lower - room, upper + room)
-    axes.set_xlim(trajectory.time[0], trajectory.time[-1])
-    axes.set_title(words(robot.joint_names[joint]))
 
 
 def _placed(hand: Hand, q: np.ndarray, wrist: np.ndarray, instants: list[int]) -> Triangles:

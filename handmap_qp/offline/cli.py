@@ -81,7 +81,7 @@ class Map:
 
     def run(self) -> None:
         """Read, measure and map each hand, write the trajectories, and print summaries."""
-        from handmap_qp.offline.summary import arm_note, speed_note, table_rows
+        from handmap_qp.offline.summary import notes, table_rows
 
         pairs = self._pairs()
         files = [self._out(recording, robot) for recording, robot in pairs]
@@ -95,7 +95,7 @@ class Map:
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
             print_table(title, table_rows(summary))
-            for note in filter(None, (speed_note(summary), arm_note(summary))):
+            for note in notes(summary):
                 print(note)
             print(f"wrote {summary['out']}")
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
-
-from handmap_qp.hands.fingers import THUMB
-from handmap_qp.offline.fidelity import Fidelity
 
 Better = Literal["high", "low", "zero", "one"]
 
 
-@dataclass(frozen=True, slots=True)
-class Metric:
+class Metric(NamedTuple):
     """One number about how a robot follows a hand.
 
     Attributes:
@@ -143,36 +139,8 @@ SUMMARY: tuple[str, ...] = (
 )
 """Keys of the metrics that say most, for one table."""
 
-_KEY_VECTORS = {
-    "key_cosine": "cosine",
-    "key_angle_deg": "angle_deg",
-    "key_scale": "scale",
-    "motion_preservation": "motion_preservation",
-    "flatness_mm2": "flatness_mm2",
-    "colliding": "colliding",
-    "workspace": "workspace",
-    "step_time_ms": "step_time_ms",
-}
 
-
-def metric_values(fidelity: Fidelity) -> dict[str, float]:
-    """Return the values of `METRICS` by key; NaN where a question does not arise."""
-    values = dict.fromkeys((metric.key for metric in METRICS), float("nan"))
-    for key in values:
-        if hasattr(fidelity, key):
-            values[key] = float(getattr(fidelity, key))
-    if THUMB in fidelity.fingers:
-        values["thumb_extension_correlation"] = fidelity.fingers[THUMB].extension_correlation
-    if not fidelity.pinch_closed > 0.0:
-        # Surfaces that never come near cannot penetrate.
-        values["pinch_depth_mm"] = float("nan")
-    if fidelity.key_vectors is not None:
-        for key, name in _KEY_VECTORS.items():
-            values[key] = float(getattr(fidelity.key_vectors, name))
-    return values
-
-
-def mean_values(rows: list[dict[str, float]]) -> dict[str, float]:
+def mean_values(rows: Sequence[dict[str, float]]) -> dict[str, float]:
     """Return the mean of each metric over what is not NaN; NaN where nothing is left."""
     means = {}
     for metric in METRICS:

@@ -6,8 +6,7 @@ showed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +34,7 @@ HOLD = 0.2
 """A pose counts as clear as it was at its least clear moment of this time before the sample [s]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Posture:
+class Posture(NamedTuple):
     """What poses are told by, of every sample.
 
     Attributes:
@@ -92,54 +90,27 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
     return Posture(flexion, gaps, spread)
 
 
-def _open(posture: Posture) -> np.ndarray:
-    """All four fingers are straight; the straighter the most bent of them, the clearer."""
-    bent = posture.flexion.max(axis=1)
-    return np.where(bent < STRAIGHT, STRAIGHT - bent, np.nan)
-
-
-def _spread(posture: Posture) -> np.ndarray:
-    """All four fingers are straight and diverge by `SPREAD`; the wider, the clearer."""
-    is_open = posture.flexion.max(axis=1) < STRAIGHT
-    return np.where(is_open & (posture.spread > SPREAD), posture.spread, np.nan)
-
-
-def _pointing(posture: Posture) -> np.ndarray:
-    """The index is straight, the other three are curled; the larger the difference, the clearer."""
-    index, others = posture.flexion[:, 0], posture.flexion[:, 1:].min(axis=1)
-    return np.where((index < STRAIGHT) & (others > CURLED), others - index, np.nan)
-
-
-def _fist(posture: Posture) -> np.ndarray:
-    """All four fingers are curled; the more the least curled of them is, the clearer."""
-    least = posture.flexion.min(axis=1)
-    return np.where(least > CURLED, least, np.nan)
-
-
-def _pinch(finger: int) -> Callable[[Posture], np.ndarray]:
-    def score(posture: Posture) -> np.ndarray:
-        gap = posture.gaps[:, finger]
-        others = np.delete(posture.gaps, finger, axis=1).min(axis=1)
-        is_fist = posture.flexion.min(axis=1) > CURLED
-        is_pinch = (gap < PINCH_GAP) & (others > gap + PINCH_LEAD) & ~is_fist
-        return np.where(is_pinch, PINCH_GAP - gap, np.nan)
-
-    score.__doc__ = (
-        "Thumb and this finger touch, the others are farther, and the hand is no fist; "
-        "the smaller the gap, the clearer."
-    )
-    return score
-
-
-_SCORES: dict[str, Callable[[Posture], np.ndarray]] = {
-    "open": _open,
-    "spread": _spread,
-    "pointing": _pointing,
-    "fist": _fist,
-    **{f"{finger} pinch": _pinch(i) for i, finger in enumerate(FINGERS[1:])},
-}
-POSES = tuple(_SCORES)
+POSES = ("open", "spread", "pointing", "fist", *(f"{finger} pinch" for finger in FINGERS[1:]))
 """Names of the poses, in the order of every result."""
+
+
+def _scores(posture: Posture) -> list[np.ndarray]:
+    """Return how clearly every sample shows each of `POSES`, shape (T,); NaN where it does not."""
+    flexion, gaps, spread = posture
+    most, least = flexion.max(axis=1), flexion.min(axis=1)
+    others = flexion[:, 1:].min(axis=1)
+    is_open, is_fist = most < STRAIGHT, least > CURLED
+    is_pointing = (flexion[:, 0] < STRAIGHT) & (others > CURLED)
+    scores = [
+        np.where(is_open, STRAIGHT - most, np.nan),
+        np.where(is_open & (spread > SPREAD), spread, np.nan),
+        np.where(is_pointing, others - flexion[:, 0], np.nan),
+        np.where(is_fist, least, np.nan),
+    ]
+    for finger, gap in enumerate(gaps.T):
+        apart = np.delete(gaps, finger, axis=1).min(axis=1) > gap + PINCH_LEAD
+        scores.append(np.where((gap < PINCH_GAP) & apart & ~is_fist, PINCH_GAP - gap, np.nan))
+    return scores
 
 
 def find_poses(recording: Recording) -> dict[str, int | None]:
@@ -183,9 +154,8 @@ def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
     start = recording.time[int(np.argmax(recording.valid))] + SETTLING
     is_usable = recording.valid & (recording.time >= start)
     found: dict[str, tuple[int, float] | None] = {}
-    for name, rule in _SCORES.items():
-        scores = np.where(is_usable, rule(posture), np.nan)
-        held = _held(scores, recording.time)
+    for name, scores in zip(POSES, _scores(posture), strict=True):
+        held = _held(np.where(is_usable, scores, np.nan), recording.time)
         best = None if np.isnan(held).all() else int(np.nanargmax(held))
         found[name] = None if best is None else (best, float(held[best]))
     return found

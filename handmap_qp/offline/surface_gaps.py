@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from copy import copy
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,16 +12,13 @@ import pinocchio as pin
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import Placements
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
-from handmap_qp.se3 import lengths
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceGaps:
+class SurfaceGaps(NamedTuple):
     """Signed distances between surfaces over time, negative where they overlap.
 
     Attributes:
@@ -35,11 +32,7 @@ class SurfaceGaps:
     nearest: np.ndarray
 
 
-def measure_gaps(
-    hand: Hand,
-    q: np.ndarray,
-    chains: dict[str, Finger] | None = None,
-) -> SurfaceGaps:
+def measure_gaps(hand: Hand, q: np.ndarray, chains: dict[str, Finger] | None = None) -> SurfaceGaps:
     """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
 
     Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
@@ -56,48 +49,14 @@ def measure_gaps(
     Raises:
         HandError: If a shape cannot be read.
     """
-    return GapMeter(hand, chains).measure(q)
-
-
-class PinchMeter:
-    """Measures the gaps between the thumb and the other fingers of one robot hand.
-
-    Args:
-        hand: The robot hand.
-
-    Attributes:
-        fingers: The fingers whose gaps are measured: those with shapes.
-
-    Raises:
-        HandError: If a shape cannot be read.
-    """
-
-    def __init__(self, hand: Hand) -> None:
-        self._hand = hand
-        self._geometry, self._groups = _pinch_pairs(hand, find_fingers(hand))
-        self._data = hand.model.createData()
-        self._vector = np.zeros(hand.model.nq)
-        self.fingers = tuple(self._groups)
-
-    def measure(self, q: np.ndarray) -> dict[str, float]:
-        """Measure the gaps of one posture.
-
-        Args:
-            q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
-
-        Returns:
-            Gap between the distal links of the thumb and of each other finger [m], negative where
-            they overlap, by the finger's name.
-        """
-        self._hand.write_configuration(self._vector, q, np.eye(4))
-        pin.forwardKinematics(self._hand.model, self._data, self._vector)
-        nearest = _NearestPairs(self._hand, self._geometry)
-        nearest.place(self._data)
-        return {name: nearest.smallest(pairs, np.inf) for name, pairs in self._groups.items()}
+    meter = GapMeter(hand, chains)
+    return SurfaceGaps(meter.pinches(q), meter.nearest(q))
 
 
 class GapMeter:
     """Measures gaps of one robot hand, whose shapes are read once.
+
+    The same motion gives the same numbers each time.
 
     Args:
         hand: The robot hand.
@@ -108,19 +67,9 @@ class GapMeter:
     """
 
     def __init__(self, hand: Hand, chains: dict[str, Finger] | None = None) -> None:
-        chains = chains or find_fingers(hand)
         self._hand = hand
-        pinching, self._groups = _pinch_pairs(hand, chains)
-        self._pinching = _NearestPairs(hand, pinching)
-        self._colliding = _NearestPairs(hand, all_pairs(hand, chains).geometry)
-
-    def measure(self, q: np.ndarray) -> SurfaceGaps:
-        """Measure the gaps of a motion; the same motion gives the same numbers each time.
-
-        Args:
-            q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
-        """
-        return SurfaceGaps(self.pinches(q), self.nearest(q))
+        self._chains = chains or find_fingers(hand)
+        self._geometry, self._groups = _pinch_pairs(hand, self._chains)
 
     def pinches(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
@@ -128,11 +77,10 @@ class GapMeter:
         Args:
             q: Joint angles [rad], shape (T, n).
         """
-        gaps = {finger: np.empty(len(q)) for finger in self._groups}
-        for t, placed in enumerate(self._placed(self._pinching, q)):
-            for finger, pairs in self._groups.items():
-                gaps[finger][t] = placed.smallest(pairs, np.inf)
-        return gaps
+        smallest = _smallest_distance(self._hand, self._geometry)
+        rows = [[smallest(a, pairs, np.inf) for pairs in self._groups.values()] for a in q]
+        columns = np.array(rows).reshape(len(q), len(self._groups)).T
+        return dict(zip(self._groups, columns, strict=True))
 
     def nearest(self, q: np.ndarray, most: float = FAR) -> np.ndarray:
         """Measure the smallest distance between any two links that can collide [m], shape (T,).
@@ -141,21 +89,12 @@ class GapMeter:
             q: Joint angles [rad], shape (T, n).
             most: Distance up to which it is measured, and that stands for larger ones [m].
         """
-        everything = slice(None)
-        placed = self._placed(self._colliding, q)
-        return np.array([pairs.smallest(everything, most) for pairs in placed])
+        smallest, pairs = _smallest_distance(self._hand, self._colliding), slice(None)
+        return np.array([smallest(angles, pairs, most) for angles in q])
 
-    def _placed(self, pairs: _NearestPairs, q: np.ndarray) -> Iterator[_NearestPairs]:
-        """Move pairs from posture to posture."""
-        hand = self._hand
-        # GJK starts from the last result of a pair, so each motion gets its own.
-        placed = pairs.renewed()
-        data, vector = hand.model.createData(), hand.configuration_vector(hand.rest)
-        for angles in q:
-            hand.write_configuration(vector, angles)
-            pin.forwardKinematics(hand.model, data, vector)
-            placed.place(data)
-            yield placed
+    @cached_property
+    def _colliding(self) -> pin.GeometryModel:
+        return all_pairs(self._hand, self._chains).geometry
 
 
 def _pinch_pairs(
@@ -176,47 +115,36 @@ def _pinch_pairs(
     return geometry, groups
 
 
-class _NearestPairs:
-    """The smallest distance among pairs of shapes, nearest bounding spheres first."""
+def _smallest_distance(
+    hand: Hand, geometry: pin.GeometryModel
+) -> Callable[[np.ndarray, slice, float], float]:
+    """Return a function of posture, pairs and the largest distance that is told [m].
 
-    def __init__(self, hand: Hand, geometry: pin.GeometryModel) -> None:
-        self._model, self._geometry = hand.model, geometry
-        shapes = geometry.geometryObjects
-        for shape in shapes:
-            shape.geometry.computeLocalAABB()
-        centres = np.array([shape.geometry.aabb_center for shape in shapes])
-        self._centres = centres.reshape(-1, 3)
-        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
-        pairs = geometry.collisionPairs
-        self._first = np.array([pair.first for pair in pairs], dtype=int)
-        self._second = np.array([pair.second for pair in pairs], dtype=int)
-        self._radii = radii[self._first] + radii[self._second]
-        self._renew()
+    Pairs are measured in the order of their bounding spheres' distances, up to the first that
+    cannot be nearer. GJK starts from the last result of a pair, so each motion needs its own
+    function.
+    """
+    shapes = [shape.geometry for shape in geometry.geometryObjects]
+    for shape in shapes:
+        shape.computeLocalAABB()
+    centres = [shape.aabb_center for shape in shapes]
+    radii = np.array([shape.aabb_radius for shape in shapes])
+    pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+    first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
+    touching = radii[first] + radii[second]
+    data, geometry_data = hand.model.createData(), geometry.createData()
+    vector = hand.configuration_vector(hand.rest)
 
-    def renewed(self) -> _NearestPairs:
-        """Return the same pairs without any result of an earlier motion."""
-        pairs = copy(self)
-        pairs._renew()
-        return pairs
-
-    def _renew(self) -> None:
-        self._data = self._geometry.createData()
-        self._placed = Placements(self._data.oMg)
-        self._bounds = np.zeros(len(self._radii))
-
-    def place(self, data: pin.Data) -> None:
-        """Move the shapes to where the model's joints are."""
-        pin.updateGeometryPlacements(self._model, data, self._geometry, self._data)
-        centres = self._placed.points(self._centres)
-        self._bounds = lengths(centres[self._first] - centres[self._second]) - self._radii
-
-    def smallest(self, pairs: slice, most: float) -> float:
-        """Smallest signed distance of some of the pairs, `most` at most [m]."""
-        bounds, first = self._bounds[pairs], pairs.start or 0
-        near = (bounds < most).nonzero()[0]
-        for i in near[bounds[near].argsort()].tolist():
+    def smallest(q: np.ndarray, chosen: slice, most: float) -> float:
+        hand.write_configuration(vector, q)
+        pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
+        placed = zip(geometry_data.oMg, centres, strict=True)
+        places = np.array([place.act(centre) for place, centre in placed])
+        bounds = np.linalg.norm(places[first] - places[second], axis=1) - touching
+        for i in np.arange(len(bounds))[chosen][bounds[chosen].argsort()].tolist():
             if bounds[i] >= most:
                 break
-            result = pin.computeDistance(self._geometry, self._data, first + i)
-            most = min(most, result.min_distance)
+            most = min(most, pin.computeDistance(geometry, geometry_data, i).min_distance)
         return most
+
+    return smallest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -78,27 +78,16 @@ class Trajectory:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Plain arrays by name, as written to a file; angles in rad, lengths in m."""
-        return {
-            "time": self.time,
-            "joint_names": np.array(self.robot.joint_names),
-            "q": self.q,
-            "all_joint_names": np.array(self.robot.all_joint_names),
-            "all_joint_roles": np.array(self.robot.all_joint_roles),
-            "all_q": self.robot.all_joints(self.q),
-            "wrist": self.wrist,
-            "targets": self.targets,
-            "points": self.points,
-            "point_names": np.array([point.name for point in self.robot.reference_points]),
-            "point_error": self.point_error,
-            "wrist_error": self.wrist_error,
-            "valid": self.valid,
-            "at_limit": self.at_limit,
-            "at_speed_limit": self.at_speed_limit,
-            "status": self.status,
-            "rule": self.rule,
-            "consistency": self.consistency,
-            "confidence": self.confidence,
-            "robot": np.array(self.robot.name),
+        robot = self.robot
+        arrays = {one.name: getattr(self, one.name) for one in fields(self)}
+        del arrays["step_cpu"]
+        return arrays | {
+            "joint_names": np.array(robot.joint_names),
+            "all_joint_names": np.array(robot.all_joint_names),
+            "all_joint_roles": np.array(robot.all_joint_roles),
+            "all_q": robot.all_joints(self.q),
+            "point_names": np.array([point.name for point in robot.reference_points]),
+            "robot": np.array(robot.name),
             "versions": np.array(_versions()),
         }
 

@@ -14,7 +14,7 @@ import tyro
 from handmap_qp.arguments import HandName
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.offline.takes import prepare_take
+from handmap_qp.offline.comparison import prepare_take
 from handmap_qp.offline.trajectory import save_npz
 from handmap_qp.output_files import check_output
 from handmap_qp.simulation.commands import chosen_methods, find_pinch, map_commands

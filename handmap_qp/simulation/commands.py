@@ -12,9 +12,7 @@ from scipy import ndimage
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.offline.compared_methods import outside_methods, own_method
-from handmap_qp.offline.comparison import ComparedMethod
-from handmap_qp.offline.takes import Take
+from handmap_qp.offline.comparison import ComparedMethod, Take, outside_methods, own_method
 
 # The human pinches while thumb and index landmarks are nearer than the first, with interruptions
 # below the second [m].
@@ -79,10 +77,8 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
         hand: The robot hand.
     """
     motion = method.map_take(take, hand)
-    wrist = motion.wrist
-    if wrist is None:
-        wrist = take.trace.palm @ np.linalg.inv(hand.wrist_to_palm)
-    return Commands(hand, np.asarray(take.recording.time), motion.q, wrist)
+    time, wrist = np.asarray(take.recording.time), motion.wrist_in(take, hand)
+    return Commands(hand, time, motion.q, wrist)
 
 
 def find_pinch(recording: Recording) -> PinchWindow:

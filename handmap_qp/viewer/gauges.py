@@ -18,7 +18,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.offline.surface_gaps import PinchMeter
+from handmap_qp.offline.surface_gaps import GapMeter
 from handmap_qp.viewer.figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes
 from handmap_qp.viewer.sample import Variant, ViewSample
 
@@ -101,7 +101,7 @@ class InstantGauges:
         self._groups = joints_by_finger(robot)
         self._contact_gap = Teleoperation().contact_gap if contact_gap is None else contact_gap
         try:
-            self._meter = PinchMeter(robot)
+            self._meter = GapMeter(robot)
         except HandError:
             # Without readable collision shapes, only the pinch gaps are missing.
             self._meter = None
@@ -113,7 +113,8 @@ class InstantGauges:
         if wanted is not None and self._robot.has_moving_wrist:
             shift = np.linalg.norm(wrist[:3, 3] - wanted[:3, 3])
             angle = np.linalg.norm(pin.log3(wanted[:3, :3].T @ wrist[:3, :3]))
-        pinches = {} if self._meter is None else self._meter.measure(sample.robot_q)
+        gaps = {} if self._meter is None else self._meter.pinches(sample.robot_q[None])
+        pinches = {finger: float(gap[0]) for finger, gap in gaps.items()}
         return Readings(errors.mean(), errors.max(), float(shift), float(angle), pinches)
 
     def human_pinches(self, sample: ViewSample) -> dict[str, float]:

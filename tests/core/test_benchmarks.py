@@ -20,7 +20,7 @@ from handmap_qp.grasp.objects import Box
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.offline.compared_methods import own_method
+from handmap_qp.offline.comparison import own_method
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 SCRIPTS = sorted(FOLDER.glob("bench_*.py"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -18,15 +18,19 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.offline.compared_methods import (
+from handmap_qp.offline.comparison import (
+    ComparedMethod,
     OutsideError,
-    OwnMethod,
+    RobotMotion,
+    Take,
+    compare_methods,
+    held_samples,
     outside_methods,
     own_method,
     own_methods,
+    prepare_take,
 )
-from handmap_qp.offline.comparison import RobotMotion, compare_methods
-from handmap_qp.offline.takes import Take, held_samples, prepare_take
+from handmap_qp.offline.hand_trace import TIP
 from handmap_qp.se3 import rotation_from_rpy
 from handmap_qp.trackers.formats import read_recording
 
@@ -34,25 +38,22 @@ from handmap_qp.trackers.formats import read_recording
 pytestmark = pytest.mark.slow
 
 
-@dataclass(frozen=True)
-class Still:
+def still(name: str = "still", *, has_wrist: bool = False) -> ComparedMethod:
     """Hold one posture, with or without a wrist."""
 
-    name: str = "still"
-    has_wrist: bool = False
-
-    def map_take(self, take: Take, robot: Hand) -> RobotMotion:
+    def map_take(take: Take, robot: Hand) -> RobotMotion:
         count = len(take.recording)
-        wrist = np.tile(np.eye(4), (count, 1, 1)) if self.has_wrist else None
+        wrist = np.tile(np.eye(4), (count, 1, 1)) if has_wrist else None
         return RobotMotion(np.tile(robot.rest, (count, 1)), wrist, np.full(count, 2e-3))
 
+    return ComparedMethod(name, map_take)
 
-@dataclass(frozen=True)
-class Failing:
-    name: str = "failing"
 
-    def map_take(self, take: Take, robot: Hand) -> RobotMotion:
-        raise HandmapError(f"cannot map\n{take.name}")
+def _fail(take: Take, robot: Hand) -> RobotMotion:
+    raise HandmapError(f"cannot map\n{take.name}")
+
+
+FAILING = ComparedMethod("failing", _fail)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def test_take_holds_what_was_not_seen(take: Take) -> None:
     index[40:43] = 39
     np.testing.assert_array_equal(held_samples(take.recording.valid), index)
     np.testing.assert_array_equal(take.wrist[40:43], take.wrist[[39, 39, 39]])
-    assert np.isfinite(take.trace.fingers["index"].tip).all()
+    assert np.isfinite(take.trace.points).all()
     np.testing.assert_array_equal(held_samples(np.array([False, True, False])), [1, 1, 1])
 
 
@@ -87,8 +88,7 @@ def test_mirrored_take_is_that_of_the_other_hand(take: Take, tmp_path: Path) -> 
     left = take_of(tmp_path, side="left")
     assert left.is_mirrored
     assert left.recording.side == "right"
-    tips = left.trace.in_palm(left.trace.fingers["index"].tip)
-    expected = take.trace.in_palm(take.trace.fingers["index"].tip)
+    tips, expected = (one.trace.local[:, :, TIP] for one in (left, take))
     np.testing.assert_allclose(tips, expected, atol=1e-6)
     # The wrist pose of the tracker is mirrored with the landmarks.
     fitted = prepare_take(replace(left.recording, wrist=None))
@@ -108,7 +108,7 @@ def test_own_methods_get_the_palm_of_the_take(take: Take, robot: Hand) -> None:
     turned = take.wrist.copy()
     turned[30:, :3, :3] = turned[30:, :3, :3] @ rotation_from_rpy([0.0, 0.2, 0.0])
     motions = [
-        OwnMethod("fingertip-vectors").map_take(given, robot)
+        own_method("fingertip-vectors").map_take(given, robot)
         for given in (take, replace(take, wrist=turned))
     ]
     wrists = [motion.wrist for motion in motions]
@@ -134,17 +134,17 @@ def test_recording_without_samples_that_count_is_rejected(tmp_path: Path) -> Non
 
 def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> None:
     seen: list[tuple[str, int, int]] = []
-    methods = [own_method("paper"), Still(), Still("moving", has_wrist=True)]
+    methods = [own_method("paper"), still(), still("moving", has_wrist=True)]
     result = compare_methods([take], robot, methods, lambda *args: seen.append(args))
     assert [count for _, count, _ in seen] == [0, 1, 2, 3]
     assert {total for _, _, total in seen} == {3}
     assert result.methods == ("paper", "still", "moving")
-    still = result.run("still", "closing").values
-    assert still["extension_correlation"] == 0.0
-    assert still["step_time_ms"] == pytest.approx(2.0)
+    values = result.of_method("still")[0].values
+    assert values["extension_correlation"] == 0.0
+    assert values["step_time_ms"] == pytest.approx(2.0)
     # A method that does not move the wrist has no palm error, and a note says so.
-    assert np.isnan(still["palm_deg"])
-    assert np.isnan(still["palm_mm"])
+    assert np.isnan(values["palm_deg"])
+    assert np.isnan(values["palm_mm"])
     (note,) = result.notes()
     assert note.startswith("still: the wrist is not moved")
     # A wrist fixed at the origin has the whole motion of the human as error.
@@ -155,8 +155,8 @@ def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> No
 
 
 def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
-    result = compare_methods([take], robot, [Failing(), Still(has_wrist=True)])
-    run = result.run("failing", "closing")
+    result = compare_methods([take], robot, [FAILING, still(has_wrist=True)])
+    (run,) = result.of_method("failing")
     assert run.problem == "cannot map closing"
     assert run.motion is None
     assert all(np.isnan(value) for value in result.overall("failing").values())
@@ -166,7 +166,7 @@ def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
 @pytest.mark.slow
 def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path: Path) -> None:
     other = take_of(tmp_path, "other")
-    result = compare_methods([take, other], robot, [Failing()])
+    result = compare_methods([take, other], robot, [FAILING])
     assert result.notes() == [
         "failing on closing: cannot map closing",
         "failing on other: cannot map other",
@@ -176,7 +176,7 @@ def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path
 @pytest.mark.slow
 def test_overall_is_the_mean_over_recordings(take: Take, robot: Hand, tmp_path: Path) -> None:
     file = write_closing(tmp_path, "longer", seconds=1.8)
-    result = compare_methods([take, prepare_take(read_recording(file))], robot, [Still()])
+    result = compare_methods([take, prepare_take(read_recording(file))], robot, [still()])
     values = [run.values["tip_error_mm"] for run in result.of_method("still")]
     assert values[0] != values[1]
     assert result.overall("still")["tip_error_mm"] == pytest.approx(np.mean(values))
@@ -185,11 +185,11 @@ def test_overall_is_the_mean_over_recordings(take: Take, robot: Hand, tmp_path: 
 def test_bad_comparisons_are_rejected(take: Take, robot: Hand, tmp_path: Path) -> None:
     left = take_of(tmp_path, "left", side="left", onto="left")
     for takes, methods, argument in (
-        ([], [Still()], "takes"),
-        ([take, take], [Still()], "takes"),
-        ([left], [Still()], "takes"),
+        ([], [still()], "takes"),
+        ([take, take], [still()], "takes"),
+        ([left], [still()], "takes"),
         ([take], [], "methods"),
-        ([take], [Still(), Still()], "methods"),
+        ([take], [still(), still()], "methods"),
     ):
         with pytest.raises(InvalidInputError) as caught:
             compare_methods(takes, robot, methods)
@@ -200,13 +200,13 @@ def test_robot_without_named_fingers_is_rejected(take: Take, robot: Hand) -> Non
     points = tuple(msgspec.structs.replace(point, finger=None) for point in robot.spec.points)
     nameless = Hand(msgspec.structs.replace(robot.spec, points=points))
     with pytest.raises(InvalidInputError, match="no finger with a human name") as caught:
-        compare_methods([take], nameless, [Still()])
+        compare_methods([take], nameless, [still()])
     assert caught.value.argument == "robot"
 
 
 def test_own_methods_are_presets_and_methods_by_name() -> None:
     assert set(own_methods()) == set(PRESETS) - {"fixed_wrist"}
-    assert own_method("paper+smooth") == OwnMethod("paper+smooth")
+    assert own_method("paper+smooth").name == "paper+smooth"
     for name in ("homogeneous", "paper+", "+smooth", ""):
         with pytest.raises(InvalidInputError) as caught:
             own_method(name)
@@ -215,7 +215,7 @@ def test_own_methods_are_presets_and_methods_by_name() -> None:
 
 def test_filter_smooths_and_lags(take: Take, robot: Hand) -> None:
     raw, smooth = (
-        OwnMethod(name).map_take(take, robot) for name in ("teleoperation", "teleoperation+smooth")
+        own_method(name).map_take(take, robot) for name in ("teleoperation", "teleoperation+smooth")
     )
     assert not np.allclose(raw.q, smooth.q, atol=1e-3)
     np.testing.assert_allclose(raw.q[-1], smooth.q[-1], atol=0.3)

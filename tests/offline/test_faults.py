@@ -13,7 +13,7 @@ from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.offline.events import count_rules, find_holds
+from handmap_qp.offline.summary import count_rules, find_holds
 from handmap_qp.offline.trajectory import Trajectory, map_samples
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.stream.rejoin import PALM_SPEED, TURN_SPEED
@@ -99,8 +99,8 @@ def test_holds_are_events_with_name_time_and_duration(stage: Stage) -> None:
     assert find_holds(stage.clean) == []
     faults = parse_faults("zero@1+0.2,dropout@2.5+0.3")
     holds = find_holds(stage.run(list(inject(stage.samples, faults))))
-    assert [hold.rule for hold in holds] == ["zero", "missing"]
-    np.testing.assert_allclose([hold.start for hold in holds], [1.0, 2.5], atol=stage.period)
+    assert [hold["rule"] for hold in holds] == ["zero", "missing"]
+    np.testing.assert_allclose([hold["start"] for hold in holds], [1.0, 2.5], atol=stage.period)
     # The settling time is part of a hold.
-    np.testing.assert_allclose([hold.duration for hold in holds], [0.3, 0.4], atol=0.05)
-    assert all(hold.samples > 10 for hold in holds)
+    np.testing.assert_allclose([hold["duration"] for hold in holds], [0.3, 0.4], atol=0.05)
+    assert all(hold["samples"] > 10 for hold in holds)

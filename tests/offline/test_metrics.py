@@ -8,15 +8,8 @@ import pytest
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.offline.fidelity import assess_fidelity
-from handmap_qp.offline.finger_traces import trace_human
-from handmap_qp.offline.metrics import (
-    GROUPS,
-    METRICS,
-    Better,
-    Metric,
-    mean_values,
-    metric_values,
-)
+from handmap_qp.offline.hand_trace import trace_human
+from handmap_qp.offline.metrics import GROUPS, METRICS, Better, Metric, mean_values
 from handmap_qp.se3 import transform_points
 
 NAN = float("nan")
@@ -34,7 +27,7 @@ def test_every_metric_is_one_of_fidelity() -> None:
     )
     landmarks = np.array([transform_points(np.eye(4), points) for points in landmarks])
     trace = trace_human(landmarks, HumanLengths.from_hand_length(0.19))
-    values = metric_values(assess_fidelity(trace, trace, np.arange(100) / 100.0))
+    values = assess_fidelity(trace, trace, np.arange(100) / 100.0).values
     assert list(values) == [m.key for m in METRICS]
     # These metrics need surfaces, joints, workspace or times; all others have a value.
     unknown = {key for key, value in values.items() if np.isnan(value)}

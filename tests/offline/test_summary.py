@@ -11,7 +11,7 @@ import pytest
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.hands.spec import LimitSpec
 from handmap_qp.human.recording import Recording
-from handmap_qp.offline.summary import _arm, arm_note, speed_note, summarise, table_rows
+from handmap_qp.offline.summary import notes, summarise, table_rows
 from handmap_qp.offline.trajectory import Trajectory, map_recording
 
 HUMAN = load_hand("human", points="landmarks")
@@ -59,11 +59,11 @@ def test_a_joint_at_a_position_limit_is_not_held_by_its_speed() -> None:
 @pytest.mark.parametrize(("speed", "is_noted"), [(0.3, True), (1000.0, False)])
 def test_a_large_share_is_one_line_with_joint_and_limit(speed: float, is_noted: bool) -> None:
     summary = summarise(mapped(speed))
-    note = speed_note(summary)
-    assert bool(note) == is_noted
-    assert "\n" not in note
+    assert len(notes(summary)) == is_noted
     assert table_rows(summary)["samples held by a speed limit"].endswith(" %")
     if is_noted:
+        (note,) = notes(summary)
+        assert "\n" not in note
         worst = summary["speed_limited_joints"][0]
         assert f"{worst['joint']} (0.3 per s)" in note
         assert "hand.yaml" in note
@@ -77,12 +77,22 @@ def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     wrist[1:, 0, 3] = 0.05
     error = np.where(np.arange(seen) > 0, 0.05, 0.0)
     arm = load_hand("ur5_allegro")
-    found = _arm(replace(trajectory, robot=arm, wrist=wrist, wrist_error=error))
+    at_speed_limit = np.zeros((seen, len(arm.joint_names)), dtype=bool)
+    late = replace(
+        trajectory,
+        robot=arm,
+        q=np.tile(arm.rest, (seen, 1)),
+        at_speed_limit=at_speed_limit,
+        wrist=wrist,
+        wrist_error=error,
+    )
+    summary = summarise(late)
+    found = summary["arm_out_of_reach"]
     assert found is not None
     assert found["scale"] == pytest.approx(0.5)
     assert found["motion_mm"] == pytest.approx(100.0)
-    assert "--scale 0.5" in arm_note({"arm_out_of_reach": found})
+    (note,) = notes(summary)
+    assert "--scale 0.5" in note
     # A floating hand, and an arm that arrives, need no line.
-    floating = summarise(replace(trajectory, wrist=wrist, wrist_error=error))
-    assert arm_note(floating) == ""
-    assert _arm(replace(trajectory, robot=arm, wrist=wrist, wrist_error=0.1 * error)) is None
+    assert summarise(replace(trajectory, wrist_error=error))["arm_out_of_reach"] is None
+    assert notes(summarise(replace(late, wrist_error=0.1 * error))) == []

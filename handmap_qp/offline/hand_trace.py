@@ -1,0 +1,129 @@
+"""What fidelity is measured on: palm, knuckles, middle joints and fingertips over time.
+
+A human's come from raw landmarks, a robot's from its model, its joint angles and its wrist poses,
+whatever mapping found those. So every mapping is measured in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers, zero_posture
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.landmarks import FIRST_JOINTS, PALM, TIPS
+from handmap_qp.se3 import affine, nearest_rotation, rigid_fit
+
+MIDDLES = np.array([3, 6, 10, 14, 18])
+"""Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""
+KNUCKLE, MIDDLE, TIP = range(3)
+"""Indices of a finger's points: the thumb's CMC or MCP, its IP or PIP, and its tip."""
+
+
+class HandTrace(NamedTuple):
+    """A hand over time.
+
+    Attributes:
+        names: Anatomical names of its k fingers, as in `FINGERS`.
+        points: Knuckle, middle joint and tip of each finger in the world [m], shape (T, k, 3, 3).
+        reach: Largest distance from knuckle to tip that each finger can have [m], shape (k,).
+        palm: Palm poses in the world: origin at the wrist, +y distal, +z dorsal, shape (T, 4, 4).
+        size: From the palm's origin over the middle of the knuckles to the stretched fingertips,
+            mean over the fingers without the thumb [m].
+    """
+
+    names: tuple[str, ...]
+    points: np.ndarray
+    reach: np.ndarray
+    palm: np.ndarray
+    size: float
+
+    @property
+    def local(self) -> np.ndarray:
+        """The points in the palm frame [m], shape (T, k, 3, 3)."""
+        rotations, origins = self.palm[:, None, :3, :3], self.palm[:, None, None, :3, 3]
+        return (self.points - origins) @ rotations
+
+    @property
+    def extension(self) -> np.ndarray:
+        """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
+        return (
+            np.linalg.norm(self.points[:, :, TIP] - self.points[:, :, KNUCKLE], axis=2) / self.reach
+        )
+
+    def part(self, samples: np.ndarray, names: Sequence[str]) -> HandTrace:
+        """Return some of the samples, by index or mask, and some of the fingers."""
+        chosen = [self.names.index(name) for name in names]
+        points, palm = self.points[samples][:, chosen], self.palm[samples]
+        return HandTrace(tuple(names), points, self.reach[chosen], palm, self.size)
+
+
+def trace_human(
+    landmarks: np.ndarray,
+    lengths: HumanLengths,
+    side: Side = "right",
+    wrist_poses: np.ndarray | None = None,
+) -> HandTrace:
+    """Describe a human's motion by its raw landmarks.
+
+    Args:
+        landmarks: Measured landmarks [m], shape (T, 21, 3), finite.
+        lengths: The person's lengths, as a right hand (`measure_hand`).
+        side: Which hand.
+        wrist_poses: Wrist poses of the tracker, shape (T, 4, 4). The palm then moves with them; its
+            mean pose on the wrist comes from the landmarks. If omitted, the palm is the rigid fit
+            (Kabsch 1976) of landmarks 0, 5, 9, 13 and 17 in every sample.
+
+    Returns:
+        The trace.
+    """
+    template = np.vstack([np.zeros(3), lengths.bases[1:]])
+    if side == "left":
+        template = template * (-1.0, 1.0, 1.0)
+    palm = np.linalg.inv(rigid_fit(landmarks[:, PALM], template))
+    if wrist_poses is not None:
+        on_wrist = np.linalg.inv(wrist_poses) @ palm
+        rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))
+        palm = wrist_poses @ affine(rotation, np.median(on_wrist[:, :3, 3], axis=0))
+    points = np.stack([landmarks[:, index] for index in (FIRST_JOINTS, MIDDLES, TIPS)], axis=2)
+    reach = lengths.segments.sum(axis=1)
+    size = float(np.linalg.norm(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
+    return HandTrace(tuple(FINGERS), points, reach, palm, size)
+
+
+def trace_robot(
+    hand: Hand,
+    q: np.ndarray,
+    wrist: np.ndarray | None = None,
+    chains: dict[str, Finger] | None = None,
+) -> HandTrace:
+    """Describe a robot's motion by its joint angles and wrist poses.
+
+    Args:
+        hand: The robot hand.
+        q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
+        wrist: Wrist poses in the world, shape (T, 4, 4); omitted for a fixed hand.
+        chains: Its fingers, if they have been found before.
+
+    Returns:
+        The trace.
+    """
+    chains = chains or find_fingers(hand)
+    data, vector = hand.model.createData(), np.zeros(hand.model.nq)
+    palm, points = np.empty((len(q), 4, 4)), np.empty((len(q), len(chains), 3, 3))
+    places = [(chain.knuckle, chain.middle, chain.tip) for chain in chains.values()]
+    for t, angles in enumerate(q):
+        hand.write_configuration(vector, angles, np.eye(4) if wrist is None else wrist[t])
+        pin.framesForwardKinematics(hand.model, data, vector)
+        palm[t] = data.oMf[hand.palm_frame_id].homogeneous
+        points[t] = [[data.oMi[joint].act(offset) for joint, offset in three] for three in places]
+    reach = np.array([chain.reach for chain in chains.values()])
+    others = [i for i, name in enumerate(chains) if name != THUMB] or list(range(len(chains)))
+    knuckles = PalmKinematics(hand).points(zero_posture(hand), [places[i][0] for i in others])
+    size = float(np.linalg.norm(knuckles.mean(axis=0)) + reach[others].mean())
+    return HandTrace(tuple(chains), points, reach, palm, size)
