@@ -143,40 +143,47 @@ class _Columns(NamedTuple):
 def _read_npz(file: Path, layout: Layout, side: Side | None) -> _Columns:
     arrays = read_archive(file)
     time = _time(file, arrays, layout)
-    count = len(time)
+    valid = arrays.get("valid")
+    return _Columns(
+        time,
+        arrays[_values_name(file, arrays, layout, side, len(time))].astype(float),
+        None if valid is None else as_flags(valid, "valid", len(time)),
+        _wrists_beside(arrays, layout, side, len(time)),
+        side_of(arrays["handedness"], file, "handedness") if "handedness" in arrays else None,
+    )
+
+
+def _values_name(
+    file: Path, arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None, count: int
+) -> str:
+    """Return the name of the array whose rows are samples of the layout."""
     accepted = {*layout.shapes, *((int(np.prod(shape)),) for shape in layout.shapes)}
-    fitting = [
-        name
-        for name, array in arrays.items()
-        if array.dtype.kind in "fiu" and array.shape[:1] == (count,) and array.shape[1:] in accepted
-    ]
+    long = {name: array for name, array in arrays.items() if array.shape[:1] == (count,)}
+    fitting = [n for n, a in long.items() if a.dtype.kind in "fiu" and a.shape[1:] in accepted]
     known = (*layout.table.arrays, layout.name, *_VALUES)
     chosen = [name for name in fitting if name in known] or fitting
     chosen = [name for name in chosen if side is None or name.startswith(side)] or chosen
-    if len(chosen) != 1:
-        shapes = " or ".join(f"({count}, {', '.join(map(str, s))})" for s in layout.shapes)
-        problem = f"has {'no' if not chosen else 'more than one'} array of shape {shapes}"
-        have = ", ".join(f"{name} {array.shape}" for name, array in arrays.items() if array.ndim)
-        hint = (
-            ""
-            if chosen
-            else _shaped_like({n: a for n, a in arrays.items() if a.shape[:1] == (count,)})
-        )
-        raise RecordingError(f"{problem}; {hint or f'it has {have}'}", file=file)
-    valid, wrists = arrays.get("valid"), None
-    if layout.wrist_table is not None and not layout.has_wrist:
-        other = {"left": "right", "right": "left", None: "neither"}[side]
-        names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]
-        if names:
-            given = arrays[names[0]].astype(float)
-            wrists = given.reshape(count, *given.shape[-2:]) if given.ndim > 2 else given
-    return _Columns(
-        time,
-        arrays[chosen[0]].astype(float),
-        None if valid is None else as_flags(valid, "valid", count),
-        wrists,
-        side_of(arrays["handedness"], file, "handedness") if "handedness" in arrays else None,
-    )
+    if len(chosen) == 1:
+        return chosen[0]
+    shapes = " or ".join(f"({count}, {', '.join(map(str, s))})" for s in layout.shapes)
+    problem = f"has {'no' if not chosen else 'more than one'} array of shape {shapes}"
+    hint = "" if chosen else _shaped_like(long)
+    have = ", ".join(f"{name} {array.shape}" for name, array in arrays.items() if array.ndim)
+    raise RecordingError(f"{problem}; {hint or f'it has {have}'}", file=file)
+
+
+def _wrists_beside(
+    arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None, count: int
+) -> np.ndarray | None:
+    """Return wrist poses beside the values, where the layout takes them."""
+    if layout.wrist_table is None or layout.has_wrist:
+        return None
+    other = {"left": "right", "right": "left", None: "neither"}[side]
+    names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]
+    if not names:
+        return None
+    given = arrays[names[0]].astype(float)
+    return given.reshape(count, *given.shape[-2:]) if given.ndim > 2 else given
 
 
 def _read_csv(file: Path, layout: Layout, side: Side | None) -> _Columns:
